@@ -1,0 +1,133 @@
+"""The extended model as ordinary Pinocchio models, for all that Pinocchio can do with one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pincal.model.chain import Chain
+from pincal.model.kernels import BLOCK, FRAME
+from pincal.model.model import Model
+from pincal.robot.dh import rotation, translation
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+
+def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.ndarray | None = None) -> pin.Model:
+    """Return the arm with one Pinocchio joint a coordinate (54 for a 6R arm), from its base to its tip.
+
+    Its configuration vector is the joints' part of :meth:`Model.coordinates` (joint positions included in theta or d).
+    Its frame Jacobian at "tip" is the kinematic Jacobian by coordinates; its generalised gravity is minus the static
+    moment about each coordinate; its gravity derivatives are those of the moments.
+
+    Args:
+        chain: the chain.
+        payload: mass at the tip [kg].
+        payload_centre: shape (3,), its centre of mass in the tip frame [m].
+
+    Returns:
+        The model, its gravity that of the chain, with an operational frame "tip".
+    """
+    import pinocchio as pin
+
+    model = pin.Model()
+    model.name = f"{chain.robot.name}_augmented"
+    model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))
+    joint_types = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}
+    slides = {"d": pin.JointModelPZ, "a": pin.JointModelPX}
+    turns = {"s_x": "x", "s_y": "y", "theta": "z", "gamma_z": "z", "gamma_y": "y", "gamma_x": "x", "alpha": "x"}
+    placement = pin.SE3(chain.robot.frames.T_base_first)
+    parent = 0
+    for i, name in enumerate(chain.robot.joint_names):
+        for symbol in chain.symbols[FRAME + i * BLOCK : FRAME + (i + 1) * BLOCK]:
+            joint = slides[symbol]() if symbol in slides else joint_types[turns[symbol]]()
+            parent = model.addJoint(parent, joint, placement, f"{name}.{symbol}")
+            placement = pin.SE3.Identity()
+        model.appendBodyToJoint(parent, _body(chain.robot.masses[i], chain.robot.centres[i]), pin.SE3.Identity())
+    tip = pin.SE3(chain.robot.frames.T_last_tip)
+    model.addFrame(pin.Frame("tip", parent, 0, tip, pin.OP_FRAME))
+    if payload > 0.0:
+        centre = np.zeros(3) if payload_centre is None else np.asarray(payload_centre, float)
+        model.appendBodyToJoint(parent, _body(payload, centre), tip)
+    return model
+
+
+def _body(mass: float, centre: np.ndarray) -> pin.Inertia:
+    """A body whose turning inertia is nil: statics knows none."""
+    import pinocchio as pin
+
+    return pin.Inertia(float(mass), np.array(centre, float), np.zeros((3, 3)))
+
+
+def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the calibrated geometry puts the URDF's own joint frames.
+
+    The URDF's joint frame i turns about its own axis; C_i, its fixed place on this axis, stays as the URDF has it.
+
+    Args:
+        model: the calibrated model; its elastic effects are left out (they change from pose to pose).
+        values: shape (P,), its parameters.
+
+    Returns:
+        Shape (n, 4, 4): joint frame i at q = 0 in joint frame i-1 (the first: in the base frame); and shape (4, 4): the
+        tip in the last joint frame.
+    """
+    chain = model.chain
+    nominal = _placements(chain, chain.nominal, None)
+    mounts = np.linalg.inv(nominal[2]) @ _nominal_joints(chain)
+    placed, tip, _ = _placements(chain, model.rigid_coordinates(values), mounts)
+    return placed, tip
+
+
+def _nominal_joints(chain: Chain) -> np.ndarray:
+    frames = chain.robot.frames
+    return np.asarray(frames.T_base_link @ chain.robot.T_link_joint)
+
+
+def _placements(
+    chain: Chain, coordinates: np.ndarray, mounts: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return relative placements of the joints, the tip in the last, and the turning frames in the base."""
+    n = chain.robot.n_joints
+    mounts = np.tile(np.eye(4), (n, 1, 1)) if mounts is None else mounts
+    placed, turning = np.empty((n, 4, 4)), np.empty((n, 4, 4))
+    before, step = np.eye(4), chain.robot.frames.T_base_first
+    for i in range(n):
+        at = {symbol: coordinates[chain.joint(i, symbol)] for symbol in ("s_x", "s_y", "theta", "d", "a", "alpha")}
+        axis = step @ rotation("x", at["s_x"]) @ rotation("y", at["s_y"]) @ rotation("z", at["theta"])
+        placed[i] = axis @ mounts[i]
+        before = before @ axis
+        turning[i] = before
+        step = translation(at["a"], 0.0, at["d"]) @ rotation("x", at["alpha"])
+        before, step = turning[i] @ mounts[i], np.linalg.inv(mounts[i]) @ step
+    return placed, step @ chain.robot.frames.T_last_tip, turning
+
+
+def calibrated_model(model: Model, values: np.ndarray) -> pin.Model:
+    """Return the robot's own ``pin.Model`` with the joint and tip frames where the calibrated geometry puts them.
+
+    It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`, so that other code takes it as
+    it is. Elastic effects are not in it: a ``pin.Model`` has no place for what changes with the load.
+
+    Args:
+        model: the calibrated model.
+        values: shape (P,), its parameters.
+
+    Returns:
+        The model; frame ``robot.tip`` is the calibrated tip.
+    """
+    import pinocchio as pin
+
+    placed, tip = joint_placements(model, values)
+    robot = model.chain.robot
+    out = robot.pinocchio_model()
+    data = out.createData()
+    pin.framesForwardKinematics(out, data, pin.neutral(out))
+    base = data.oMf[out.getFrameId(robot.base, pin.BODY)].copy()
+    for i, name in enumerate(robot.joint_names):
+        joint = out.getJointId(name)
+        out.jointPlacements[joint] = (base if i == 0 else pin.SE3.Identity()) * pin.SE3(placed[i])
+    out.frames[out.getFrameId(robot.tip, pin.BODY)].placement = pin.SE3(tip)
+    return out

@@ -1,0 +1,148 @@
+r"""The kinematic chain as a sequence of elementary transforms, each with one scalar coordinate.
+
+From the instrument's frame to the target:
+
+.. math::
+
+    Tr(x) Tr(y) Tr(z) \bar R_{base} R(x) R(y) R(z) \; T_{base,0} \prod_i A_i \; T_{n,tip} \;
+    Tr(x) Tr(y) Tr(z) \bar R_{tool} R(x) R(y) R(z)
+
+    A_i = R(x; s_x) R(y; s_y) R(z; q + \theta) R(z; \gamma_z) R(y; \gamma_y) R(x; \gamma_x) Tr(z; d) Tr(x; a) R(x; \alpha)
+
+which is DH,s,e of the paper to the letter, between a base frame and a tool frame. The two reference rotations (bars) hold
+any orientation of instrument and tool, so that the six angles beside them stay small and never meet a singularity. The
+joint position of a prismatic joint adds to d instead of theta.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from pincal.model.kernels import BLOCK, FRAME, Layout
+from pincal.robot.robot import Robot
+
+MomentFrame = Literal["paper", "before", "after"]
+MOMENT_FRAMES: tuple[MomentFrame, ...] = ("paper", "before", "after")
+
+FRAME_SYMBOLS = ("x", "y", "z", "rx", "ry", "rz")
+_JOINT_SYMBOLS = ("s_x", "s_y", "theta", "gamma_z", "gamma_y", "gamma_x", "d", "a", "alpha")
+# A compliance that stays with the previous link bends before the joint turns.
+_JOINT_SYMBOLS_BEFORE = ("s_x", "s_y", "gamma_z", "gamma_y", "gamma_x", "theta", "d", "a", "alpha")
+_KIND = {
+    "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
+    "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
+}  # fmt: skip
+# Columns of DhFrames.parameters.
+_DH_COLUMN = {"s_x": 0, "s_y": 1, "theta": 2, "d": 3, "a": 4, "alpha": 5}
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The coordinates of an arm between an instrument and a target.
+
+    Attributes:
+        robot: the arm.
+        moment_frame: where moments are taken and bend the arm: "paper" takes them before q and bends after it,
+            "before" and "after" do both there.
+        gravity: shape (3,), in the robot's base frame [m/s^2].
+        base_rotation: shape (3, 3), reference orientation of the robot's base in the instrument's frame.
+        targets: names of the tool frames.
+        tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame.
+    """
+
+    robot: Robot
+    moment_frame: MomentFrame
+    gravity: np.ndarray
+    base_rotation: np.ndarray
+    targets: tuple[str, ...]
+    tool_rotations: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        *,
+        moment_frame: MomentFrame = "paper",
+        gravity: np.ndarray | None = None,
+        targets: tuple[str, ...] = ("tool",),
+    ) -> Chain:
+        """Return the chain of a robot whose base and tool frames stand at the instrument and the tip."""
+        if moment_frame not in MOMENT_FRAMES:
+            raise ValueError(f"moment_frame is {moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}")
+        g = robot.gravity if gravity is None else np.asarray(gravity, float)
+        return cls(robot, moment_frame, g, np.eye(3), targets, np.tile(np.eye(3), (len(targets), 1, 1)))
+
+    def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
+        """Return the same chain about other reference orientations of base and tools."""
+        return replace(self, base_rotation=np.array(base_rotation), tool_rotations=np.array(tool_rotations))
+
+    @property
+    def size(self) -> int:
+        """Number K of coordinates."""
+        return 2 * FRAME + BLOCK * self.robot.n_joints
+
+    @cached_property
+    def symbols(self) -> tuple[str, ...]:
+        """The symbol of each coordinate, e.g. "theta"; which joint it belongs to follows from its place."""
+        joint = _JOINT_SYMBOLS_BEFORE if self.moment_frame == "before" else _JOINT_SYMBOLS
+        return FRAME_SYMBOLS + joint * self.robot.n_joints + FRAME_SYMBOLS
+
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        """Nominal coordinates, shape (K,): the robot's Denavit-Hartenberg parameters, zero elsewhere."""
+        values = np.zeros(self.size)
+        for i, row in enumerate(self.robot.frames.parameters):
+            for symbol, column in _DH_COLUMN.items():
+                values[self.joint(i, symbol)] = row[column]
+        return values
+
+    @cached_property
+    def drives(self) -> np.ndarray:
+        """The coordinate that each joint's position adds to, shape (n,): theta, or d of a prismatic joint."""
+        types = self.robot.joint_types
+        return np.array([self.joint(i, "d" if kind == "prismatic" else "theta") for i, kind in enumerate(types)])
+
+    def joint(self, i: int, symbol: str) -> int:
+        """Return the index of a coordinate of joint ``i`` (from 0)."""
+        order = _JOINT_SYMBOLS_BEFORE if self.moment_frame == "before" else _JOINT_SYMBOLS
+        return FRAME + BLOCK * i + order.index(symbol)
+
+    def base(self, symbol: str) -> int:
+        """Return the index of a coordinate of the base frame."""
+        return FRAME_SYMBOLS.index(symbol)
+
+    def tool(self, symbol: str) -> int:
+        """Return the index of a coordinate of the tool frame."""
+        return self.size - FRAME + FRAME_SYMBOLS.index(symbol)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The chain's constant part as arrays for the compiled loops."""
+        n = self.robot.n_joints
+        starts = FRAME + BLOCK * np.arange(n)
+        fixed_before = np.full(self.size, -1)
+        fixed_before[[3, FRAME, FRAME + BLOCK * n]] = 0, 1, 2
+        base = np.eye(4)
+        base[:3, :3] = self.base_rotation
+        fixed = np.array([base, self.robot.frames.T_base_first, self.robot.frames.T_last_tip])
+        y, z, cut = {
+            "paper": (starts + 1, starts + 2, starts + 1),
+            "before": (starts + 1, starts + 2, starts + 1),
+            "after": (starts + 4, starts + 3, starts + 3),
+        }[self.moment_frame]
+        return Layout(
+            kind=np.array([_KIND[symbol] for symbol in self.symbols]),
+            fixed_before=fixed_before,
+            fixed=np.ascontiguousarray(fixed[:, :3]),
+            tool_rotation=np.ascontiguousarray(self.tool_rotations),
+            moment_y=y,
+            moment_z=z,
+            moment_cut=cut,
+            masses=self.robot.masses,
+            centres=np.ascontiguousarray(self.robot.centres),
+            gravity=self.gravity,
+        )

@@ -1,0 +1,458 @@
+r"""The compiled loops: tip poses, static moments and their exact derivatives, pose by pose in one pass.
+
+A chain is a sequence of elementary transforms, each with one scalar coordinate. With w_k and o_k the axis and a point of
+coordinate k in the world, a rotation moves the tip p by w_k x (p - o_k) and turns it by w_k; a translation moves it by w_k.
+
+Moments: for the axis w_l through o_l, with D_l the sum of m_b (c_b - o_l) over the bodies b beyond, h_l = w_l x D_l and
+g the gravity, n_l = h_l . g (paper, Eq. (3)). With u_k = g x w_k and M_k the mass beyond k,
+
+    d n_l / d x_k = h_l . u_k           k a rotation before the frame of l
+                  = h_k . u_l           k a rotation after it
+                  = 0, M_k w_k . u_l    k a translation before, after it.
+
+The Jacobian needs only sum_l a_l d n_l / d x_k, so two running sums serve all k: of a_l h_l over the moments still ahead and
+of a_l u_l over those passed. Checked against finite differences and Pinocchio in ``tests/test_model.py``.
+
+Poses are worked on in groups of LANES: the last axis of every working array runs over the poses of a group, so that each
+inner loop is one that the compiler turns into vector instructions (measured: 5 times faster than pose by pose).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+# Coordinates a joint, a frame (base or tool).
+BLOCK = 9
+FRAME = 6
+# Poses worked on together: fewer cost more in calls, more outgrow a second-level cache of 512 KiB (6R arm).
+LANES = 64
+
+
+class Layout(NamedTuple):
+    """The constant part of a chain as arrays.
+
+    Attributes:
+        kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
+        fixed_before: shape (K,), index of the fixed transform that precedes coordinate k, -1 for none.
+        fixed: shape (F, 3, 4), the fixed transforms.
+        tool_rotation: shape (targets, 3, 3), reference orientation of each tool frame.
+        moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint i's moment is
+            expressed in.
+        moment_cut: shape (n,), the last coordinate that turns this frame.
+        masses, centres: shape (n,), (n, 3), the bodies in the link frames.
+        gravity: shape (3,), in the robot's base frame.
+    """
+
+    kind: np.ndarray
+    fixed_before: np.ndarray
+    fixed: np.ndarray
+    tool_rotation: np.ndarray
+    moment_y: np.ndarray
+    moment_z: np.ndarray
+    moment_cut: np.ndarray
+    masses: np.ndarray
+    centres: np.ndarray
+    gravity: np.ndarray
+
+
+class Values(NamedTuple):
+    """Values of all coordinates at all poses: a constant part and the columns that differ from pose to pose.
+
+    Attributes:
+        constant: shape (K,), coordinates [rad or m].
+        slot: shape (K,), column of ``varying`` that coordinate k takes its value from, -1 for the constant.
+        varying: shape (V, N).
+    """
+
+    constant: np.ndarray
+    slot: np.ndarray
+    varying: np.ndarray
+
+
+class Terms(NamedTuple):
+    """Which parameter moves which coordinate, as a list of terms: d x_k / d parameter = basis.
+
+    Attributes:
+        coordinate, parameter: shape (E,).
+        slot: shape (E,), column of ``basis``, -1 where the derivative is 1.
+        elastic: shape (E,), whether the term depends on the static moments.
+        basis: shape (S, N).
+    """
+
+    coordinate: np.ndarray
+    parameter: np.ndarray
+    slot: np.ndarray
+    elastic: np.ndarray
+    basis: np.ndarray
+
+
+class Compliances(NamedTuple):
+    """How coordinates follow the moments: d x_k / d n_l.
+
+    Attributes:
+        coordinate, moment: shape (C,), k and l = 3 i + component of joint i.
+        rate: shape (C, N), or (C, 1) where it is the same at all poses [rad/(N m) or m/(N m)].
+    """
+
+    coordinate: np.ndarray
+    moment: np.ndarray
+    rate: np.ndarray
+
+
+class Payload(NamedTuple):
+    """Mass [kg], shape (N,), and centre of mass in the tip frame [m], shape (3,), beyond the last link."""
+
+    mass: np.ndarray
+    centre: np.ndarray
+
+
+_COMPILE = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+
+@njit(**_COMPILE)
+def _load(layout, values, start, m, x, c, s, whole):
+    """Put the coordinates of poses start .. start + m into x, their cosines and sines into c and s.
+
+    Constant coordinates are the same in every group and are loaded only if ``whole``.
+    """
+    for k in range(len(values.constant)):
+        j = values.slot[k]
+        if j >= 0:
+            for i in range(m):
+                x[k, i] = values.varying[j, start + i]
+            if layout.kind[k] < 3:
+                for i in range(m):
+                    c[k, i] = math.cos(x[k, i])
+                    s[k, i] = math.sin(x[k, i])
+        elif whole:
+            x[k] = values.constant[k]
+            c[k] = math.cos(values.constant[k])
+            s[k] = math.sin(values.constant[k])
+
+
+@njit(**_COMPILE)
+def _identity(R, p):
+    R[:] = 0.0
+    p[:] = 0.0
+    for r in range(3):
+        R[r, r] = 1.0
+
+
+@njit(**_COMPILE)
+def _apply(R, p, F):
+    """Multiply the frames (R, p) by a fixed transform from the right."""
+    for r in range(3):
+        for i in range(R.shape[2]):
+            a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            p[r, i] += a * F[0, 3] + b * F[1, 3] + d * F[2, 3]
+            R[r, 0, i] = a * F[0, 0] + b * F[1, 0] + d * F[2, 0]
+            R[r, 1, i] = a * F[0, 1] + b * F[1, 1] + d * F[2, 1]
+            R[r, 2, i] = a * F[0, 2] + b * F[1, 2] + d * F[2, 2]
+
+
+@njit(**_COMPILE)
+def _turn_tools(layout, target, start, m, R):
+    """Turn each frame into the reference orientation of its pose's tool."""
+    for i in range(m):
+        A = layout.tool_rotation[target[start + i]]
+        for r in range(3):
+            a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            for j in range(3):
+                R[r, j, i] = a * A[0, j] + b * A[1, j] + d * A[2, j]
+
+
+@njit(**_COMPILE)
+def _walk(layout, first, last, x, c, s, R, p, W, O):
+    """Move the frames (R, p) over the coordinates first .. last - 1; note each one's axis and origin in W, O."""
+    for k in range(first, last):
+        if layout.fixed_before[k] >= 0:
+            _apply(R, p, layout.fixed[layout.fixed_before[k]])
+        kind = layout.kind[k]
+        axis = kind if kind < 3 else kind - 3
+        j, l = (axis + 1) % 3, (axis + 2) % 3
+        for r in range(3):
+            for i in range(R.shape[2]):
+                W[k, r, i] = R[r, axis, i]
+                O[k, r, i] = p[r, i]
+            if kind >= 3:
+                for i in range(R.shape[2]):
+                    p[r, i] += R[r, axis, i] * x[k, i]
+            else:
+                for i in range(R.shape[2]):
+                    a, b = R[r, j, i], R[r, l, i]
+                    R[r, j, i] = c[k, i] * a + s[k, i] * b
+                    R[r, l, i] = c[k, i] * b - s[k, i] * a
+
+
+@njit(**_COMPILE)
+def _walk_arm(layout, target, start, m, x, c, s, R, p, W, O):
+    """Walk the whole chain from the instrument to the target; the tool's own orientation stands before its angles."""
+    K = len(x)
+    _identity(R, p)
+    _walk(layout, 0, K - 3, x, c, s, R, p, W, O)
+    _turn_tools(layout, target, start, m, R)
+    _walk(layout, K - 3, K, x, c, s, R, p, W, O)
+
+
+@njit(**_COMPILE)
+def _add_body(R, p, mass, centre, B):
+    """Add mass times the place of its centre to B."""
+    for r in range(3):
+        for i in range(R.shape[2]):
+            place = p[r, i] + R[r, 0, i] * centre[0] + R[r, 1, i] * centre[1] + R[r, 2, i] * centre[2]
+            B[r, i] += mass[i] * place
+
+
+@njit(**_COMPILE)
+def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass):
+    """Walk the arm from its base; M[j] is the mass beyond joint j, B[j] the sum of mass times centre there."""
+    n = len(layout.masses)
+    _identity(R, p)
+    B[:] = 0.0
+    for j in range(n):
+        first = FRAME + j * BLOCK
+        _walk(layout, first, first + BLOCK, x, c, s, R, p, W, O)
+        mass[:] = layout.masses[j]
+        M[j] = mass
+        _add_body(R, p, mass, layout.centres[j], B[j])
+    _apply(R, p, layout.fixed[layout.fixed_before[FRAME + n * BLOCK]])
+    mass[:] = 0.0
+    for i in range(m):
+        mass[i] = payload.mass[start + i]
+    M[n - 1] += mass
+    _add_body(R, p, mass, payload.centre, B[n - 1])
+    for j in range(n - 2, -1, -1):
+        M[j] += M[j + 1]
+        B[j] += B[j + 1]
+
+
+@njit(**_COMPILE)
+def _cross(a, b, out):
+    """out = a x b, each of shape (3, lanes)."""
+    for i in range(a.shape[1]):
+        out[0, i] = a[1, i] * b[2, i] - a[2, i] * b[1, i]
+        out[1, i] = a[2, i] * b[0, i] - a[0, i] * b[2, i]
+        out[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
+
+
+@njit(**_COMPILE)
+def _turned_gravity(g, w, out):
+    """out = g x w."""
+    for i in range(w.shape[1]):
+        out[0, i] = g[1] * w[2, i] - g[2] * w[1, i]
+        out[1, i] = g[2] * w[0, i] - g[0] * w[2, i]
+        out[2, i] = g[0] * w[1, i] - g[1] * w[0, i]
+
+
+@njit(**_COMPILE)
+def _lever(B, M, o, D):
+    """D = B - M o: first moment of mass of what is beyond, about the point o."""
+    for r in range(3):
+        for i in range(D.shape[1]):
+            D[r, i] = B[r, i] - M[i] * o[r, i]
+
+
+@njit(**_COMPILE)
+def _moment_levers(layout, W, O, M, B, A, H, D):
+    """A[l], H[l]: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
+    for j in range(len(layout.masses)):
+        _lever(B[j], M[j], O[FRAME + j * BLOCK], D)
+        A[3 * j + 1] = W[layout.moment_y[j]]
+        A[3 * j + 2] = W[layout.moment_z[j]]
+        _cross(A[3 * j + 1], A[3 * j + 2], A[3 * j])
+        for q in range(3):
+            _cross(A[3 * j + q], D, H[3 * j + q])
+
+
+@njit(**_COMPILE)
+def _add_scaled(a, v, out):
+    """out += a v, with a a number a lane and v of shape (3, lanes)."""
+    for r in range(3):
+        for i in range(v.shape[1]):
+            out[r, i] += a[i] * v[r, i]
+
+
+@njit(**_COMPILE)
+def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
+    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two running sums over the chain (module docstring)."""
+    rows, n = len(a), len(layout.masses)
+    ahead[:] = 0.0
+    behind[:] = 0.0
+    for r in range(rows):
+        for l in range(3 * n):
+            _add_scaled(a[r, l], H[l], ahead[r])
+    for j in range(n):
+        for k in range(FRAME + j * BLOCK, FRAME + (j + 1) * BLOCK):
+            if layout.kind[k] < 3:
+                _lever(B[j], M[j], O[k], u)
+                _cross(W[k], u, h)
+                _turned_gravity(layout.gravity, W[k], u)
+                for r in range(rows):
+                    for i in range(h.shape[1]):
+                        before = ahead[r, 0, i] * u[0, i] + ahead[r, 1, i] * u[1, i] + ahead[r, 2, i] * u[2, i]
+                        after = behind[r, 0, i] * h[0, i] + behind[r, 1, i] * h[1, i] + behind[r, 2, i] * h[2, i]
+                        V[r, k, i] = before + after
+            else:
+                for r in range(rows):
+                    for i in range(h.shape[1]):
+                        along = behind[r, 0, i] * W[k, 0, i] + behind[r, 1, i] * W[k, 1, i]
+                        V[r, k, i] = M[j, i] * (along + behind[r, 2, i] * W[k, 2, i])
+            if k == layout.moment_cut[j]:
+                for l in range(3 * j, 3 * j + 3):
+                    _turned_gravity(layout.gravity, A[l], u)
+                    for r in range(rows):
+                        _add_scaled(a[r, l], u, behind[r])
+                        _add_scaled(-a[r, l], H[l], ahead[r])
+
+
+@njit(**_COMPILE)
+def _pull_back(compliances, start, m, J, a):
+    """a[r, l] += sum over the coordinates k that follow moment l of J[r, k] d x_k / d n_l."""
+    constant = compliances.rate.shape[1] == 1
+    for e in range(len(compliances.coordinate)):
+        k, l = compliances.coordinate[e], compliances.moment[e]
+        for r in range(len(a)):
+            if constant:
+                for i in range(a.shape[2]):
+                    a[r, l, i] += J[r, k, i] * compliances.rate[e, 0]
+            else:
+                for i in range(m):
+                    a[r, l, i] += J[r, k, i] * compliances.rate[e, start + i]
+
+
+@njit(**_COMPILE)
+def _kinematic_columns(layout, W, O, p, J):
+    """J[:, k]: the motion of the tip (and its turning, where J has six rows) by coordinate k."""
+    rows = len(J)
+    for k in range(J.shape[1]):
+        if layout.kind[k] >= 3:
+            for r in range(3):
+                J[r, k] = W[k, r]
+            for r in range(3, rows):
+                J[r, k] = 0.0
+            continue
+        for i in range(p.shape[1]):
+            dx, dy, dz = p[0, i] - O[k, 0, i], p[1, i] - O[k, 1, i], p[2, i] - O[k, 2, i]
+            J[0, k, i] = W[k, 1, i] * dz - W[k, 2, i] * dy
+            J[1, k, i] = W[k, 2, i] * dx - W[k, 0, i] * dz
+            J[2, k, i] = W[k, 0, i] * dy - W[k, 1, i] * dx
+        for r in range(3, rows):
+            J[r, k] = W[k, r - 3]
+
+
+@njit(**_COMPILE)
+def _parameter_columns(terms, start, m, J, V, through, loop, out):
+    """Add each term's share to its parameter's column; rigid terms also act through the moments."""
+    for e in range(len(terms.coordinate)):
+        k, q, j = terms.coordinate[e], terms.parameter[e], terms.slot[e]
+        with_moments = through and (loop or not terms.elastic[e])
+        for r in range(len(J)):
+            if j < 0:
+                for i in range(m):
+                    out[q, r, start + i] += J[r, k, i]
+            else:
+                for i in range(m):
+                    out[q, r, start + i] += terms.basis[j, start + i] * J[r, k, i]
+            if with_moments and j < 0:
+                for i in range(m):
+                    out[q, r, start + i] += V[r, k, i]
+            elif with_moments:
+                for i in range(m):
+                    out[q, r, start + i] += terms.basis[j, start + i] * V[r, k, i]
+
+
+@njit(**_COMPILE)
+def static_moments(layout, values, payload):
+    """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
+    N, K, n = len(payload.mass), len(values.constant), len(layout.masses)
+    x, c, s = np.empty((K, LANES)), np.empty((K, LANES)), np.empty((K, LANES))
+    R, p, W, O = np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    M, B, mass, D = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES), np.empty((3, LANES))
+    A, H = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES))
+    out = np.empty((3 * n, N))
+    g = layout.gravity
+    for start in range(0, N, LANES):
+        m = min(LANES, N - start)
+        _load(layout, values, start, m, x, c, s, start == 0)
+        _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass)
+        _moment_levers(layout, W, O, M, B, A, H, D)
+        for l in range(3 * n):
+            for i in range(m):
+                out[l, start + i] = H[l, 0, i] * g[0] + H[l, 1, i] * g[1] + H[l, 2, i] * g[2]
+    return out
+
+
+@njit(**_COMPILE)
+def tip_poses(layout, values, target):
+    """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
+    N, K = len(target), len(values.constant)
+    x, c, s = np.empty((K, LANES)), np.empty((K, LANES)), np.empty((K, LANES))
+    R, p, W, O = np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    out = np.empty((3, 4, N))
+    for start in range(0, N, LANES):
+        m = min(LANES, N - start)
+        _load(layout, values, start, m, x, c, s, start == 0)
+        _walk_arm(layout, target, start, m, x, c, s, R, p, W, O)
+        out[:, :3, start : start + m] = R[:, :, :m]
+        out[:, 3, start : start + m] = p[:, :m]
+    return out
+
+
+@njit(**_COMPILE)
+def tip_jacobian(layout, values, rigid, target, payload, terms, compliances, n_parameters, rows, sweeps):
+    """Return the target's poses and the derivative of its motion by every parameter.
+
+    Args:
+        layout: the chain.
+        values: coordinates of the deformed arm.
+        rigid: coordinates that the moments are computed on.
+        target: shape (N,), index of the tool frame.
+        payload: mass beyond the tip.
+        terms: the parameters.
+        compliances: how coordinates follow the moments; may be empty.
+        n_parameters: number P of columns.
+        rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the instrument's axes.
+        sweeps: 0 for moments on the undeformed arm; else how often the effect of deformation on the moments is
+            followed round.
+
+    Returns:
+        Poses, shape (3, 4, N), and Jacobian, shape (P, rows, N).
+    """
+    N, K, n = len(target), len(values.constant), len(layout.masses)
+    x, c, s = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
+    y, cy, sy = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
+    R, p, W, O = np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    q, Wb, Ob = np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    M, B, mass = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES)
+    h, u = np.empty((3, LANES)), np.empty((3, LANES))
+    A, H = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES))
+    a0, a = np.empty((rows, 3 * n, LANES)), np.empty((rows, 3 * n, LANES))
+    ahead, behind = np.empty((rows, 3, LANES)), np.empty((rows, 3, LANES))
+    J, V = np.empty((rows, K, LANES)), np.zeros((rows, K, LANES))
+    poses, out = np.empty((3, 4, N)), np.zeros((n_parameters, rows, N))
+    through = len(compliances.coordinate) > 0
+    for start in range(0, N, LANES):
+        m = min(LANES, N - start)
+        _load(layout, values, start, m, x, c, s, start == 0)
+        _walk_arm(layout, target, start, m, x, c, s, R, p, W, O)
+        poses[:, :3, start : start + m] = R[:, :, :m]
+        poses[:, 3, start : start + m] = p[:, :m]
+        _kinematic_columns(layout, W, O, p, J)
+        if through:
+            _load(layout, rigid, start, m, y, cy, sy, start == 0)
+            _walk_bodies(layout, payload, start, m, y, cy, sy, R, q, Wb, Ob, M, B, mass)
+            _moment_levers(layout, Wb, Ob, M, B, A, H, u)
+            a0[:] = 0.0
+            _pull_back(compliances, start, m, J, a0)
+            a[:] = a0
+            _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
+            for _ in range(sweeps):
+                a[:] = a0
+                _pull_back(compliances, start, m, V, a)
+                _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
+        _parameter_columns(terms, start, m, J, V, through, sweeps > 0, out)
+    return poses, out

@@ -1,0 +1,249 @@
+"""The extended model: a chain and the effects that move its coordinates; all poses at once, with the exact Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pincal.model import kernels
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.kernels import Compliances, Payload, Terms, Values
+
+# The moments of a bent arm differ from those of a straight one by about 1e-3; each round gains three digits.
+_EQUILIBRIUM_ROUNDS = 8
+_EQUILIBRIUM_TOLERANCE = 1e-15
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is assumed of a robot: its chain and the effects that act on it.
+
+    Attributes:
+        chain: the coordinates.
+        effects: the physical causes; their order means nothing.
+        equilibrium: whether the static moments are taken on the bent arm (until they balance) instead of the straight
+            one, as the paper does.
+
+    Example:
+        >>> import numpy as np
+        >>> from pincal.model.effects import ELASTIC
+        >>> from pincal.robot.robot import Robot
+        >>> model = Model(Chain.of(Robot.from_urdf("ur10")), ELASTIC)
+        >>> model.predict(np.zeros(model.n_parameters), Conditions.at(np.zeros((1, 6)))).shape
+        (1, 3, 4)
+    """
+
+    chain: Chain
+    effects: tuple[Effect, ...]
+    equilibrium: bool = False
+
+    @cached_property
+    def _starts(self) -> tuple[int, ...]:
+        sizes = [len(effect.parameters(self.chain)) for effect in self.effects]
+        return tuple(int(start) for start in np.cumsum([0, *sizes]))
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, effect by effect."""
+        return tuple(p for effect in self.effects for p in effect.parameters(self.chain))
+
+    @property
+    def n_parameters(self) -> int:
+        """Number P of parameters."""
+        return len(self.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    def index(self, name: str) -> int:
+        """Return the place of a parameter in the vector of values."""
+        return self.names.index(name)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Model:
+        """Return the model of the same chain with other effects."""
+        return replace(self, effects=tuple(effects))
+
+    def with_chain(self, chain: Chain) -> Model:
+        """Return the model of the same effects on another chain."""
+        return replace(self, chain=chain)
+
+    def predict(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
+        """Return the target's poses in the instrument's frame.
+
+        Args:
+            values: shape (P,), deviations from the nominal.
+            conditions: N poses.
+
+        Returns:
+            Shape (N, 3, 4): rotation and translation [m].
+        """
+        state = _State.at(self, values, conditions)
+        return np.moveaxis(kernels.tip_poses(self.chain.layout, state.deformed, state.target), -1, 0)
+
+    def linearise(
+        self, values: np.ndarray, conditions: Conditions, *, free: np.ndarray | None = None, rows: int = 3
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the target's poses and their exact derivative by the parameters.
+
+        Args:
+            values: shape (P,).
+            conditions: N poses.
+            free: shape (P,), which parameters get a column; all unless given.
+            rows: 3 for the motion of the target, 6 for its motion and its turning, in the instrument's axes.
+
+        Returns:
+            Poses, shape (N, 3, 4), and Jacobian, shape (N, rows, number of free parameters).
+        """
+        state = _State.at(self, values, conditions)
+        columns = np.arange(self.n_parameters) if free is None else np.where(free, np.cumsum(free) - 1, -1)
+        poses, jacobian = kernels.tip_jacobian(
+            self.chain.layout,
+            state.deformed,
+            state.rigid,
+            state.target,
+            state.payload,
+            state.kernel_terms(columns),
+            state.compliances(values),
+            int(columns.max(initial=-1)) + 1,
+            rows,
+            _EQUILIBRIUM_ROUNDS if self.equilibrium else 0,
+        )
+        return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
+
+    def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
+        """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
+        state = _State.at(self, values, conditions)
+        return np.asarray(kernels.static_moments(self.chain.layout, state.rigid, state.payload).T)
+
+    def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
+        """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
+        deformed = _State.at(self, values, conditions).deformed
+        out = np.tile(deformed.constant, (len(conditions), 1))
+        varies = deformed.slot >= 0
+        out[:, varies] = deformed.varying[deformed.slot[varies]].T
+        return out
+
+    def rigid_coordinates(self, values: np.ndarray) -> np.ndarray:
+        """Return the coordinates at q = 0 that no pose changes, shape (K,): the geometry without elasticity."""
+        at_zero = Conditions.at(np.zeros((1, self.chain.robot.n_joints)))
+        effects = tuple(effect for effect in self.effects if not effect.uses_moments)
+        rigid = self.with_effects(effects)
+        picked = np.array([values[self.index(name)] for name in rigid.names])
+        return np.asarray(rigid.coordinates(picked, at_zero)[0])
+
+    def largest_basis(self, conditions: Conditions) -> np.ndarray:
+        """Return how far one unit of each parameter moves its coordinate at most over these poses, shape (P,).
+
+        A parameter of the moments is seen against at least a tenth of the largest moment on the arm, so that a wrist
+        that carries nothing is not thought to be made of rubber.
+        """
+        state = _State.at(self, np.zeros(self.n_parameters), conditions)
+        floor = 0.1 * np.abs(state.moments).max(initial=0.0)
+        largest = np.zeros(self.n_parameters)
+        for p, term in state.terms:
+            size = 1.0 if term.basis is None else float(np.abs(term.basis).max(initial=0.0))
+            largest[p] = max(largest[p], size, floor if term.moment is not None else 0.0)
+        return np.where(largest > 0, largest, 1.0)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Terms and coordinates of a model at one set of values."""
+
+    model: Model
+    terms: list[tuple[int, Term]]
+    rigid: Values
+    deformed: Values
+    moments: np.ndarray
+    target: np.ndarray
+    payload: Payload
+
+    @classmethod
+    def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> _State:
+        target = np.require(conditions.target, np.int64, ["C", "W"])
+        mass = np.require(conditions.payload, np.float64, ["C", "W"])
+        payload = Payload(mass, np.array(conditions.payload_centre, float))
+        plain = _terms(model, conditions, None)
+        rigid = _coordinates(model, values, conditions, plain)
+        if not any(effect.uses_moments for effect in model.effects):
+            return cls(model, plain, rigid, rigid, np.empty((0, len(mass))), target, payload)
+        deformed = rigid
+        for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
+            before = deformed
+            moments = kernels.static_moments(model.chain.layout, deformed, payload)
+            elastic = _terms(model, conditions, moments.T)
+            deformed = _coordinates(model, values, conditions, plain + elastic)
+            change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
+            if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
+                break
+        return cls(model, plain + elastic, deformed if model.equilibrium else rigid, deformed, moments, target, payload)
+
+    def kernel_terms(self, columns: np.ndarray) -> Terms:
+        """Return the terms of the parameters that have a column."""
+        used = [(int(columns[p]), term) for p, term in self.terms if columns[p] >= 0]
+        bases = [term.basis for _, term in used if term.basis is not None]
+        slot = np.cumsum([term.basis is not None for _, term in used], dtype=np.int64) - 1
+        return Terms(
+            coordinate=np.array([term.coordinate for _, term in used], np.int64),
+            parameter=np.array([column for column, _ in used], np.int64),
+            slot=np.where([term.basis is not None for _, term in used], slot, -1).astype(np.int64),
+            elastic=np.array([term.moment is not None for _, term in used], bool),
+            basis=_stack(bases, len(self.target)),
+        )
+
+    def compliances(self, values: np.ndarray) -> Compliances:
+        """Return how the coordinates follow the moments at these values."""
+        elastic = [(p, term) for p, term in self.terms if term.moment is not None and values[p] != 0.0]
+        if all(term.slope is None for _, term in elastic):
+            rate = np.array([values[p] for p, _ in elastic], float).reshape(-1, 1)
+        else:
+            ones = np.ones(len(self.target))
+            rate = _stack([values[p] * (ones if t.slope is None else t.slope) for p, t in elastic], len(self.target))
+        return Compliances(
+            coordinate=np.array([term.coordinate for _, term in elastic], np.int64),
+            moment=np.array([term.moment for _, term in elastic], np.int64),
+            rate=rate,
+        )
+
+
+def _terms(model: Model, conditions: Conditions, moments: np.ndarray | None) -> list[tuple[int, Term]]:
+    """Return the terms, with their place in the vector of values, of the effects that do or don't use moments."""
+    return [
+        (start + term.parameter, term)
+        for start, effect in zip(model._starts, model.effects, strict=False)
+        if effect.uses_moments == (moments is not None)
+        for term in effect.terms(model.chain, conditions, moments)
+    ]
+
+
+def _coordinates(
+    model: Model, values: np.ndarray, conditions: Conditions, terms: list[tuple[int, Term]]
+) -> Values:
+    constant = model.chain.nominal.copy()
+    for p, term in terms:
+        if term.basis is None:
+            constant[term.coordinate] += values[p]
+    varying: dict[int, np.ndarray] = {}
+    for i, k in enumerate(model.chain.drives):
+        varying[int(k)] = constant[k] + conditions.q[:, i]
+    for p, term in terms:
+        if term.basis is not None:
+            k = term.coordinate
+            varying[k] = (varying[k] if k in varying else constant[k]) + values[p] * term.basis
+    slot = np.full(len(constant), -1)
+    slot[list(varying)] = np.arange(len(varying))
+    return Values(constant, slot, _stack(list(varying.values()), len(conditions)))
+
+
+def _stack(rows: list[np.ndarray], n: int) -> np.ndarray:
+    """Return the rows as one writeable, row-major array, shape (number of rows, n)."""
+    out = np.empty((len(rows), n))
+    for j, row in enumerate(rows):
+        out[j] = row
+    return out

@@ -1,0 +1,138 @@
+r"""Denavit-Hartenberg frames from joint axes, for axes in any position.
+
+The frame :math:`S_i` has its z axis along the axis of joint i+1 and its x axis along the common normal of the axes i and
+i+1. The nominal chain of a joint is
+
+.. math:: R(x; s_x) R(y; s_y) R(z; \theta) Tr(z; d) Tr(x; a) R(x; \alpha)
+
+(paper, Eq. (2) at q = 0). Its s_x and s_y are zero but where two axes are parallel up to the rounding of the URDF: the
+common normal of such axes may lie kilometres away, so they are taken as parallel and the remaining tilt goes into s_x
+and s_y of the next joint. The frames are exact either way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Sine of the angle below which two axes count as parallel: URDFs round their angles to 1e-4 .. 1e-6 rad.
+PARALLEL = 1e-3
+# Distance [m] below which two axes count as intersecting: the common normal then has no direction of its own.
+INTERSECTING = 1e-7
+# Distance [m] below which two parallel axes count as one line.
+COAXIAL = 1e-12
+
+
+@dataclass(frozen=True)
+class DhFrames:
+    """Nominal frames of a serial arm.
+
+    Attributes:
+        T_base_first: shape (4, 4), frame S_0 in the base frame.
+        parameters: shape (n, 6), columns s_x, s_y, theta, d, a, alpha [rad, m].
+        T_base_link: shape (n, 4, 4), frames S_1 .. S_n in the base frame at q = 0.
+        T_last_tip: shape (4, 4), the tip in S_n.
+    """
+
+    T_base_first: np.ndarray
+    parameters: np.ndarray
+    T_base_link: np.ndarray
+    T_last_tip: np.ndarray
+
+
+def dh_frames(origins: np.ndarray, axes: np.ndarray, T_base_tip: np.ndarray) -> DhFrames:
+    """Lay Denavit-Hartenberg frames along a chain of joint axes at q = 0.
+
+    Args:
+        origins: shape (n, 3), a point on each axis in the base frame [m], where the URDF has its joint.
+        axes: shape (n, 3), unit directions in the base frame.
+        T_base_tip: shape (4, 4), the tip at q = 0.
+
+    Returns:
+        The frames; their product with ``T_last_tip`` equals ``T_base_tip`` to rounding.
+    """
+    first = _first_frame(origins[0], axes[0])
+    frame = first
+    parameters = []
+    frames = []
+    for i in range(len(axes)):
+        tilt = _tilt(frame, axes[i])
+        frame = frame @ rotation("x", tilt[0]) @ rotation("y", tilt[1])
+        step = _last_step(frame, T_base_tip) if i == len(axes) - 1 else _step(frame, origins[i + 1], axes[i + 1])
+        parameters.append([*tilt, *step])
+        theta, d, a, alpha = step
+        frame = frame @ rotation("z", theta) @ translation(a, 0, d) @ rotation("x", alpha)
+        frames.append(frame)
+    return DhFrames(first, np.array(parameters), np.array(frames), np.linalg.inv(frame) @ T_base_tip)
+
+
+def rotation(axis: str, angle: float) -> np.ndarray:
+    """Return the homogeneous rotation, shape (4, 4), about x, y or z by ``angle`` [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    T = np.eye(4)
+    T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
+    return T
+
+
+def translation(x: float, y: float, z: float) -> np.ndarray:
+    """Return the homogeneous translation, shape (4, 4), by (x, y, z) [m]."""
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def _first_frame(origin: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Return S_0: on axis 1 at the point nearest the base's origin, x as near the base's x as can be."""
+    point = origin - axis * (axis @ origin)
+    reference = np.array([1.0, 0.0, 0.0])
+    if abs(axis @ reference) > 0.9:
+        reference = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
+    x = reference - axis * (axis @ reference)
+    return _frame(point, x / np.linalg.norm(x), axis)
+
+
+def _frame(point: np.ndarray, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 0], T[:3, 1], T[:3, 2], T[:3, 3] = x, np.cross(z, x), z, point
+    return T
+
+
+def _tilt(frame: np.ndarray, axis: np.ndarray) -> tuple[float, float]:
+    """Return s_x, s_y that turn the z axis of ``frame`` into ``axis``; exactly zero when they agree to rounding."""
+    local = frame[:3, :3].T @ axis
+    if np.hypot(local[0], local[1]) < 1e-14:
+        return 0.0, 0.0
+    # R(x; s_x) R(y; s_y) z = (sin s_y, -sin s_x cos s_y, cos s_x cos s_y)
+    return float(np.arctan2(-local[1], local[2])), float(np.arcsin(np.clip(local[0], -1, 1)))
+
+
+def _step(frame: np.ndarray, origin: np.ndarray, axis: np.ndarray) -> tuple[float, float, float, float]:
+    """Return theta, d, a, alpha from ``frame`` (z on its own axis) to the frame on the next axis."""
+    R = frame[:3, :3]
+    p = R.T @ (origin - frame[:3, 3])
+    z = R.T @ axis
+    sine = float(np.hypot(z[0], z[1]))
+    if sine < PARALLEL:
+        a = float(np.hypot(p[0], p[1]))
+        theta = float(np.arctan2(p[1], p[0])) if a > COAXIAL else 0.0
+        return theta, float(p[2]), a, 0.0 if z[2] > 0 else np.pi
+    normal = np.array([-z[1], z[0], 0.0]) / sine
+    a = float(p @ normal)
+    if abs(a) > INTERSECTING:
+        normal, a = normal * np.sign(a), abs(a)
+    elif normal[0] < -1e-9 or (abs(normal[0]) <= 1e-9 and normal[1] < 0):
+        normal, a = -normal, -a
+    # foot of the common normal: p + t z lies in the plane of z_i and the normal
+    across = np.array([-normal[1], normal[0], 0.0])
+    t = -(p @ across) / (z @ across)
+    alpha = float(np.arctan2(z @ -across, z[2]))
+    return float(np.arctan2(normal[1], normal[0])), float(p[2] + t * z[2]), a, alpha
+
+
+def _last_step(frame: np.ndarray, T_base_tip: np.ndarray) -> tuple[float, float, float, float]:
+    """Return theta and d that bring the last frame to the height and heading of the tip; a = alpha = 0."""
+    tip = np.linalg.inv(frame) @ T_base_tip
+    heading = tip[:2, 0] if np.hypot(*tip[:2, 0]) > 0.1 else np.array([1.0, 0.0])
+    return float(np.arctan2(heading[1], heading[0])), float(tip[2, 3]), 0.0, 0.0

@@ -1,0 +1,277 @@
+"""A serial arm as Pinocchio reads it from a URDF, with its Denavit-Hartenberg frames and the masses it carries."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pincal.errors import PincalWarning, RobotFileError
+from pincal.robot.dh import DhFrames, dh_frames
+from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf, read_urdf
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+# A limit beyond this [rad or m] is how URDFs write "none".
+_NO_LIMIT = 1e3
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A serial arm from a base link to a tip link; everything else of the URDF is locked in place.
+
+    Attributes:
+        name: name of the robot in the URDF.
+        joint_names: the n moving joints from base to tip.
+        joint_types: "revolute" (continuous ones too) or "prismatic", one a joint.
+        lower: shape (n,), joint limits [rad or m], -inf where there is none.
+        upper: shape (n,), likewise, +inf.
+        base: name of the base link.
+        tip: name of the tip link.
+        frames: Denavit-Hartenberg frames at q = 0 in the base frame.
+        T_link_joint: shape (n, 4, 4), the URDF's joint frame i in the link frame S_i; both move with joint i.
+        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with joint i+1.
+        centres: shape (n, 3), its centre of mass in the link frame S_i [m].
+        massless: names of the links on the arm for which the URDF has no mass.
+        gravity: shape (3,), gravity in the base frame [m/s^2]: along -z of the URDF's root link.
+        notes: what was locked, in words.
+        urdf: the URDF's text as it was read.
+        source: where the URDF came from.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    joint_types: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    base: str
+    tip: str
+    frames: DhFrames
+    T_link_joint: np.ndarray
+    masses: np.ndarray
+    centres: np.ndarray
+    massless: tuple[str, ...]
+    gravity: np.ndarray
+    notes: tuple[str, ...]
+    urdf: bytes
+    source: str
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | os.PathLike[str] | bytes,
+        *,
+        tip: str | None = None,
+        base: str | None = None,
+        joints: Sequence[str] | None = None,
+    ) -> Robot:
+        """Load an arm from a URDF.
+
+        Args:
+            source: path of a URDF, the name of a robot of example-robot-data ("ur10"), or the URDF's text as bytes.
+            tip: link at the end of the arm; unless given, the end of the chain of ``joints``, or of the longest
+                moving chain without its gripper.
+            base: link at its start; the root of the URDF unless given.
+            joints: names of the joints that the arm consists of (the columns of a table of measurements).
+
+        Returns:
+            The arm, joints off the path from base to tip locked at their neutral position.
+
+        Raises:
+            RobotFileError: if the URDF can't be read, is no tree, lacks a link or has no moving joint on the path.
+
+        Example:
+            >>> robot = Robot.from_urdf("ur10", tip="tool0")
+            >>> robot.joint_names[:2]
+            ('shoulder_pan_joint', 'shoulder_lift_joint')
+        """
+        tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(_find_file(source))
+        tip = tree.default_tip(joints) if tip is None else tip
+        base = tree.root if base is None else base
+        path = _moving_path(tree, base, tip)
+        return _build(cls, tree, path, base, tip)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of moving joints."""
+        return len(self.joint_names)
+
+    @property
+    def reach(self) -> float:
+        """Length of the arm stretched out [m]: an upper bound on the distance from S_0 to the tip."""
+        s = self.frames.parameters
+        travel = [
+            max(abs(lo), abs(hi)) if kind == "prismatic" and np.isfinite([lo, hi]).all() else 0.0
+            for kind, lo, hi in zip(self.joint_types, self.lower, self.upper, strict=True)
+        ]
+        tip = np.linalg.norm(self.frames.T_last_tip[:3, 3])
+        return float(np.hypot(s[:, 3], s[:, 4]).sum() + tip + sum(travel))
+
+    def forward_kinematics(self, q: np.ndarray) -> np.ndarray:
+        """Return the nominal tip in the base frame by Pinocchio, pose by pose.
+
+        Args:
+            q: shape (N, n), joint positions [rad or m].
+
+        Returns:
+            Shape (N, 4, 4).
+        """
+        import pinocchio as pin
+
+        model = self.pinocchio_model()
+        data = model.createData()
+        frame = model.getFrameId(self.tip, pin.BODY)
+        base = model.getFrameId(self.base, pin.BODY)
+        out = np.empty((len(q), 4, 4))
+        for i, row in enumerate(np.asarray(q, float)):
+            pin.framesForwardKinematics(model, data, self.configuration(model, row))
+            out[i] = (data.oMf[base].inverse() * data.oMf[frame]).homogeneous
+        return out
+
+    def pinocchio_model(self) -> pin.Model:
+        """Return the nominal ``pin.Model`` of the arm, everything off the path locked."""
+        return _reduced_model(self.urdf, self.joint_names)
+
+    def configuration(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
+        """Return Pinocchio's configuration vector of ``model`` for joint positions ``q``, shape (n,).
+
+        A continuous joint stands in Pinocchio's vector as (cos q, sin q).
+        """
+        out = np.empty(model.nq)
+        for name, value in zip(self.joint_names, q, strict=True):
+            joint = model.joints[model.getJointId(name)]
+            out[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
+        return out
+
+    def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none)."""
+        lower = np.where(np.isfinite(self.lower), self.lower, -np.pi)
+        upper = np.where(np.isfinite(self.upper), self.upper, np.pi)
+        return np.asarray(rng.uniform(lower, upper, (n, self.n_joints)))
+
+
+def _find_file(source: str | os.PathLike[str]) -> Path:
+    """Return the path of a URDF given by path or by its name in example-robot-data."""
+    path = Path(source)
+    if path.exists() or path.suffix or os.sep in os.fspath(source):
+        return path
+    from example_robot_data import robots_loader
+
+    loaders = robots_loader.ROBOTS
+    if path.name not in loaders:
+        near = get_close_matches(path.name, loaders, n=5, cutoff=0.4) or sorted(loaders)[:12]
+        raise RobotFileError(
+            f"{path.name!r} is neither a file nor a robot of example-robot-data; "
+            f"expected a path to a URDF or a name like {', '.join(near)}"
+        )
+    loader = loaders[path.name]
+    if not loader.urdf_filename:
+        raise RobotFileError(f"example-robot-data has no URDF for {path.name!r}; give the path of one")
+    folder = robots_loader.getModelPath(f"{loader.path}/{loader.urdf_subpath}/{loader.urdf_filename}")
+    return Path(folder) / loader.path / loader.urdf_subpath / loader.urdf_filename
+
+
+def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
+    path = tree.path(base, tip)
+    for joint in path:
+        if joint.mimic is not None:
+            raise RobotFileError(
+                f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r} mimics {joint.mimic!r}; "
+                "an arm needs joints of its own: choose another base or tip"
+            )
+        if joint.kind not in (*MOVING_TYPES, "fixed"):
+            raise RobotFileError(
+                f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r} is {joint.kind}; "
+                "expected revolute, continuous, prismatic or fixed joints: choose another base or tip"
+            )
+    moving = tuple(joint for joint in path if joint.kind in MOVING_TYPES)
+    if not moving:
+        raise RobotFileError(f"{tree.source}: no moving joint between {base!r} and {tip!r}; choose another tip")
+    return moving
+
+
+def _full_model(urdf: bytes) -> pin.Model:
+    """Build the whole tree; what Pinocchio can't read although the XML was sound is passed on in words."""
+    import pinocchio as pin
+
+    try:
+        return pin.buildModelFromXML(urdf.decode("utf-8", "replace"))
+    except (ValueError, RuntimeError) as error:
+        raise RobotFileError(f"Pinocchio can't read this URDF: {error}") from None
+
+
+def _reduced_model(urdf: bytes, joint_names: tuple[str, ...]) -> pin.Model:
+    import pinocchio as pin
+
+    model = _full_model(urdf)
+    locked = [model.getJointId(name) for name in model.names[1:] if name not in joint_names]
+    try:
+        return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
+    except ValueError as error:
+        raise RobotFileError(f"Pinocchio can't lock the joints off the path ({error}); rename what has one name") from None
+
+
+def _build(cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str) -> Robot:
+    import pinocchio as pin
+
+    names = tuple(joint.name for joint in path)
+    model = _reduced_model(tree.text, names)
+    data = model.createData()
+    ids = [model.getJointId(name) for name in names]
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    T_base_world = data.oMf[model.getFrameId(base, pin.BODY)].inverse()
+    joints = np.array([(T_base_world * data.oMi[i]).homogeneous for i in ids])
+    axes = np.einsum("nij,nj->ni", joints[:, :3, :3], _local_axes(model, data, ids))
+    frames = dh_frames(joints[:, :3, 3], axes, (T_base_world * data.oMf[model.getFrameId(tip, pin.BODY)]).homogeneous)
+    T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
+    levers = np.array([model.inertias[i].lever for i in ids])
+    centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
+    limits = [(model.lowerPositionLimit[model.joints[i].idx_q], model.upperPositionLimit[model.joints[i].idx_q]) for i in ids]
+    bounded = [joint.kind != "continuous" and hi > lo and hi - lo < _NO_LIMIT for joint, (lo, hi) in zip(path, limits, strict=True)]
+    return cls(
+        name=tree.name,
+        joint_names=names,
+        joint_types=tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path),
+        lower=np.where(bounded, [lo for lo, _ in limits], -np.inf),
+        upper=np.where(bounded, [hi for _, hi in limits], np.inf),
+        base=base,
+        tip=tip,
+        frames=frames,
+        T_link_joint=T_link_joint,
+        masses=np.array([model.inertias[i].mass for i in ids]),
+        centres=centres,
+        massless=tuple(joint.child for joint, i in zip(path, ids, strict=True) if model.inertias[i].mass <= 0.0),
+        gravity=T_base_world.rotation @ model.gravity.linear,
+        notes=_locked_notes(tree, names, base, tip),
+        urdf=tree.text,
+        source=tree.source,
+    )
+
+
+def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
+    """Return the unit axes of the joints in their own frames, shape (n, 3), whatever Pinocchio's type of joint."""
+    import pinocchio as pin
+
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    axes = []
+    for i in ids:
+        column = pin.getJointJacobian(model, data, i, pin.LOCAL)[:, model.joints[i].idx_v]
+        axes.append(column[3:] if np.any(column[3:]) else column[:3])
+    return np.array(axes)
+
+
+def _locked_notes(tree: UrdfTree, names: tuple[str, ...], base: str, tip: str) -> tuple[str, ...]:
+    locked = [joint for joint in tree.joints if joint.kind != "fixed" and joint.name not in names]
+    if not locked:
+        return ()
+    shown = ", ".join(joint.name for joint in locked[:6]) + (f" and {len(locked) - 6} more" if len(locked) > 6 else "")
+    note = f"{len(locked)} joints off the path from {base} to {tip} are locked at their neutral position: {shown}"
+    warnings.warn(f"{tree.source}: {note}", PincalWarning, stacklevel=4)
+    return (note,)
