@@ -1,1 +1,1 @@
-
+"""The extended model: coordinates, effects, poses, moments and exact Jacobians."""

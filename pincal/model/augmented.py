@@ -37,7 +37,15 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
     model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))
     joint_types = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}
     slides = {"d": pin.JointModelPZ, "a": pin.JointModelPX}
-    turns = {"s_x": "x", "s_y": "y", "theta": "z", "gamma_z": "z", "gamma_y": "y", "gamma_x": "x", "alpha": "x"}
+    turns = {
+        "s_x": "x",
+        "s_y": "y",
+        "theta": "z",
+        "gamma_z": "z",
+        "gamma_y": "y",
+        "gamma_x": "x",
+        "alpha": "x",
+    }
     placement = pin.SE3(chain.robot.frames.T_base_first)
     parent = 0
     for i, name in enumerate(chain.robot.joint_names):

@@ -232,7 +232,7 @@ def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass):
 
 @njit(**_COMPILE)
 def _cross(a, b, out):
-    """out = a x b, each of shape (3, lanes)."""
+    """Out = a x b, each of shape (3, lanes)."""
     for i in range(a.shape[1]):
         out[0, i] = a[1, i] * b[2, i] - a[2, i] * b[1, i]
         out[1, i] = a[2, i] * b[0, i] - a[0, i] * b[2, i]
@@ -241,7 +241,7 @@ def _cross(a, b, out):
 
 @njit(**_COMPILE)
 def _turned_gravity(g, w, out):
-    """out = g x w."""
+    """Out = g x w."""
     for i in range(w.shape[1]):
         out[0, i] = g[1] * w[2, i] - g[2] * w[1, i]
         out[1, i] = g[2] * w[0, i] - g[0] * w[2, i]
@@ -270,7 +270,7 @@ def _moment_levers(layout, W, O, M, B, A, H, D):
 
 @njit(**_COMPILE)
 def _add_scaled(a, v, out):
-    """out += a v, with a a number a lane and v of shape (3, lanes)."""
+    """Out += a v, with a a number a lane and v of shape (3, lanes)."""
     for r in range(3):
         for i in range(v.shape[1]):
             out[r, i] += a[i] * v[r, i]
@@ -370,7 +370,12 @@ def static_moments(layout, values, payload):
     """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
     N, K, n = len(payload.mass), len(values.constant), len(layout.masses)
     x, c, s = np.empty((K, LANES)), np.empty((K, LANES)), np.empty((K, LANES))
-    R, p, W, O = np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    R, p, W, O = (
+        np.empty((3, 3, LANES)),
+        np.empty((3, LANES)),
+        np.empty((K, 3, LANES)),
+        np.empty((K, 3, LANES)),
+    )
     M, B, mass, D = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES), np.empty((3, LANES))
     A, H = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES))
     out = np.empty((3 * n, N))
@@ -391,7 +396,12 @@ def tip_poses(layout, values, target):
     """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
     N, K = len(target), len(values.constant)
     x, c, s = np.empty((K, LANES)), np.empty((K, LANES)), np.empty((K, LANES))
-    R, p, W, O = np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    R, p, W, O = (
+        np.empty((3, 3, LANES)),
+        np.empty((3, LANES)),
+        np.empty((K, 3, LANES)),
+        np.empty((K, 3, LANES)),
+    )
     out = np.empty((3, 4, N))
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
@@ -425,7 +435,12 @@ def tip_jacobian(layout, values, rigid, target, payload, terms, compliances, n_p
     N, K, n = len(target), len(values.constant), len(layout.masses)
     x, c, s = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
     y, cy, sy = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
-    R, p, W, O = np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    R, p, W, O = (
+        np.empty((3, 3, LANES)),
+        np.empty((3, LANES)),
+        np.empty((K, 3, LANES)),
+        np.empty((K, 3, LANES)),
+    )
     q, Wb, Ob = np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
     M, B, mass = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES)
     h, u = np.empty((3, LANES)), np.empty((3, LANES))

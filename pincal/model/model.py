@@ -16,6 +16,8 @@ from pincal.model.kernels import Compliances, Payload, Terms, Values
 # The moments of a bent arm differ from those of a straight one by about 1e-3; each round gains three digits.
 _EQUILIBRIUM_ROUNDS = 8
 _EQUILIBRIUM_TOLERANCE = 1e-15
+# A moment below this part of the largest is there only because the base is not quite level.
+_UNFELT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -140,16 +142,20 @@ class Model:
     def largest_basis(self, conditions: Conditions) -> np.ndarray:
         """Return how far one unit of each parameter moves its coordinate at most over these poses, shape (P,).
 
-        A parameter of the moments is seen against at least a tenth of the largest moment on the arm, so that a wrist
-        that carries nothing is not thought to be made of rubber.
+        Zero for a parameter of a moment that the nominal arm does not feel, such as about a vertical axis. Other
+        moments are taken as at least a tenth of the largest on the arm, so that a wrist that carries nothing is not
+        thought to be made of rubber.
         """
         state = _State.at(self, np.zeros(self.n_parameters), conditions)
-        floor = 0.1 * np.abs(state.moments).max(initial=0.0)
+        heaviest = np.abs(state.moments).max(initial=0.0)
         largest = np.zeros(self.n_parameters)
         for p, term in state.terms:
             size = 1.0 if term.basis is None else float(np.abs(term.basis).max(initial=0.0))
-            largest[p] = max(largest[p], size, floor if term.moment is not None else 0.0)
-        return np.where(largest > 0, largest, 1.0)
+            if term.moment is not None:
+                felt = np.abs(state.moments[term.moment]).max() > _UNFELT * heaviest
+                size = max(size, 0.1 * heaviest) if felt else 0.0
+            largest[p] = max(largest[p], size)
+        return largest
 
 
 @dataclass(frozen=True)
@@ -182,7 +188,15 @@ class _State:
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
-        return cls(model, plain + elastic, deformed if model.equilibrium else rigid, deformed, moments, target, payload)
+        return cls(
+            model,
+            plain + elastic,
+            deformed if model.equilibrium else rigid,
+            deformed,
+            moments,
+            target,
+            payload,
+        )
 
     def kernel_terms(self, columns: np.ndarray) -> Terms:
         """Return the terms of the parameters that have a column."""
@@ -222,9 +236,7 @@ def _terms(model: Model, conditions: Conditions, moments: np.ndarray | None) -> 
     ]
 
 
-def _coordinates(
-    model: Model, values: np.ndarray, conditions: Conditions, terms: list[tuple[int, Term]]
-) -> Values:
+def _coordinates(model: Model, values: np.ndarray, conditions: Conditions, terms: list[tuple[int, Term]]) -> Values:
     constant = model.chain.nominal.copy()
     for p, term in terms:
         if term.basis is None:

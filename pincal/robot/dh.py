@@ -8,6 +8,9 @@ i+1. The nominal chain of a joint is
 (paper, Eq. (2) at q = 0). Its s_x and s_y are zero but where two axes are parallel up to the rounding of the URDF: the
 common normal of such axes may lie kilometres away, so they are taken as parallel and the remaining tilt goes into s_x
 and s_y of the next joint. The frames are exact either way.
+
+Where an origin is free (the first axis, parallel axes) it is where the URDF has its joint: bearings give way about this
+point, so it is not a mere convention.
 """
 
 from __future__ import annotations
@@ -84,13 +87,12 @@ def translation(x: float, y: float, z: float) -> np.ndarray:
 
 
 def _first_frame(origin: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Return S_0: on axis 1 at the point nearest the base's origin, x as near the base's x as can be."""
-    point = origin - axis * (axis @ origin)
+    """Return S_0: on axis 1 where the URDF has its joint, x as near the base's x as can be."""
     reference = np.array([1.0, 0.0, 0.0])
     if abs(axis @ reference) > 0.9:
         reference = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
     x = reference - axis * (axis @ reference)
-    return _frame(point, x / np.linalg.norm(x), axis)
+    return _frame(origin, x / np.linalg.norm(x), axis)
 
 
 def _frame(point: np.ndarray, x: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -175,7 +175,7 @@ def _find_file(source: str | os.PathLike[str]) -> Path:
     if not loader.urdf_filename:
         raise RobotFileError(f"example-robot-data has no URDF for {path.name!r}; give the path of one")
     folder = robots_loader.getModelPath(f"{loader.path}/{loader.urdf_subpath}/{loader.urdf_filename}")
-    return Path(folder) / loader.path / loader.urdf_subpath / loader.urdf_filename
+    return Path(str(folder)) / str(loader.path) / loader.urdf_subpath / loader.urdf_filename
 
 
 def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
@@ -233,8 +233,12 @@ def _build(cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: 
     T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
     levers = np.array([model.inertias[i].lever for i in ids])
     centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
-    limits = [(model.lowerPositionLimit[model.joints[i].idx_q], model.upperPositionLimit[model.joints[i].idx_q]) for i in ids]
-    bounded = [joint.kind != "continuous" and hi > lo and hi - lo < _NO_LIMIT for joint, (lo, hi) in zip(path, limits, strict=True)]
+    limits = [
+        (model.lowerPositionLimit[model.joints[i].idx_q], model.upperPositionLimit[model.joints[i].idx_q]) for i in ids
+    ]
+    bounded = [
+        joint.kind != "continuous" and hi > lo and hi - lo < _NO_LIMIT for joint, (lo, hi) in zip(path, limits, strict=True)
+    ]
     return cls(
         name=tree.name,
         joint_names=names,

@@ -127,9 +127,7 @@ def parse_xml(text: bytes, source: str) -> Any:
     Raises:
         RobotFileError: if the text is not XML, declares entities, or its root is not ``<robot>``.
     """
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False
-    )
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False)
     try:
         root = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
@@ -210,9 +208,7 @@ def _numbers(element: Any, key: str, source: str) -> np.ndarray:
     except ValueError:
         values = np.array([np.nan])
     if values.shape != (3,) or not np.isfinite(values).all():
-        raise RobotFileError(
-            f"{source}:{element.sourceline}: <{element.tag} {key}={text!r}>; expected three finite numbers"
-        )
+        raise RobotFileError(f"{source}:{element.sourceline}: <{element.tag} {key}={text!r}>; expected three finite numbers")
     return values
 
 
@@ -246,7 +242,9 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
-                raise RobotFileError(f"{source}: joint {joint.name!r} names the unknown link {link!r}; {_known(link, links)}")
+                raise RobotFileError(
+                    f"{source}: joint {joint.name!r} names the unknown link {link!r}; {_known(link, links)}"
+                )
     children = Counter(joint.child for joint in joints)
     closed = [link for link, count in children.items() if count > 1]
     if closed:

@@ -1,0 +1,1 @@
+"""Calibrate a serial robot into a measuring instrument."""

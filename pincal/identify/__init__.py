@@ -1,0 +1,1 @@
+"""Identification: start values, one solver, stages, and what the data can tell."""

@@ -1,0 +1,319 @@
+"""From a robot and a table of measurements to a calibrated model: start, stages, fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.special import chdtri
+
+from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.normal import accumulate, posterior
+from pincal.identify.problem import Problem, conditions_of, problem_of
+from pincal.identify.solve import SIGMA_FLOOR, Loss, Noise, Priors, Solution, solve
+from pincal.identify.start import Placement, placements
+from pincal.measure.measurements import Measurements
+from pincal.measure.sensors import sensor_of
+from pincal.model.chain import FRAME_SYMBOLS, Chain, MomentFrame
+from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Effect, ToolFrame
+from pincal.model.model import Model
+from pincal.robot.robot import Robot
+
+Stages = Literal["joint", "paper"]
+
+# Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real deviations.
+LENGTH_BOUND = 0.01
+# Chance that sound data call for a parameter that is not there.
+_MISSED = 1e-6
+# The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
+PAPER_STAGES: dict[str, tuple[str, ...]] = {
+    "1 joint offsets": ("joint_offset",),
+    "2 link geometry and axis distortion": ("link_geometry", "axis_distortion"),
+    "3 elasticity": ("joint_elasticity", "bearing_elasticity"),
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to calibrate.
+
+    Attributes:
+        effects: what may deviate, beside base and tool.
+        sigma: standard deviation of one component of a position, or of a distance [m]; estimated where None.
+        sigma_orientation: likewise of one component of an orientation [rad].
+        moment_frame: where moments are taken and bend the arm.
+        equilibrium: moments on the bent arm instead of the straight one.
+        gravity: shape (3,), in the robot's base frame [m/s^2]; along -z of the URDF's root unless given.
+        payload_centre: centre of mass of the payload in the tip frame [m].
+        base: shape (4, 4), robot base in the instrument's frame, where it is known.
+        tools: target name -> (x, y, z) in the tip frame [m], where they are known.
+        stages: "joint" fits everything at once, "paper" goes through the paper's sequence.
+        loss: what to do with outliers: "screen", "huber" or "none".
+        length_bound: largest deviation of a length [m].
+    """
+
+    effects: tuple[Effect, ...] = ELASTIC
+    sigma: float | None = None
+    sigma_orientation: float | None = None
+    moment_frame: MomentFrame = "paper"
+    equilibrium: bool = False
+    gravity: tuple[float, float, float] | None = None
+    payload_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base: np.ndarray | None = None
+    tools: dict[str, tuple[float, float, float]] | None = None
+    stages: Stages = "joint"
+    loss: Loss = "screen"
+    length_bound: float = LENGTH_BOUND
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of an identification: its name and what it came to."""
+
+    name: str
+    iterations: int
+    rms: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A calibrated model.
+
+    Attributes:
+        problem: model and training rows.
+        nominal: the fit of base and tool alone.
+        solution: the fit of everything.
+        structure: what the data can tell, judged at the nominal geometry before the fit.
+        priors: what the fit started from.
+        stages: the stages it went through.
+        options: how it was made.
+    """
+
+    problem: Problem
+    nominal: Solution
+    solution: Solution
+    priors: Priors
+    stages: tuple[Stage, ...]
+    options: Options
+
+    @property
+    def model(self) -> Model:
+        """The model, its chain's reference orientations those of base and tool."""
+        return self.problem.model
+
+    @property
+    def values(self) -> np.ndarray:
+        """Calibrated values, shape (P,)."""
+        return self.solution.values
+
+    @property
+    def iterations(self) -> int:
+        """Gauss-Newton steps of all stages together, those for base and tool included."""
+        return self.nominal.iterations + sum(stage.iterations for stage in self.stages)
+
+    def readings(self, measurements: Measurements) -> Problem:
+        """Return the calibrated model over other measurements."""
+        return problem_of(self.model, measurements, np.array(self.options.payload_centre))
+
+
+def calibrate(robot: Robot, measurements: Measurements, options: Options | None = None) -> Fit:
+    """Identify a robot's deviations from measured poses.
+
+    Args:
+        robot: the arm.
+        measurements: training rows; hold rows back before the call to validate on them.
+        options: how to calibrate; defaults as documented there.
+
+    Returns:
+        The fit; look at ``solution.converged``.
+
+    Raises:
+        BadInputError: if an elastic effect is asked of an arm without masses.
+        MeasurementError: if there are too few rows.
+
+    Example:
+        >>> from pincal.simulate import TrueMachine, measure, plan_poses
+        >>> from pincal.measure.table import measurements_from_arrays
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> robot = Robot.from_urdf(kuka_urdf_path())
+        >>> rng = np.random.default_rng(1)
+        >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+        >>> machine = machine.draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+        >>> q = robot.random_configurations(60, rng)
+        >>> columns = measure(machine, q, targets=(0.1, 0.0, 0.2), kind="position")
+        >>> position = np.column_stack([columns[c] for c in "xyz"])
+        >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
+        >>> fit = calibrate(robot, table, Options(effects=GEOMETRIC))
+        >>> bool(np.abs(fit.problem.residuals(fit.values)).max() < 1e-9)
+        True
+    """
+    options = Options() if options is None else options
+    _refuse_massless(robot, options.effects)
+    problem, values = place(robot, measurements, options)
+    priors = priors_of(problem, options)
+    noise = noise_of(problem, options)
+    frames = np.array([p.effect in ("base_frame", "tool_frame") for p in problem.parameters]) & _released(problem, options)
+    nominal = solve(problem, values, frames, priors, noise, loss=options.loss, rough=True)
+    fitted, stages = _fit(problem, nominal.values, priors, noise, options)
+    return Fit(problem, nominal, fitted, priors, stages, options)
+
+
+def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[Problem, np.ndarray]:
+    """Return the problem with base and tool about where they are, and the values to start from.
+
+    Of the closed-form candidates the one whose fit of base and tool leaves least is taken.
+    """
+    chain = Chain.of(
+        robot,
+        moment_frame=options.moment_frame,
+        gravity=None if options.gravity is None else np.array(options.gravity),
+        targets=tuple(str(t) for t in np.unique(measurements.target)),
+    )
+    sensor = sensor_of(measurements)
+    frames: tuple[Effect, ...] = (BaseFrame(sensor.base_symbols), ToolFrame(sensor.tool_symbols))
+    bare = Model(chain, frames)
+    centre = np.array(options.payload_centre)
+    if len(measurements) == 0:
+        raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
+    conditions = conditions_of(bare, measurements, centre)
+    sample = np.unique(np.linspace(0, len(conditions) - 1, 2000).astype(int))
+    tips = bare.predict(np.zeros(bare.n_parameters), conditions.select(sample))
+    found = placements(sensor.select(sample), tips, conditions.target[sample], len(chain.targets))
+    candidates = [_known(placement, chain, options) for placement in found]
+    starts = [_at(bare, measurements, placement, options) for placement in candidates]
+    placement = candidates[int(np.argmin([_roughness(p, v, options) for p, v in starts]))]
+    model = Model(chain, (*frames, *options.effects), equilibrium=options.equilibrium)
+    return _at(model, measurements, placement, options)
+
+
+def _known(placement: Placement, chain: Chain, options: Options) -> Placement:
+    """Put in what the user knows of base and tools."""
+    base = placement.base if options.base is None else np.asarray(options.base, float)
+    tools = placement.tools.copy()
+    for name, xyz in (options.tools or {}).items():
+        if name not in chain.targets:
+            raise BadInputError(f"tool {name!r} is given but no row has this target; targets: {', '.join(chain.targets)}")
+        tools[chain.targets.index(name), :3, 3] = xyz
+    return Placement(base, tools)
+
+
+def _at(model: Model, measurements: Measurements, placement: Placement, options: Options) -> tuple[Problem, np.ndarray]:
+    """Return the problem and values that stand at a placement."""
+    chain = model.chain.with_references(placement.base[:3, :3], placement.tools[:, :3, :3])
+    problem = problem_of(model.with_chain(chain), measurements, np.array(options.payload_centre))
+    values = np.zeros(len(problem.parameters))
+    names = [parameter.name for parameter in problem.parameters]
+    for element, place in [("base", placement.base), *zip(chain.targets, placement.tools, strict=True)]:
+        for symbol, value in zip("xyz", place[:3, 3], strict=True):
+            if f"{element}.{symbol}" in names:
+                values[names.index(f"{element}.{symbol}")] = value
+    return problem, values
+
+
+def _roughness(problem: Problem, values: np.ndarray, options: Options) -> float:
+    """Return the median row residual after a short fit of base and tool; outliers don't vote."""
+    rows = np.unique(np.linspace(0, len(problem) - 1, 500).astype(int))
+    sample = problem.select(rows)
+    priors = Priors(np.full(len(values), np.inf), np.full(len(values), np.inf))
+    fit = solve(sample, values, _released(sample, options), priors, noise_of(sample, options), loss="huber")
+    return float(np.median(np.linalg.norm(sample.residuals(fit.values), axis=0)))
+
+
+def _released(problem: Problem, options: Options) -> np.ndarray:
+    """Return which parameters a fit may move: all but a known base and known tools."""
+    known = [] if options.base is None else ["base"]
+    known += list(options.tools or {})
+    elements = [p.name.rsplit(".", 1) for p in problem.parameters]
+    return np.array([not (element in known and symbol in FRAME_SYMBOLS) for element, symbol in elements])
+
+
+def _excited(problem: Problem) -> np.ndarray:
+    """Return which parameters act at all at the nominal geometry: not the compliance about a vertical axis."""
+    n = problem.model.n_parameters
+    excited = np.ones(len(problem.parameters), bool)
+    excited[:n] = problem.model.largest_basis(problem.conditions.select(_sample(problem))) > 0.0
+    return excited
+
+
+def _sample(problem: Problem) -> np.ndarray:
+    """Return rows spread over the table, enough to judge sizes by."""
+    return np.unique(np.linspace(0, len(problem) - 1, 1000).astype(int))
+
+
+def priors_of(problem: Problem, options: Options) -> Priors:
+    """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
+    typical = np.array([parameter.size for parameter in problem.parameters])
+    n = problem.model.n_parameters
+    basis = problem.model.largest_basis(problem.conditions.select(_sample(problem)))
+    typical[:n] /= np.where(basis > 0.0, basis, 1.0)
+    lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.parameters])
+    return Priors(typical, np.where(lengths, options.length_bound, np.inf))
+
+
+def noise_of(problem: Problem, options: Options) -> Noise:
+    """Return the declared noise of each block of readings."""
+    return Noise(tuple(options.sigma if b.unit == "m" else options.sigma_orientation for b in problem.sensor.blocks))
+
+
+def _fit(
+    problem: Problem, start: np.ndarray, priors: Priors, noise: Noise, options: Options
+) -> tuple[Solution, tuple[Stage, ...]]:
+    """Go through the stages; each begins where the one before ended."""
+    released = _released(problem, options)
+    excited = released & _excited(problem)
+    stages: list[Stage] = []
+    values = start
+    for name, free in _plan(problem, excited, options):
+        fitted = solve(problem, values, free, priors, noise, loss=options.loss, rough=True)
+        values = fitted.values
+        stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
+    for name in ("to the end", "with what only the deviations excite"):
+        missed = _is_missed(problem, fitted, released, priors)
+        if missed or name == "to the end":
+            free = released if missed else fitted.free
+            fitted = solve(problem, fitted.values, free, priors, noise, loss=options.loss, robust=fitted.weights)
+            stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
+    return fitted, tuple(stages)
+
+
+def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[str, np.ndarray]]:
+    """Return the names of the stages and the parameters that each releases."""
+    if options.stages == "joint":
+        return [("all", free)]
+    effects = np.array([parameter.effect for parameter in problem.parameters])
+    frames = np.isin(effects, ["base_frame", "tool_frame"])
+    masks = {name: free & (frames | np.isin(effects, group)) for name, group in PAPER_STAGES.items()}
+    return [(name, mask) for name, mask in masks.items() if np.any(mask & ~frames)] + [("4 all", free)]
+
+
+def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors: Priors) -> bool:
+    """Return whether the data call for the parameters that the nominal geometry never excites (a score test).
+
+    Such a parameter times a deviation makes a ridge along which a fit wanders, so it is let in only on request.
+    """
+    held = released & ~fitted.free
+    if not held.any():
+        return False
+    normal = accumulate(problem, fitted.values, released, fitted.weights)
+    G, g = normal.at(np.maximum(fitted.sigma, SIGMA_FLOOR))
+    wide = posterior(G, g, priors.sizes[released], fitted.values[released])
+    narrow = fitted.free[released]
+    near = posterior(G[np.ix_(narrow, narrow)], g[narrow], priors.sizes[fitted.free], fitted.values[fitted.free])
+    slope = g - fitted.values[released] / priors.sizes[released] ** 2
+    gain = slope @ wide.step - slope[narrow] @ near.step
+    return bool(gain > chdtri(int(held.sum()), _MISSED))
+
+
+def _refuse_massless(robot: Robot, effects: Sequence[Effect]) -> None:
+    if robot.massless and any(effect.uses_moments for effect in effects):
+        raise BadInputError(
+            f"{robot.source}: no mass for the links {', '.join(robot.massless)}, so static moments are unknown and "
+            "elasticity can't be fitted; add <inertial> to these links or calibrate with the geometric model"
+        )
+
+
+def geometric(options: Options) -> Options:
+    """Return the same options for the geometric model alone."""
+    return replace(options, effects=GEOMETRIC)

@@ -1,0 +1,121 @@
+"""A problem: a model and readings, evaluated in pieces so that memory does not grow with their number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pincal.measure.measurements import Measurements
+from pincal.measure.sensors import Sensor, sensor_of
+from pincal.model.effects import Conditions, Parameter
+from pincal.model.model import Model
+
+# Rows worked on at once: with 60 parameters a piece is about 6 MB.
+_PIECE = 4096
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A model, the conditions of N poses and what the sensor read there.
+
+    Attributes:
+        model: the model.
+        conditions: the poses.
+        sensor: the readings.
+        weights: shape (N,), each row's inverse standard deviation relative to the others (mean about 1).
+    """
+
+    model: Model
+    conditions: Conditions
+    sensor: Sensor
+    weights: np.ndarray
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The model's parameters, then the sensor's own."""
+        return self.model.parameters + self.sensor.parameters
+
+    def __len__(self) -> int:
+        return len(self.conditions)
+
+    def select(self, rows: np.ndarray) -> Problem:
+        """Return the problem of some rows (mask or indices)."""
+        return replace(
+            self,
+            conditions=self.conditions.select(rows),
+            sensor=self.sensor.select(rows),
+            weights=self.weights[rows],
+        )
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the same readings under another model."""
+        return replace(self, model=model)
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction at all rows, shape (m, N), not weighted [m, rad]."""
+        m = sum(block.size for block in self.sensor.blocks)
+        out = np.empty((m, len(self)))
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses = part.model.predict(values[: part.model.n_parameters], part.conditions)
+            out[:, piece] = part.sensor.residuals(poses, values[part.model.n_parameters :])
+        return out
+
+    def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Yield, piece by piece, the rows, the residuals, shape (m, n), and the Jacobian, shape (free, m, n)."""
+        own = values[self.model.n_parameters :]
+        own_free = free[self.model.n_parameters :]
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses, motion = part.model.linearise(
+                values[: self.model.n_parameters],
+                part.conditions,
+                free=free[: self.model.n_parameters],
+                rows=self.sensor.twist_rows,
+            )
+            motion = motion.transpose(2, 1, 0)
+            jacobian = part.sensor.jacobian(poses, motion, own)
+            if not own_free.all():
+                jacobian = jacobian[np.concatenate([np.ones(len(motion), bool), own_free])]
+            yield piece, part.sensor.residuals(poses, own), jacobian
+
+    def _pieces(self) -> Iterator[slice]:
+        for start in range(0, len(self), _PIECE):
+            yield slice(start, min(start + _PIECE, len(self)))
+
+    def _part(self, piece: slice) -> Problem:
+        if len(self) <= _PIECE:
+            return self
+        return replace(self, conditions=self.conditions.select(piece), sensor=self.sensor.select(piece))
+
+
+def problem_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Problem:
+    """Return the problem of a table of measurements under a model.
+
+    Args:
+        model: the model; its chain's targets are those of the table.
+        measurements: the table.
+        payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
+    """
+    sigma = measurements.sigma
+    weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
+    return Problem(model, conditions_of(model, measurements, payload_centre), sensor_of(measurements), weights)
+
+
+def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:
+    """Return the conditions of a table's rows; rows without a payload carry none."""
+    targets = model.chain.targets
+    n = len(measurements)
+    index = np.zeros(n, int) if len(targets) == 1 else np.array([targets.index(t) for t in measurements.target], int)
+    return Conditions(
+        q=measurements.q,
+        target=index,
+        payload=np.zeros(n) if measurements.payload is None else measurements.payload,
+        payload_centre=np.asarray(payload_centre, float),
+        temperature=measurements.temperature,
+        time=measurements.time,
+        approach=measurements.approach,
+    )

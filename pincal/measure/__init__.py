@@ -1,0 +1,1 @@
+"""Measurements: tables, their plausibility, and the sensors that read them."""

@@ -1,0 +1,217 @@
+"""Sensors: what an instrument reads of a pose, and how the reading moves with it.
+
+A sensor knows the target's pose in the instrument's frame and nothing of robots. It says which coordinates of base and
+tool its readings can depend on, and may own parameters (where a socket is, a focal length). Whatever is asked of
+measurements elsewhere goes through this interface.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.measure.measurements import Measurements
+from pincal.model.chain import FRAME_SYMBOLS
+from pincal.model.effects import Parameter
+
+
+@dataclass(frozen=True)
+class Block:
+    """Components of a reading that share a unit and a standard deviation.
+
+    Attributes:
+        name: "position", "orientation" or "distance".
+        unit: "m" or "rad".
+        size: number of components.
+    """
+
+    name: str
+    unit: str
+    size: int
+
+
+class Sensor(ABC):
+    """Readings of N poses."""
+
+    kind: ClassVar[str]
+    blocks: ClassVar[tuple[Block, ...]]
+    base_symbols: ClassVar[tuple[str, ...]]
+    tool_symbols: ClassVar[tuple[str, ...]]
+    twist_rows: ClassVar[int]
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def select(self, rows: slice | np.ndarray) -> Sensor:
+        """Return the readings of some rows."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters that the sensor owns; none unless it says so."""
+        return ()
+
+    @abstractmethod
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction.
+
+        Args:
+            poses: shape (N, 3, 4), the target in the instrument's frame.
+            own: values of the sensor's parameters.
+
+        Returns:
+            Shape (m, N), block after block.
+        """
+
+    @abstractmethod
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the derivative of minus the residuals.
+
+        Args:
+            poses: shape (N, 3, 4).
+            motion: shape (P, ``twist_rows``, N), motion of the target by parameter, in the instrument's axes.
+            own: values of the sensor's parameters.
+
+        Returns:
+            Shape (P + number of own parameters, m, N).
+        """
+
+
+@dataclass(frozen=True)
+class PositionSensor(Sensor):
+    """3D: the position of the target, shape (N, 3) [m], e.g. by laser tracker and reflector."""
+
+    position: np.ndarray
+    kind: ClassVar[str] = "position"
+    blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
+    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    twist_rows: ClassVar[int] = 3
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def select(self, rows: slice | np.ndarray) -> PositionSensor:
+        """Return the readings of some rows."""
+        return replace(self, position=self.position[rows])
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (3, N) [m]."""
+        return np.asarray(self.position.T - poses[:, :, 3].T)
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion itself."""
+        return motion
+
+
+@dataclass(frozen=True)
+class PoseSensor(Sensor):
+    """6D: position, shape (N, 3) [m], and orientation, shape (N, 3, 3), of the tool."""
+
+    position: np.ndarray
+    rotation: np.ndarray
+    kind: ClassVar[str] = "pose"
+    blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3), Block("orientation", "rad", 3))
+    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
+    twist_rows: ClassVar[int] = 6
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def select(self, rows: slice | np.ndarray) -> PoseSensor:
+        """Return the readings of some rows."""
+        return replace(self, position=self.position[rows], rotation=self.rotation[rows])
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return position [m] and the rotation vector from predicted to measured orientation [rad], shape (6, N)."""
+        turn = rotation_vectors(self.rotation @ poses[:, :, :3].transpose(0, 2, 1))
+        return np.vstack([self.position.T - poses[:, :, 3].T, turn.T])
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion; the turning through the inverse right Jacobian of the rotation vector."""
+        turn = self.residuals(poses, own)[3:].T
+        out = motion.copy()
+        out[:, 3:] = np.einsum("nij,pjn->pin", _inverse_right_jacobian(turn), motion[:, 3:])
+        return out
+
+
+@dataclass(frozen=True)
+class DistanceSensor(Sensor):
+    """1D: the distance, shape (N,) [m], from the instrument's point to the target.
+
+    The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
+    """
+
+    distance: np.ndarray
+    kind: ClassVar[str] = "distance"
+    blocks: ClassVar[tuple[Block, ...]] = (Block("distance", "m", 1),)
+    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    twist_rows: ClassVar[int] = 3
+
+    def __len__(self) -> int:
+        return len(self.distance)
+
+    def select(self, rows: slice | np.ndarray) -> DistanceSensor:
+        """Return the readings of some rows."""
+        return replace(self, distance=self.distance[rows])
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (1, N) [m]."""
+        return np.asarray(self.distance - np.linalg.norm(poses[:, :, 3], axis=1))[None]
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion along the line of sight."""
+        direction = poses[:, :, 3] / np.linalg.norm(poses[:, :, 3], axis=1, keepdims=True)
+        return np.asarray(np.einsum("ni,pin->pn", direction, motion)[:, None])
+
+
+def sensor_of(measurements: Measurements) -> Sensor:
+    """Return the sensor that made a table of measurements.
+
+    Raises:
+        MeasurementError: if no sensor of this package reads such columns.
+    """
+    if measurements.kind == "position" and measurements.position is not None:
+        return PositionSensor(measurements.position)
+    if measurements.kind == "pose" and measurements.position is not None and measurements.quaternion is not None:
+        return PoseSensor(measurements.position, rotation_matrices(measurements.quaternion))
+    if measurements.kind == "distance" and measurements.distance is not None:
+        return DistanceSensor(measurements.distance)
+    raise MeasurementError(
+        f"{measurements.source}: no sensor reads measurements of kind {measurements.kind!r}; "
+        "expected columns x y z, x y z with qx qy qz qw, or distance"
+    )
+
+
+def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Return rotation matrices, shape (N, 3, 3), of unit quaternions x y z w, shape (N, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
+
+
+def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
+    """Return rotation vectors, shape (N, 3) [rad], of rotation matrices, shape (N, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+
+
+def _inverse_right_jacobian(phi: np.ndarray) -> np.ndarray:
+    """Return J_r(phi)^-1, shape (N, 3, 3): log(exp(phi) exp(-w)) = phi - J_r^-1 w + O(w^2) [Sola et al. 2018, Eq. 144]."""
+    angle2 = np.einsum("ni,ni->n", phi, phi)
+    angle = np.sqrt(angle2)
+    small = angle < 1e-3
+    safe = np.where(small, 1.0, angle)
+    series = 1.0 / 12.0 + angle2 / 720.0
+    factor = np.where(small, series, 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe)))
+    cross = np.zeros((len(phi), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -phi[:, 2], phi[:, 1], -phi[:, 0]
+    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = phi[:, 2], -phi[:, 1], phi[:, 0]
+    return np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)

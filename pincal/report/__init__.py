@@ -1,0 +1,1 @@
+"""What a calibration is worth and where it goes: validation, result files, calibrated URDF."""

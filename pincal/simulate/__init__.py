@@ -1,0 +1,70 @@
+"""The true machine: an independent oracle that measures a robot whose errors are known."""
+
+from pincal.simulate.arm import Arm, read_arm
+from pincal.simulate.camera import Lens, measure_camera, plan_camera_poses
+from pincal.simulate.contact import measure_contacts
+from pincal.simulate.drive import (
+    AxisWobble,
+    Backlash,
+    GearEccentricity,
+    GearRatio,
+    JointCoupling,
+    JointScatter,
+    ThermalOffset,
+    TransmissionError,
+)
+from pincal.simulate.effect import HiddenEffect
+from pincal.simulate.elastic import (
+    BaseElasticity,
+    BearingElasticity,
+    GravityCompensator,
+    JointElasticity,
+    LinkBending,
+    LoadBacklash,
+    NonlinearElasticity,
+)
+from pincal.simulate.hidden import HIDDEN_EFFECTS, hidden_effect
+from pincal.simulate.machine import TrueMachine
+from pincal.simulate.measure import measure
+from pincal.simulate.paper_machine import paper_moments, paper_positions, paper_transform
+from pincal.simulate.planning import plan_poses
+from pincal.simulate.state import Poses
+from pincal.simulate.surroundings import BaseDrift, MeasurementScale, PayloadError, ThermalExpansion
+
+__all__ = [
+    "HIDDEN_EFFECTS",
+    "Arm",
+    "AxisWobble",
+    "Backlash",
+    "BaseDrift",
+    "BaseElasticity",
+    "BearingElasticity",
+    "GearEccentricity",
+    "GearRatio",
+    "GravityCompensator",
+    "HiddenEffect",
+    "JointCoupling",
+    "JointElasticity",
+    "JointScatter",
+    "Lens",
+    "LinkBending",
+    "LoadBacklash",
+    "MeasurementScale",
+    "NonlinearElasticity",
+    "PayloadError",
+    "Poses",
+    "ThermalExpansion",
+    "ThermalOffset",
+    "TransmissionError",
+    "TrueMachine",
+    "hidden_effect",
+    "measure",
+    "measure_camera",
+    "measure_contacts",
+    "paper_moments",
+    "paper_positions",
+    "paper_transform",
+    "plan_camera_poses",
+    "plan_poses",
+    "read_arm",
+]

@@ -1,0 +1,184 @@
+"""The arm of the true machine as Pinocchio reads it from a URDF: placements, joint axes, bodies, limits.
+
+Every joint gets a working frame whose z is the joint axis. Its x is the x axis of the URDF joint frame
+without its part along the joint axis (the y axis where x is parallel to the joint axis). Where the axis is "0
+0 1" the two frames are one.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import BadInputError, RobotFileError
+
+# A joint axis closer than this to the x axis of its frame leaves no direction to project (sine of the angle
+# between them).
+PARALLEL = 1e-6
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial arm from base to tip, nominal or true.
+
+    Attributes:
+        names: Names of the n joints, from base to tip.
+        prismatic: Whether a joint slides instead of turning, shape (n,).
+        placements: Working frame of joint i in that of joint i-1 (base frame for the first) at joint position
+            0, and last the tip in the working frame of joint n; lengths in m, shape (n + 1, 4, 4).
+        masses: Mass that moves with joint i, up to the next joint [kg], shape (n,).
+        centres: Its centre of mass in the working frame of joint i [m], shape (n, 3).
+        axes: Rotation from the working frame to the URDF frame of joint i, shape (n, 3, 3).
+        lower: Lower joint limits [rad or m]; -pi for a continuous joint, shape (n,).
+        upper: Upper joint limits [rad or m], shape (n,).
+    """
+
+    names: tuple[str, ...]
+    prismatic: np.ndarray
+    placements: np.ndarray
+    masses: np.ndarray
+    centres: np.ndarray
+    axes: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def index(self, joint: str | None) -> int:
+        """Return the position of a joint in the chain.
+
+        Args:
+            joint: Name as in the URDF.
+
+        Returns:
+            Index, 0 at the base.
+
+        Raises:
+            BadInputError: If there is no such joint on the way from base to tip.
+        """
+        if joint in self.names:
+            return self.names.index(joint)
+        ranked = sorted(self.names, key=lambda name: -difflib.SequenceMatcher(None, name, str(joint)).ratio())
+        raise BadInputError(f"joint {joint!r}: not between base and tip; expected one of {', '.join(ranked)}")
+
+
+def read_arm(urdf: str | Path, tip: str, base: str | None = None) -> Arm:
+    """Read the arm between two frames of a URDF with Pinocchio.
+
+    Joints that are not between base and tip are locked at 0; their bodies stay on the links that carry them.
+
+    Args:
+        urdf: Path of a URDF file, or its XML text.
+        tip: Name of a link or joint frame at the end of the arm.
+        base: Name of the frame in which positions are given; the root of the URDF if None.
+
+    Returns:
+        The nominal arm.
+
+    Raises:
+        RobotFileError: If the URDF can't be read, a frame is missing or no joint lies between base and tip.
+    """
+    import pinocchio as pin
+
+    full = _load(urdf)
+    path = _path(full, tip, base)
+    locked = [index for index in range(1, full.njoints) if index not in path]
+    model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
+    return _arm(model, tip, base)
+
+
+def _load(urdf: str | Path) -> Any:
+    import pinocchio as pin
+
+    is_text = str(urdf).lstrip().startswith("<")
+    if not is_text and not Path(urdf).is_file():
+        raise RobotFileError(f"{urdf}: no such file; expected a URDF")
+    try:
+        return pin.buildModelFromXML(str(urdf)) if is_text else pin.buildModelFromUrdf(str(urdf))
+    except ValueError as error:
+        raise RobotFileError(f"{'URDF text' if is_text else urdf}: {error}") from error
+
+
+def _frame(model: Any, name: str) -> Any:
+    if not model.existFrame(name):
+        names = [frame.name for frame in model.frames][1:]
+        raise RobotFileError(f"frame {name!r}: not in the URDF; expected one of {', '.join(names)}")
+    return model.frames[model.getFrameId(name)]
+
+
+def _path(model: Any, tip: str, base: str | None) -> list[int]:
+    """Return the indices of the joints that move the tip and not the base."""
+    before = set(model.supports[_frame(model, base).parentJoint]) if base else set()
+    path = [index for index in model.supports[_frame(model, tip).parentJoint] if index and index not in before]
+    if not path:
+        raise RobotFileError(f"no joint between base {base!r} and tip {tip!r}; name a tip that the joints move")
+    return path
+
+
+def _arm(model: Any, tip: str, base: str | None) -> Arm:
+    import pinocchio as pin
+
+    data, q = model.createData(), pin.neutral(model)
+    pin.computeJointJacobians(model, data, q)
+    pin.framesForwardKinematics(model, data, q)
+    origin = data.oMf[model.getFrameId(base)] if base else pin.SE3.Identity()
+    joints = range(1, model.njoints)
+    twists = [_twist(model, data, i) for i in joints]
+    prismatic = np.array([not np.any(twist[3:]) for twist in twists])
+    axes = np.array([_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)])
+    frames = [origin.homogeneous]
+    frames += [data.oMi[i].homogeneous @ _rotation(axes[i - 1]) for i in joints]
+    frames.append(data.oMf[model.getFrameId(tip)].homogeneous)
+    lower, upper = _limits(model, prismatic)
+    return Arm(
+        names=tuple(model.names[i] for i in joints),
+        prismatic=prismatic,
+        placements=np.array([np.linalg.solve(a, b) for a, b in pairwise(frames)]),
+        masses=np.array([model.inertias[i].mass for i in joints]),
+        centres=np.array([axes[i - 1].T @ model.inertias[i].lever for i in joints]),
+        axes=axes,
+        lower=lower,
+        upper=upper,
+    )
+
+
+def _twist(model: Any, data: Any, joint: int) -> np.ndarray:
+    """Return the direction, linear then angular, in which a joint moves its own frame, shape (6,)."""
+    import pinocchio as pin
+
+    if model.joints[joint].nv != 1:
+        raise RobotFileError(f"joint {model.names[joint]!r}: has several freedoms; expected revolute or prismatic")
+    jacobian = np.reshape(pin.getJointJacobian(model, data, joint, pin.LOCAL), (6, -1))
+    column: np.ndarray = jacobian[:, model.joints[joint].idx_v]
+    return column
+
+
+def _limits(model: Any, prismatic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return limits; a joint without usable ones gets half a turn, or half a metre, to both sides."""
+    lower, upper = [], []
+    for slides, joint in zip(prismatic, list(model.joints)[1:], strict=True):
+        low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        bounded = joint.nq == 1 and np.isfinite([low, high]).all() and low < high and high - low < 1e3
+        reach = 0.5 if slides else np.pi
+        lower.append(low if bounded else -reach)
+        upper.append(high if bounded else reach)
+    return np.array(lower), np.array(upper)
+
+
+def _working_frame(axis: np.ndarray) -> np.ndarray:
+    """Return the rotation whose z is the axis and whose x is the URDF frame's x (or y) projected."""
+    z = axis / np.linalg.norm(axis)
+    x = np.eye(3)[0] - z[0] * z
+    if np.linalg.norm(x) < PARALLEL:
+        x = np.eye(3)[1] - z[1] * z
+    x = x / np.linalg.norm(x)
+    return np.column_stack((x, np.cross(z, x), z))
+
+
+def _rotation(rotation: np.ndarray) -> np.ndarray:
+    transform = np.eye(4)
+    transform[:3, :3] = rotation
+    return transform

@@ -1,0 +1,190 @@
+"""Hidden effects of a joint's drive and bearing that no load is needed for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.simulate.arm import Arm
+from pincal.simulate.effect import DeformingEffect
+from pincal.simulate.state import Deformation, Loads, Poses
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearEccentricity(DeformingEffect):
+    """Eccentric or elliptical gear wheel; ``size`` is the amplitude [rad].
+
+    Order 1 is a crank: the output points from an eccentric centre to the driven point. Order 2 is a pair of
+    elliptical wheels.
+
+    Attributes:
+        order: 1 or 2 errors a turn.
+        phase: Direction of the eccentricity or of the long axis [rad].
+    """
+
+    effect: ClassVar[str] = "gear_eccentricity"
+    order: int = 1
+    phase: float = 0.6
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the joint by the difference between output and input of the wheel."""
+        joint = arm.index(self.joint)
+        q = poses.q[:, joint]
+        if self.order == 1:
+            x, y = self.size * np.cos(self.phase), self.size * np.sin(self.phase)
+            output, angle = np.arctan2(np.sin(q) + y, np.cos(q) + x), q
+        elif self.order == 2:
+            angle = q - self.phase
+            output = np.arctan2((1.0 + self.size) * np.sin(angle), (1.0 - self.size) * np.cos(angle))
+        else:
+            raise BadInputError(f"gear_eccentricity of {self.joint}: order {self.order}; expected 1 or 2")
+        deformation.joint[:, joint] += np.angle(np.exp(1j * (output - angle)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransmissionError(DeformingEffect):
+    """Irregular gear: a smooth random curve of the joint's angle; ``size`` is its rms value [rad].
+
+    Attributes:
+        seed: The curve's own seed.
+        bumps: Number of local bumps of random place, width and height that make up the curve.
+        periodic: Whether the curve repeats after a full turn; otherwise it differs from turn to turn.
+    """
+
+    effect: ClassVar[str] = "transmission_error"
+    seed: int = 0
+    bumps: int = 14
+    periodic: bool = True
+
+    def curve(self, q: np.ndarray) -> np.ndarray:
+        """Return the error [rad] at joint angles [rad] of any shape."""
+        rng = np.random.default_rng(self.seed)
+        half_range = np.pi if self.periodic else 2.0 * np.pi
+        centre = rng.uniform(-half_range, half_range, self.bumps)
+        width = rng.uniform(0.12, 0.5, self.bumps)
+        height = rng.choice((-1.0, 1.0), self.bumps) * rng.uniform(0.3, 1.0, self.bumps)
+
+        def raw(angle: np.ndarray) -> np.ndarray:
+            distance = angle[..., None] - centre
+            if self.periodic:
+                distance = 2.0 * np.sin(distance / 2.0)
+            total: np.ndarray = (height * np.exp(-0.5 * (distance / width) ** 2)).sum(-1)
+            return total
+
+        turn = raw(np.linspace(-half_range, half_range, 1000, endpoint=False))
+        error: np.ndarray = self.size * (raw(np.asarray(q, float)) - turn.mean()) / turn.std()
+        return error
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the joint by the curve at its recorded angle."""
+        joint = arm.index(self.joint)
+        deformation.joint[:, joint] += self.curve(poses.q[:, joint])
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearRatio(DeformingEffect):
+    """Wrong gear or encoder ratio; ``size`` is the relative error of the ratio [-]."""
+
+    effect: ClassVar[str] = "gear_ratio"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Let the joint run ahead in proportion to its angle."""
+        joint = arm.index(self.joint)
+        deformation.joint[:, joint] += self.size * poses.q[:, joint]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCoupling(DeformingEffect):
+    """Motion that leaks from one joint to another; ``size`` is the leak over the motion [-].
+
+    Attributes:
+        source: Joint whose motion leaks.
+    """
+
+    effect: ClassVar[str] = "joint_coupling"
+    source: str
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the driven joint along with its source."""
+        leak = self.size * poses.q[:, arm.index(self.source)]
+        deformation.joint[:, arm.index(self.joint)] += leak
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisWobble(DeformingEffect):
+    """Bearing whose axis tilts as it turns; ``size`` is the tilt [rad].
+
+    The tip of the axis runs on a circle, or an ellipse, ``order`` times a turn. In the frame before q a
+    circle of order 1 is a tilt fixed to the link: it can't be told from geometry.
+
+    Attributes:
+        order: Turns of the tilt direction per turn of the joint.
+        phase: Direction of the tilt at q = 0 [rad].
+        roundness: Short over long half axis of the ellipse: 1 a circle, 0 a line along x.
+        frame: ``"before"`` if the tilt is seen from the previous link, ``"after"`` if from the turning one.
+    """
+
+    effect: ClassVar[str] = "axis_wobble"
+    order: int = 2
+    phase: float = 0.4
+    roundness: float = 1.0
+    frame: str = "before"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Tilt the axis about x and y."""
+        joint = arm.index(self.joint)
+        direction = self.order * poses.q[:, joint] + self.phase
+        twist = deformation.after if self.frame == "after" else deformation.before
+        twist[:, joint, 3] += self.size * np.cos(direction)
+        twist[:, joint, 4] += self.size * self.roundness * np.sin(direction)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backlash(DeformingEffect):
+    """Play in a gear; ``size`` is the full play [rad].
+
+    The joint lags behind its drive by half the play. Where the approach was recorded it decides the side;
+    otherwise the joint is dragged from pose to pose in their order and keeps its place while the drive
+    crosses the play.
+    """
+
+    effect: ClassVar[str] = "backlash"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Hold the joint back on the side from which it came."""
+        joint = arm.index(self.joint)
+        q, half = poses.q[:, joint], 0.5 * self.size
+        if poses.approach is not None:
+            deformation.joint[:, joint] -= half * poses.approach[:, joint]
+            return
+        place, lag = 0.0, np.empty_like(q)
+        for row, drive in enumerate(q):
+            place = drive if row == 0 else min(max(place, drive - half), drive + half)
+            lag[row] = place - drive
+        deformation.joint[:, joint] += lag
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalOffset(DeformingEffect):
+    """Joint zero that shifts with temperature; ``size`` is the shift [rad/K]."""
+
+    effect: ClassVar[str] = "thermal_offset"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Shift the joint in proportion to the temperature."""
+        deformation.joint[:, arm.index(self.joint)] += self.size * poses.temperature
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointScatter(DeformingEffect):
+    """Joint that does not repeat; ``size`` is the standard deviation [rad]."""
+
+    effect: ClassVar[str] = "joint_scatter"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the joint by its random draw of this pose."""
+        joint = arm.index(self.joint)
+        deformation.joint[:, joint] += self.size * poses.scatter[:, joint]

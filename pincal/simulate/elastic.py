@@ -1,0 +1,175 @@
+"""Hidden effects of gravity loads: drives, bearings, links and base that give way.
+
+A positive compliance turns a joint in the sense of the moment that gravity exerts on it: the arm sags.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.simulate.arm import Arm
+from pincal.simulate.effect import DeformingEffect
+from pincal.simulate.state import Deformation, Loads, Poses
+
+MOMENT_FRAMES = ("paper", "before", "after")
+"""Where a bearing's compliance lives.
+
+``paper`` takes the components of the moment before q and turns the link about the axes after q; ``before``
+and ``after`` do both on one side.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointElasticity(DeformingEffect):
+    """Linear wind-up of a drive; ``size`` is the compliance c_z [rad/(N m)], or [m/N] for a sliding joint."""
+
+    effect: ClassVar[str] = "joint_elasticity"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Move the joint in proportion to the load along its freedom."""
+        joint = arm.index(self.joint)
+        deformation.joint[:, joint] += self.size * loads.drive[:, joint]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BearingElasticity(DeformingEffect):
+    """Bearing that gives way about the transverse axes; ``size`` is the compliance about x [rad/(N m)].
+
+    Attributes:
+        size_y: Compliance about y [rad/(N m)]; that about x if None.
+        moment_frame: One of ``MOMENT_FRAMES``.
+    """
+
+    effect: ClassVar[str] = "bearing_elasticity"
+    size_y: float | None = None
+    moment_frame: str = "paper"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown moment frame."""
+        if self.moment_frame not in MOMENT_FRAMES:
+            raise BadInputError(f"moment_frame {self.moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}")
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the link about x and y in proportion to the moments."""
+        joint = arm.index(self.joint)
+        moment = (loads.after if self.moment_frame == "after" else loads.before)[:, joint, :2]
+        twist = deformation.before if self.moment_frame == "before" else deformation.after
+        twist[:, joint, 3:5] += moment * np.array([self.size, self.size if self.size_y is None else self.size_y])
+
+
+@dataclass(frozen=True, kw_only=True)
+class NonlinearElasticity(DeformingEffect):
+    """Drive that stiffens with torque; ``size`` is the extra compliance near torque 0 [rad/(N m)].
+
+    The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral is the
+    extra wind-up.
+
+    Attributes:
+        stiffening: Torque [N m].
+    """
+
+    effect: ClassVar[str] = "nonlinear_elasticity"
+    stiffening: float = 2000.0
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Add the extra wind-up."""
+        joint = arm.index(self.joint)
+        windup = np.arcsinh(loads.drive[:, joint] / self.stiffening)
+        deformation.joint[:, joint] += self.size * self.stiffening * windup
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadBacklash(DeformingEffect):
+    """Play that the load takes up; ``size`` is the full play [rad].
+
+    Attributes:
+        transition: Torque [N m] at which friction lets the joint go about 70 % of the way to one side.
+    """
+
+    effect: ClassVar[str] = "load_backlash"
+    transition: float = 20.0
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Push the joint to the side to which the load pulls."""
+        joint = arm.index(self.joint)
+        torque = loads.drive[:, joint]
+        deformation.joint[:, joint] += 0.5 * self.size * torque / np.hypot(torque, self.transition)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityCompensator(DeformingEffect):
+    """Spring between two adjacent links; ``size`` is its rate [N/m].
+
+    The drive no longer winds up under the torque that the spring takes: joint angle += compliance * torque of
+    the spring.
+
+    Attributes:
+        compliance: Compliance of the joint's drive [rad/(N m)].
+        anchor: Where the spring is fixed to the previous link, in the frame before q [m].
+        lever: Where it is fixed to the turning link, in the frame after q [m].
+        free_length: Length of the spring without force [m].
+    """
+
+    effect: ClassVar[str] = "gravity_compensator"
+    compliance: float = 2e-7
+    anchor: tuple[float, float, float] = (-0.25, 0.55, 0.0)
+    lever: tuple[float, float, float] = (0.3, 0.0, 0.0)
+    free_length: float = 0.3
+
+    def torque(self, q: np.ndarray) -> np.ndarray:
+        """Return the torque of the spring about the joint axis [N m], shape of q [rad]."""
+        x, y, z = self.lever
+        c, s = np.cos(q), np.sin(q)
+        end = np.stack((c * x - s * y, s * x + c * y, np.full_like(q, z)), axis=-1)
+        span = np.asarray(self.anchor) - end
+        length = np.linalg.norm(span, axis=-1, keepdims=True)
+        force = self.size * (length - self.free_length) * span / length
+        moment: np.ndarray = np.cross(end, force)[..., 2]
+        return moment
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the joint by what the spring relieves."""
+        joint = arm.index(self.joint)
+        deformation.joint[:, joint] += self.compliance * self.torque(poses.q[:, joint])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkBending(DeformingEffect):
+    """Link that bends like a cantilever from its joint to the next; ``size`` is 1/(E I) [1/(N m^2)]."""
+
+    effect: ClassVar[str] = "link_bending"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Bend the far end of the link under the force and moment there."""
+        joint = arm.index(self.joint)
+        span = arm.placements[joint + 1][:3, 3]
+        length = float(np.linalg.norm(span))
+        if length == 0.0:
+            raise BadInputError(f"link_bending of {self.joint}: the link has no length; name another joint")
+        along = span / length
+        moment, force = (
+            value - np.outer(value @ along, along) for value in (loads.end_moment[:, joint], loads.end_force[:, joint])
+        )
+        turn = length * moment + length**2 / 2.0 * np.cross(along, force)
+        shift = length**2 / 2.0 * np.cross(moment, along) + length**3 / 3.0 * force
+        deformation.add_at_end_of_link(arm, joint, self.size * np.hstack((shift, turn)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseElasticity(DeformingEffect):
+    """Foundation that tilts under the arm; ``size`` is its compliance [rad/(N m)].
+
+    Attributes:
+        weights: Compliance about x, y and z of the base frame over ``size`` [-].
+    """
+
+    effect: ClassVar[str] = "base_elasticity"
+    weights: tuple[float, float, float] = (1.0, 1.0, 0.0)
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the base in proportion to the moment of the arm about its origin."""
+        deformation.base[:, 3:] += self.size * np.asarray(self.weights) * loads.base

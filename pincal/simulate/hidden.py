@@ -1,0 +1,66 @@
+"""The catalogue of hidden effects, by the names that discovery reports."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import fields
+from typing import Any
+
+from pincal.errors import BadInputError
+from pincal.simulate import drive, elastic, surroundings
+from pincal.simulate.effect import HiddenEffect
+
+HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
+    kind.effect: kind
+    for kind in (
+        elastic.JointElasticity,
+        elastic.BearingElasticity,
+        elastic.NonlinearElasticity,
+        elastic.LinkBending,
+        elastic.BaseElasticity,
+        elastic.GravityCompensator,
+        surroundings.PayloadError,
+        drive.GearEccentricity,
+        drive.TransmissionError,
+        drive.GearRatio,
+        drive.JointCoupling,
+        drive.AxisWobble,
+        drive.Backlash,
+        elastic.LoadBacklash,
+        surroundings.ThermalExpansion,
+        drive.ThermalOffset,
+        surroundings.BaseDrift,
+        surroundings.MeasurementScale,
+        drive.JointScatter,
+    )
+}
+
+
+def hidden_effect(name: str, **values: Any) -> HiddenEffect:
+    """Make a hidden effect from its name.
+
+    Args:
+        name: A key of ``HIDDEN_EFFECTS``.
+        **values: Its fields: ``joint``, ``size`` and what its class adds.
+
+    Returns:
+        The effect.
+
+    Raises:
+        BadInputError: If there is no such effect, or it has no such field.
+
+    Example:
+        >>> hidden_effect("backlash", joint="joint_2", size=2e-4)
+        Backlash(joint='joint_2', size=0.0002)
+    """
+    if name not in HIDDEN_EFFECTS:
+        ranked = sorted(HIDDEN_EFFECTS, key=lambda known: -difflib.SequenceMatcher(None, known, name).ratio())
+        raise BadInputError(f"effect {name!r}: unknown; expected one of {', '.join(ranked)}")
+    kind = HIDDEN_EFFECTS[name]
+    known = [field.name for field in fields(kind)]
+    if unknown := sorted(set(values) - set(known)):
+        raise BadInputError(f"{name} has no {', '.join(unknown)}; it has {', '.join(known)}")
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise BadInputError(f"{name}: {error}; it has {', '.join(known)}") from error

@@ -1,0 +1,208 @@
+"""The true machine: a robot with errors that nobody has told the fit about.
+
+Kinematics are Pinocchio's, loads are sums over bodies at their deformed places and every error is a
+placement. Nothing here is shared with the model that pincal fits, so that the two can be held against each
+other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.simulate.arm import Arm, read_arm
+from pincal.simulate.chain import build_chain
+from pincal.simulate.conditions import fitted, poses_of
+from pincal.simulate.effect import DeformingEffect, HiddenEffect, LoadingEffect
+from pincal.simulate.elastic import BearingElasticity, JointElasticity
+from pincal.simulate.rest import Equilibrium, Settler
+from pincal.simulate.state import Poses
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""Acceleration of gravity in the base frame of an upright robot [m/s^2]."""
+
+
+@dataclass(frozen=True)
+class TrueMachine:
+    """A robot as it really is.
+
+    Attributes:
+        nominal: The arm of the URDF.
+        placement_errors: Error of each joint's placement and last of the tip's: translation [m] and rotation
+            vector [rad] in the URDF joint frame, shape (n + 1, 6).
+        joint_offsets: Added to the recorded joint positions [rad or m], shape (n,).
+        mass_factors: True over nominal mass of what moves with each joint [-], shape (n,).
+        com_errors: True minus nominal centre of mass in the joint's working frame [m], shape (n, 3).
+        compliance: (c_x, c_y, c_z) of each joint [rad/(N m)], z the joint axis, shape (n, 3).
+        moment_frame: Where c_x and c_y live: ``paper``, ``before`` or ``after`` q.
+        gravity: Acceleration in the base frame [m/s^2], shape (3,).
+        reference_temperature: Temperature at which the lengths are right [deg C].
+        effects: Hidden effects.
+
+    Example:
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+        >>> machine.tip(np.zeros((1, 6)))[0, 0, 3].round(6)
+        np.float64(2.62)
+    """
+
+    nominal: Arm
+    placement_errors: np.ndarray
+    joint_offsets: np.ndarray
+    mass_factors: np.ndarray
+    com_errors: np.ndarray
+    compliance: np.ndarray
+    moment_frame: str = "paper"
+    gravity: tuple[float, float, float] = GRAVITY
+    reference_temperature: float = 20.0
+    effects: tuple[HiddenEffect, ...] = ()
+
+    @classmethod
+    def from_urdf(cls, urdf: str | Path, *, tip: str, base: str | None = None, **errors: Any) -> TrueMachine:
+        """Make the true machine of a URDF, without errors unless they are given.
+
+        Args:
+            urdf: Path of a URDF file, or its XML text.
+            tip: Frame at the end of the arm.
+            base: Frame in which positions are given; the root of the URDF if None.
+            **errors: Any attribute but ``nominal``.
+
+        Returns:
+            The machine.
+
+        Raises:
+            RobotFileError: If the URDF has no such arm.
+            BadInputError: If an attribute has a wrong name or shape.
+        """
+        nominal = read_arm(urdf, tip, base)
+        n = len(nominal.names)
+        shapes = {
+            "placement_errors": (n + 1, 6),
+            "joint_offsets": (n,),
+            "com_errors": (n, 3),
+            "compliance": (n, 3),
+        }
+        values = {name: np.zeros(shape) for name, shape in shapes.items()} | {"mass_factors": np.ones(n)}
+        others = {"moment_frame", "gravity", "reference_temperature", "effects"}
+        if unknown := sorted(set(errors) - set(values) - others):
+            raise BadInputError(f"{', '.join(unknown)}: unknown; expected {', '.join(sorted(set(values) | others))}")
+        for name in values.keys() & errors.keys():
+            errors[name] = fitted(name, errors[name], values[name].shape)
+        return cls(nominal, **(values | errors))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints from base to tip."""
+        return self.nominal.names
+
+    @cached_property
+    def arm(self) -> Arm:
+        """The true arm at rest without load."""
+        from scipy.spatial.transform import Rotation
+
+        errors = np.tile(np.eye(4), (len(self.names) + 1, 1, 1))
+        axes = np.concatenate((self.nominal.axes, np.eye(3)[None]))
+        rotations = Rotation.from_rotvec(self.placement_errors[:, 3:]).as_matrix()
+        errors[:, :3, :3] = np.swapaxes(axes, 1, 2) @ rotations @ axes
+        errors[:, :3, 3] = np.einsum("iba,ib->ia", axes, self.placement_errors[:, :3])
+        return replace(
+            self.nominal,
+            placements=self.nominal.placements @ errors,
+            masses=self.nominal.masses * self.mass_factors,
+            centres=self.nominal.centres + self.com_errors,
+        )
+
+    @cached_property
+    def _chain(self) -> Any:
+        return build_chain(self.arm)
+
+    @cached_property
+    def _data(self) -> Any:
+        return self._chain.createData()
+
+    @cached_property
+    def _deforming(self) -> tuple[DeformingEffect, ...]:
+        elastic: list[DeformingEffect] = []
+        for name, (x, y, z) in zip(self.names, self.compliance, strict=True):
+            elastic += [JointElasticity(joint=name, size=z)] if z else []
+            elastic += [BearingElasticity(joint=name, size=x, size_y=y, moment_frame=self.moment_frame)] if x or y else []
+        return (*elastic, *(effect for effect in self.effects if isinstance(effect, DeformingEffect)))
+
+    def with_effects(self, *effects: HiddenEffect) -> TrueMachine:
+        """Return the machine with further hidden effects."""
+        return replace(self, effects=self.effects + effects)
+
+    def draw_errors(
+        self, rng: np.random.Generator, *, sigma_length: float, sigma_angle: float, sigma_offset: float = 0.0
+    ) -> TrueMachine:
+        """Return the machine with random errors of geometry.
+
+        Args:
+            rng: Source of randomness.
+            sigma_length: Standard deviation of the displacements of joints and tip, each axis [m].
+            sigma_angle: Standard deviation of their tilts, each axis [rad].
+            sigma_offset: Standard deviation of the joint zeros [rad or m].
+
+        Returns:
+            A new machine.
+        """
+        n = len(self.names)
+        errors = rng.standard_normal((n + 1, 6)) * np.repeat([sigma_length, sigma_angle], 3)
+        return replace(self, placement_errors=errors, joint_offsets=sigma_offset * rng.standard_normal(n))
+
+    def draw_masses(self, rng: np.random.Generator, *, sigma: float = 0.03) -> TrueMachine:
+        """Return the machine with random errors of mass and centre of mass.
+
+        Args:
+            rng: Source of randomness.
+            sigma: Standard deviation of the masses relative to their nominal values, and of each component of
+                the centres of mass relative to their distance from the joint's origin [-].
+
+        Returns:
+            A new machine.
+        """
+        distance = np.linalg.norm(self.nominal.centres, axis=1, keepdims=True)
+        factors = 1.0 + sigma * rng.standard_normal(len(self.names))
+        shift = sigma * distance * rng.standard_normal((len(self.names), 3))
+        return replace(self, mass_factors=factors, com_errors=shift)
+
+    def poses(self, q: np.ndarray, **conditions: Any) -> Poses:
+        """Return poses with the conditions of :func:`pincal.simulate.conditions.poses_of`."""
+        return poses_of(self.nominal, q, reference_temperature=self.reference_temperature, **conditions)
+
+    def equilibrium(self, poses: Poses) -> Equilibrium:
+        """Let the arm come to rest: deform it under the loads that it has when it is deformed.
+
+        Args:
+            poses: Poses and conditions.
+
+        Returns:
+            The arm at rest in every pose.
+
+        Raises:
+            BadInputError: If the arm is too soft to carry itself.
+        """
+        mass, com = poses.payload, poses.payload_com
+        for effect in self.effects:
+            if isinstance(effect, LoadingEffect):
+                mass, com = effect.true_payload(mass, com)
+        carried = replace(poses, payload=mass, payload_com=com)
+        settler = Settler(self.arm, self._chain, self._data, self._deforming, np.asarray(self.gravity, float))
+        return settler.settle(carried, poses.q + self.joint_offsets)
+
+    def tip(self, q: np.ndarray, **conditions: Any) -> np.ndarray:
+        """Return where the tip really is.
+
+        Args:
+            q: Recorded joint positions [rad or m], shape (N, n).
+            **conditions: As in :meth:`poses`.
+
+        Returns:
+            Transforms from the tip to the base frame [m], shape (N, 4, 4).
+        """
+        return self.equilibrium(self.poses(q, **conditions)).tip

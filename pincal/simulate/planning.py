@@ -1,0 +1,143 @@
+"""Joint positions to measure in: random in the joint range, or such that the tool reaches a goal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.simulate.arm import Arm
+
+# Draws per wanted pose after which a limit on the height counts as impossible.
+_DRAWS = 2000
+# Largest joint step of the inverse kinematics [rad or m] and its damping, relative to a reach of about a
+# metre.
+_STEP, _DAMPING = 0.3, 1e-4
+# What counts as reached on the nominal arm [m or rad].
+_REACHED = 1e-9
+
+
+def plan_poses(
+    arm: Arm,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    min_height: float | None = 0.1,
+    max_radius: float | None = None,
+    span: float = 0.95,
+) -> np.ndarray:
+    """Draw random joint positions within the limits, with the arm off the floor.
+
+    Args:
+        arm: Nominal arm, ``machine.nominal``.
+        n: Number of poses.
+        rng: Source of randomness.
+        min_height: Smallest z of the tip and of the origins of the third joint and all after it in the base
+            frame [m]; None for no floor.
+        max_radius: Largest distance of the tip from the base's origin [m]; None for no limit.
+        span: Part of the joint range that is used, about its middle [-].
+
+    Returns:
+        Joint positions [rad or m], shape (n, number of joints).
+
+    Raises:
+        BadInputError: If hardly any pose of the arm fits the limits.
+    """
+    middle, half = (arm.upper + arm.lower) / 2.0, span * (arm.upper - arm.lower) / 2.0
+    found = np.empty((0, len(arm.names)))
+    for _ in range(_DRAWS):
+        q = middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names)))
+        origins = frames(arm, q)[:, 1:, :3, 3]
+        fits = np.ones(len(q), bool)
+        if min_height is not None:
+            fits &= origins[:, min(2, origins.shape[1] - 1) :, 2].min(axis=1) > min_height
+        if max_radius is not None:
+            fits &= np.linalg.norm(origins[:, -1], axis=1) < max_radius
+        found = np.vstack((found, q[fits]))
+        if len(found) >= n:
+            return found[:n]
+    raise BadInputError(f"only {len(found)} of {n} poses above {min_height} m and within {max_radius} m; relax these limits")
+
+
+def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return where an arm without load has its joints.
+
+    Args:
+        arm: The arm.
+        q: Joint positions [rad or m], shape (N, n).
+
+    Returns:
+        Transforms of base, working frames after q and tip to the base frame, shape (N, n + 2, 4, 4).
+    """
+    moves = np.tile(np.eye(4), (*q.shape, 1, 1))
+    turn, slide = np.where(arm.prismatic, 0.0, q), np.where(arm.prismatic, q, 0.0)
+    moves[..., 0, 0] = moves[..., 1, 1] = np.cos(turn)
+    moves[..., 1, 0] = np.sin(turn)
+    moves[..., 0, 1] = -moves[..., 1, 0]
+    moves[..., 2, 3] = slide
+    chain = [np.tile(np.eye(4), (len(q), 1, 1))]
+    for joint in range(len(arm.names)):
+        chain.append(chain[-1] @ arm.placements[joint] @ moves[:, joint])
+    chain.append(chain[-1] @ arm.placements[-1])
+    return np.stack(chain, axis=1)
+
+
+def reach(
+    arm: Arm, seed: np.ndarray, goal: np.ndarray, *, tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find joint positions that bring a tool point, or the whole tip, to a goal.
+
+    Args:
+        arm: Arm without load.
+        seed: Joint positions to start from, shape (N, n).
+        goal: Wanted positions of the tool point in the base frame [m], shape (N, 3), or wanted transforms of
+            the tip, shape (N, 4, 4).
+        tool: Tool point in the tip frame [m]; used with positions only.
+
+    Returns:
+        Joint positions, shape (N, n), and whether each reaches its goal within the joint limits, shape (N,).
+    """
+    q = np.array(seed, float)
+    error = np.full(len(q), np.inf)
+    for _ in range(200):
+        places = frames(arm, q)
+        missing, jacobian = _missing(arm, places, goal, tool)
+        error = np.linalg.norm(missing, axis=1)
+        if np.all(error < _REACHED):
+            break
+        q = q + newton_step(jacobian, missing)
+    return q, (error < _REACHED) & np.all((q >= arm.lower) & (q <= arm.upper), axis=1)
+
+
+def newton_step(jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Return the damped joint step, of bounded length, that makes up for what is missing, shape (N, n)."""
+    transposed = np.swapaxes(jacobian, 1, 2)
+    size = np.linalg.norm(missing, axis=1).clip(0.0, 1.0)
+    damping = _DAMPING * size[:, None, None] * np.eye(missing.shape[1])
+    solved = np.linalg.solve(jacobian @ transposed + damping, missing[..., None])
+    step: np.ndarray = (transposed @ solved)[..., 0]
+    longest = np.abs(step).max(axis=1, keepdims=True)
+    step *= np.minimum(1.0, _STEP / np.maximum(longest, 1e-300))
+    return step
+
+
+def position_jacobian(arm: Arm, places: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return the derivative of points [base frame, m, shape (N, 3)] by the joints, shape (N, 3, n)."""
+    axes = places[:, 1:-1, :3, 2]
+    levers = point[:, None] - places[:, 1:-1, :3, 3]
+    columns = np.where(arm.prismatic[:, None], axes, np.cross(axes, levers))
+    return np.swapaxes(columns, 1, 2)
+
+
+def _missing(
+    arm: Arm, places: np.ndarray, goal: np.ndarray, tool: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    tip = places[:, -1]
+    if goal.ndim == 2:
+        point = tip[:, :3, :3] @ np.asarray(tool) + tip[:, :3, 3]
+        return goal - point, position_jacobian(arm, places, point)
+    from scipy.spatial.transform import Rotation
+
+    turn = goal[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2)
+    missing = np.hstack((goal[:, :3, 3] - tip[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()))
+    axes = np.where(arm.prismatic[:, None], 0.0, places[:, 1:-1, :3, 2])
+    return missing, np.hstack((position_jacobian(arm, places, tip[:, :3, 3]), np.swapaxes(axes, 1, 2)))

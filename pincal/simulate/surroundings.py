@@ -1,0 +1,83 @@
+"""Hidden effects of temperature, time, payload and instrument on the whole arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.simulate.arm import Arm
+from pincal.simulate.effect import DeformingEffect, LoadingEffect, MeasuringEffect
+from pincal.simulate.state import Deformation, Loads, Poses
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalExpansion(DeformingEffect):
+    """Links that grow with temperature; ``size`` is the coefficient of expansion [1/K].
+
+    Attributes:
+        joint: Only the link that this joint moves grows; None for all links, base and tool flange included.
+    """
+
+    effect: ClassVar[str] = "thermal_expansion"
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Scale the distance from each joint to the next."""
+        growth = self.size * poses.temperature[:, None]
+        joints = range(len(arm.names)) if self.joint is None else [arm.index(self.joint)]
+        for joint in joints:
+            shift = growth * arm.placements[joint + 1][:3, 3]
+            deformation.add_at_end_of_link(arm, joint, np.hstack((shift, np.zeros_like(shift))))
+        if self.joint is None:
+            deformation.base[:, :3] += growth * arm.placements[0][:3, 3]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseDrift(DeformingEffect):
+    """Base, or instrument, that creeps with time; ``size`` is the speed [m/s].
+
+    Attributes:
+        direction: Direction of the creep in the base frame, shape (3,), of length 1.
+        rotation: Rate of turn about the base axes [rad/s] per m/s of ``size``, shape (3,).
+    """
+
+    effect: ClassVar[str] = "base_drift"
+    direction: tuple[float, float, float] = (0.8, 0.6, 0.0)
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Move the base on."""
+        path = self.size * poses.time[:, None]
+        deformation.base[:, :3] += path * np.asarray(self.direction)
+        deformation.base[:, 3:] += path * np.asarray(self.rotation)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadError(LoadingEffect):
+    """Payload that differs from the table; ``size`` is the mass that the table lacks [kg].
+
+    It counts where the table declares a payload, and everywhere if it declares none at all.
+
+    Attributes:
+        com_shift: True minus declared centre of mass of the payload in the tip frame [m], shape (3,).
+    """
+
+    effect: ClassVar[str] = "payload_error"
+    com_shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def true_payload(self, mass: np.ndarray, com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return mass and centre of mass that the arm really carries."""
+        carried = mass > 0.0 if np.any(mass > 0.0) else np.ones(len(mass), bool)
+        return mass + self.size * carried, com + np.asarray(self.com_shift)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementScale(MeasuringEffect):
+    """Instrument with a wrong scale; ``size`` is the relative error of every length [-]."""
+
+    effect: ClassVar[str] = "measurement_scale"
+
+    def reading(self, position: np.ndarray) -> np.ndarray:
+        """Return the scaled positions."""
+        return (1.0 + self.size) * position
