@@ -1,1 +1,89 @@
-"""Calibrate a serial robot into a measuring instrument."""
+"""Calibrate a serial robot into a measuring instrument: from a URDF and measured poses to a true robot model.
+
+Example:
+    >>> import pincal
+    >>> robot = pincal.Robot.from_urdf("ur10")
+    >>> robot.n_joints
+    6
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
+    from pincal.identify.calibrate import Fit, Options, calibrate
+    from pincal.identify.explain import explain
+    from pincal.identify.repeat import bootstrap, cross_validate, monte_carlo
+    from pincal.measure.measurements import Measurements, measurements_from_arrays
+    from pincal.measure.table import read_measurements
+    from pincal.model.augmented import augmented_model, calibrated_model
+    from pincal.model.chain import Chain
+    from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Parameter, Term
+    from pincal.model.model import Model
+    from pincal.report.model_file import CalibratedModel, calibrated_model_of, load_model, save_model
+    from pincal.report.run import Calibration, run_calibration
+    from pincal.report.urdf_export import calibrated_urdf
+    from pincal.robot.robot import Robot
+
+# Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
+_PLACES = {
+    "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
+    "pincal.identify.calibrate": ("Fit", "Options", "calibrate"),
+    "pincal.identify.explain": ("explain",),
+    "pincal.identify.repeat": ("bootstrap", "cross_validate", "monte_carlo"),
+    "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
+    "pincal.measure.table": ("read_measurements",),
+    "pincal.model.augmented": ("augmented_model", "calibrated_model"),
+    "pincal.model.chain": ("Chain",),
+    "pincal.model.effects": ("ELASTIC", "GEOMETRIC", "Conditions", "Effect", "Parameter", "Term"),
+    "pincal.model.model": ("Model",),
+    "pincal.report.model_file": ("CalibratedModel", "calibrated_model_of", "load_model", "save_model"),
+    "pincal.report.run": ("Calibration", "run_calibration"),
+    "pincal.report.urdf_export": ("calibrated_urdf",),
+    "pincal.robot.robot": ("Robot",),
+}
+_PLACE = {name: module for module, names in _PLACES.items() for name in names}
+
+__all__ = [
+    "ELASTIC",
+    "GEOMETRIC",
+    "BadInputError",
+    "CalibratedModel",
+    "Calibration",
+    "Chain",
+    "Conditions",
+    "Effect",
+    "Fit",
+    "IdentificationError",
+    "Measurements",
+    "Model",
+    "Options",
+    "Parameter",
+    "PincalError",
+    "PincalWarning",
+    "Robot",
+    "Term",
+    "augmented_model",
+    "bootstrap",
+    "calibrate",
+    "calibrated_model",
+    "calibrated_model_of",
+    "calibrated_urdf",
+    "cross_validate",
+    "explain",
+    "load_model",
+    "measurements_from_arrays",
+    "monte_carlo",
+    "read_measurements",
+    "run_calibration",
+    "save_model",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACE:
+        raise AttributeError(f"module 'pincal' has no attribute {name!r}")
+    return getattr(importlib.import_module(_PLACE[name]), name)

@@ -85,8 +85,8 @@ class Fit:
         problem: model and training rows.
         nominal: the fit of base and tool alone.
         solution: the fit of everything.
-        structure: what the data can tell, judged at the nominal geometry before the fit.
-        priors: what the fit started from.
+        priors: what was believed before.
+        noise: what was declared of it.
         stages: the stages it went through.
         options: how it was made.
     """
@@ -95,6 +95,7 @@ class Fit:
     nominal: Solution
     solution: Solution
     priors: Priors
+    noise: Noise
     stages: tuple[Stage, ...]
     options: Options
 
@@ -150,14 +151,39 @@ def calibrate(robot: Robot, measurements: Measurements, options: Options | None 
         True
     """
     options = Options() if options is None else options
+    problem, nominal, priors, noise = _begin(robot, measurements, options)
+    fitted, stages = _fit(problem, nominal.values, priors, noise, options)
+    return Fit(problem, nominal, fitted, priors, noise, stages, options)
+
+
+def foresee(robot: Robot, measurements: Measurements, options: Options | None = None) -> Fit:
+    """Return what a calibration could tell from these poses, before one is made.
+
+    The solution stands at the nominal geometry; its posterior is what the poses and the noise allow. Noise that is not
+    declared is taken from a calibration, since only the residuals know it.
+
+    Raises:
+        BadInputError: as :func:`calibrate`.
+    """
+    options = Options() if options is None else options
+    problem, nominal, priors, noise = _begin(robot, measurements, options)
+    fitted, stages = _fit(problem, nominal.values, priors, noise, options)
+    free = _released(problem, options) & _excited(problem)
+    G, g = accumulate(problem, nominal.values, free, fitted.weights).at(fitted.sigma)
+    expected = posterior(G, 0.0 * g, priors.sizes[free], np.zeros(int(free.sum())))
+    nothing = np.zeros(len(free), bool)
+    outlook = replace(fitted, values=nominal.values, posterior=expected, free=free, at_bound=nothing)
+    return Fit(problem, nominal, outlook, priors, noise, stages, options)
+
+
+def _begin(robot: Robot, measurements: Measurements, options: Options) -> tuple[Problem, Solution, Priors, Noise]:
+    """Return the problem, its fit of base and tool alone, the priors and the noise."""
     _refuse_massless(robot, options.effects)
     problem, values = place(robot, measurements, options)
     priors = priors_of(problem, options)
     noise = noise_of(problem, options)
     frames = np.array([p.effect in ("base_frame", "tool_frame") for p in problem.parameters]) & _released(problem, options)
-    nominal = solve(problem, values, frames, priors, noise, loss=options.loss, rough=True)
-    fitted, stages = _fit(problem, nominal.values, priors, noise, options)
-    return Fit(problem, nominal, fitted, priors, stages, options)
+    return problem, solve(problem, values, frames, priors, noise, loss=options.loss, rough=True), priors, noise
 
 
 def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[Problem, np.ndarray]:

@@ -50,6 +50,10 @@ class Sensor(ABC):
     def select(self, rows: slice | np.ndarray) -> Sensor:
         """Return the readings of some rows."""
 
+    @abstractmethod
+    def shifted(self, change: np.ndarray) -> Sensor:
+        """Return readings that differ by ``change``, shape (m, N), in the components of the residuals."""
+
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters that the sensor owns; none unless it says so."""
@@ -99,6 +103,10 @@ class PositionSensor(Sensor):
         """Return the readings of some rows."""
         return replace(self, position=self.position[rows])
 
+    def shifted(self, change: np.ndarray) -> PositionSensor:
+        """Return positions moved by ``change``, shape (3, N) [m]."""
+        return replace(self, position=self.position + change.T)
+
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (3, N) [m]."""
         return np.asarray(self.position.T - poses[:, :, 3].T)
@@ -126,6 +134,13 @@ class PoseSensor(Sensor):
     def select(self, rows: slice | np.ndarray) -> PoseSensor:
         """Return the readings of some rows."""
         return replace(self, position=self.position[rows], rotation=self.rotation[rows])
+
+    def shifted(self, change: np.ndarray) -> PoseSensor:
+        """Return poses moved by ``change``, shape (6, N) [m, rad]; exact to first order in the turning."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_rotvec(change[3:].T).as_matrix()
+        return replace(self, position=self.position + change[:3].T, rotation=turn @ self.rotation)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return position [m] and the rotation vector from predicted to measured orientation [rad], shape (6, N)."""
@@ -160,6 +175,10 @@ class DistanceSensor(Sensor):
     def select(self, rows: slice | np.ndarray) -> DistanceSensor:
         """Return the readings of some rows."""
         return replace(self, distance=self.distance[rows])
+
+    def shifted(self, change: np.ndarray) -> DistanceSensor:
+        """Return distances longer by ``change``, shape (1, N) [m]."""
+        return replace(self, distance=self.distance + change[0])
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (1, N) [m]."""
@@ -215,3 +234,10 @@ def _inverse_right_jacobian(phi: np.ndarray) -> np.ndarray:
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -phi[:, 2], phi[:, 1], -phi[:, 0]
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = phi[:, 2], -phi[:, 1], phi[:, 0]
     return np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
+
+
+def quaternions(matrices: np.ndarray) -> np.ndarray:
+    """Return unit quaternions x y z w, shape (N, 4), of rotation matrices, shape (N, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrices).as_quat())

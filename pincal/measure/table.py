@@ -21,7 +21,7 @@ from pincal.measure.fields import CONDITIONS, FIELDS
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
 from pincal.measure.sheet import open_sheet, read_cells
 
-__all__ = ["Measurements", "concatenate", "measurements_from_arrays", "read_measurements", "write_table"]
+__all__ = ["Measurements", "column_names", "concatenate", "measurements_from_arrays", "read_measurements", "write_table"]
 
 
 def read_measurements(
@@ -62,6 +62,16 @@ def read_measurements(
         expected = "x y z, x y z qx qy qz qw, distance, socket, cx cy cz with point, or u v with point"
         raise MeasurementError(f"{path.name}: no measurement in the table; expected columns {expected}")
     return measurements
+
+
+def column_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Return the names of a table's columns, units taken off, without reading its rows.
+
+    Raises:
+        MeasurementError: A file that can't be read.
+    """
+    with _typed_errors(Path(path)):
+        return tuple(label.split("[")[0].strip() for label in open_sheet(Path(path)).labels)
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray]) -> None:

@@ -92,7 +92,7 @@ class Robot:
             >>> robot.joint_names[:2]
             ('shoulder_pan_joint', 'shoulder_lift_joint')
         """
-        tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(_find_file(source))
+        tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(find_file(source))
         tip = tree.default_tip(joints) if tip is None else tip
         base = tree.root if base is None else base
         path = _moving_path(tree, base, tip)
@@ -157,8 +157,12 @@ class Robot:
         return np.asarray(rng.uniform(lower, upper, (n, self.n_joints)))
 
 
-def _find_file(source: str | os.PathLike[str]) -> Path:
-    """Return the path of a URDF given by path or by its name in example-robot-data."""
+def find_file(source: str | os.PathLike[str]) -> Path:
+    """Return the path of a URDF given by path or by its name in example-robot-data.
+
+    Raises:
+        RobotFileError: for a name that is neither.
+    """
     path = Path(source)
     if path.exists() or path.suffix or os.sep in os.fspath(source):
         return path
@@ -174,8 +178,9 @@ def _find_file(source: str | os.PathLike[str]) -> Path:
     loader = loaders[path.name]
     if not loader.urdf_filename:
         raise RobotFileError(f"example-robot-data has no URDF for {path.name!r}; give the path of one")
-    folder = robots_loader.getModelPath(f"{loader.path}/{loader.urdf_subpath}/{loader.urdf_filename}")
-    return Path(str(folder)) / str(loader.path) / loader.urdf_subpath / loader.urdf_filename
+    inside = Path(loader.path) / loader.urdf_subpath / loader.urdf_filename
+    folder: str = robots_loader.getModelPath(inside.as_posix())
+    return Path(folder) / inside
 
 
 def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:

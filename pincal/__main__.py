@@ -1,0 +1,5 @@
+"""``python -m pincal`` is the command."""
+
+from pincal.cli import main
+
+main()

@@ -1,0 +1,81 @@
+"""The command ``pincal``: one verb a job, results on stdout, progress on stderr."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import sys
+import warnings
+from typing import Any
+
+import click
+
+from pincal.errors import PincalError
+
+_COMMANDS = {
+    "demo": "pincal.cli.demo",
+    "check": "pincal.cli.check",
+    "calibrate": "pincal.cli.calibrate",
+    "validate": "pincal.cli.use",
+    "predict": "pincal.cli.use",
+    "export": "pincal.cli.use",
+}
+
+
+class _Verbs(click.Group):
+    """Commands imported when they are called, so that ``pincal --help`` is quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in _COMMANDS:
+            return None
+        command: click.Command = getattr(importlib.import_module(_COMMANDS[name]), name)
+        return command
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="pincal")
+def pincal() -> None:
+    r"""Calibrate a serial robot into a measuring instrument.
+
+    \b
+    Start here:   pincal demo
+    Your robot:   pincal check     ROBOT.urdf DATA.csv
+                  pincal calibrate ROBOT.urdf DATA.csv --out results
+    """
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command; errors go to stderr in one piece and set the exit code."""
+    warnings.showwarning = _show_warning
+    try:
+        code = pincal.main(args=arguments, prog_name="pincal", standalone_mode=False)
+    except click.exceptions.Abort:
+        click.echo("pincal: interrupted; nothing was written", err=True)
+        sys.exit(130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except PincalError as error:
+        click.echo(f"pincal: {error}", err=True)
+        sys.exit(error.exit_code)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    if category.__module__.startswith("pincal"):
+        click.echo(f"pincal: note: {message}", err=True)
+
+
+def show_progress(quiet: bool) -> None:
+    """Send the library's log of its progress to stderr, one line a step, unless it is to be quiet."""
+    if quiet:
+        warnings.showwarning = lambda *_, **__: None
+        return
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("pincal: %(message)s"))
+    logger = logging.getLogger("pincal")
+    logger.handlers = [handler]
+    logger.setLevel(logging.INFO)

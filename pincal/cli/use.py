@@ -1,0 +1,144 @@
+"""``pincal validate``, ``predict`` and ``export``: what a calibrated model is used for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from pincal.cli import show_progress
+from pincal.cli.common import LENGTH, output_options, print_json
+from pincal.errors import AccuracyGateError, BadInputError, OutputError
+
+_MODEL = click.argument("model", metavar="MODEL.json", type=click.Path(path_type=Path))
+# Rows outside the covered range that a note lists one by one.
+_SHOWN = 5
+
+
+@click.command(epilog="\b\nExample:\n  pincal validate results/model.json new_measurements.csv --max-error 0.1mm\n")
+@_MODEL
+@click.argument("data", metavar="DATA.csv", type=click.Path(path_type=Path))
+@click.option("--ignore", metavar="COLUMN", multiple=True, help="A column of the table to leave unread.")
+@click.option("--max-error", type=LENGTH, help="Fail (exit 5) if the mean error is larger, e.g. 0.1mm.")
+@output_options
+def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float | None, as_json: bool, quiet: bool) -> int:
+    """Say how true a calibrated model is on measurements that it never saw."""
+    show_progress(quiet)
+    from pincal.cli.inputs import load_table
+    from pincal.identify.problem import problem_of
+    from pincal.report.model_file import load_model
+    from pincal.report.run import check_table
+    from pincal.report.validation import error_table
+
+    calibrated = load_model(model)
+    robot = calibrated.model.chain.robot
+    table = load_table(robot, data, ignore=ignore)
+    _check_targets(calibrated, table)
+    check_table(robot, table, minimum=1)
+    problem = problem_of(calibrated.model, table, np.array(calibrated.payload_centre))
+    error = {"calibrated": {"test": error_table(problem, calibrated.values)}}
+    outside = calibrated.outside(problem.conditions)
+    if as_json:
+        print_json({"rows": {"test": len(table)}, "error": error, "outside": len({row for row, *_ in outside})})
+    else:
+        from pincal.cli.tables import console  # fmt: skip
+        from pincal.cli.tables import error_table as as_table
+
+        console().print(as_table(error))
+    _warn_outside(outside, table.rows)
+    mean = error["calibrated"]["test"]["mean_mm"]
+    if max_error is not None and mean > max_error * 1e3:
+        gate = AccuracyGateError(f"mean error {mean:.4f} mm; --max-error allows {max_error * 1e3:g} mm")
+        click.echo(f"pincal: {gate}", err=True)
+        return gate.exit_code
+    return 0
+
+
+@click.command(epilog="\b\nExample:\n  pincal predict results/model.json poses.csv --out predicted.csv\n")
+@_MODEL
+@click.argument("poses", metavar="POSES.csv", type=click.Path(path_type=Path))
+@click.option("--out", required=True, metavar="FILE.csv", type=click.Path(path_type=Path), help="Table to write.")
+@output_options
+def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> int:
+    """Predict where the target is at given joint positions, in the instrument's frame, with its uncertainty."""
+    show_progress(quiet)
+    from pincal.cli.inputs import load_table
+    from pincal.identify.problem import conditions_of
+    from pincal.measure.sensors import quaternions
+    from pincal.measure.table import write_table
+    from pincal.report.model_file import load_model
+
+    calibrated = load_model(model)
+    table = load_table(calibrated.model.chain.robot, poses, joints_only=True)
+    _check_targets(calibrated, table)
+    conditions = conditions_of(calibrated.model, table, np.array(calibrated.payload_centre))
+    found = calibrated.predict(conditions)
+    columns: dict[str, np.ndarray] = {name: table.q[:, i] for i, name in enumerate(table.joint_names)}
+    if len(calibrated.model.chain.targets) > 1:
+        columns["target"] = table.target
+    columns |= {axis: found[:, i, 3] for i, axis in enumerate("xyz")}
+    if calibrated.sensor_kind == "pose":
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(found[:, :, :3]).T, strict=True))
+    columns |= {f"sigma_{axis}": column for axis, column in zip("xyz", calibrated.position_sigma(conditions).T, strict=True)}
+    write_table(out, columns)
+    outside = calibrated.outside(conditions)
+    if as_json:
+        print_json({"rows": len(table), "out": str(out), "outside": len({row for row, *_ in outside})})
+    else:
+        click.echo(f"{len(table)} poses predicted, written to {out}")
+    _warn_outside(outside, table.rows)
+    return 0
+
+
+@click.command(epilog="\b\nExample:\n  pincal export results/model.json --urdf calibrated.urdf\n")
+@_MODEL
+@click.option("--urdf", required=True, metavar="FILE.urdf", type=click.Path(path_type=Path), help="URDF to write.")
+@output_options
+def export(model: Path, urdf: Path, as_json: bool, quiet: bool) -> int:
+    """Write the calibrated URDF: the original file with its joint origins corrected, checked against the model."""
+    show_progress(quiet)
+    from pincal.report.model_file import load_model
+    from pincal.report.urdf_export import calibrated_urdf
+
+    calibrated = load_model(model)
+    if not calibrated.model.chain.robot.urdf:
+        raise BadInputError(f"{model}: holds no URDF to correct; calibrate again from a URDF file")
+    written = calibrated_urdf(calibrated.model, calibrated.values)
+    _write_whole(urdf, written.text)
+    if as_json:
+        print_json({"urdf": str(urdf), "max_error_m": written.max_error_m, "notes": list(written.notes)})
+        return 0
+    click.echo(f"written to {urdf}; its forward kinematics equal the model's to {written.max_error_m:.1e} m")
+    for note in written.notes:
+        click.echo(f"note: {note}")
+    return 0
+
+
+def _write_whole(path: Path, text: bytes) -> None:
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        draft.write_bytes(text)
+        os.replace(draft, path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise OutputError(f"{path}: can't be written ({error.strerror}); choose another file") from None
+
+
+def _check_targets(calibrated: Any, table: Any) -> None:
+    known = calibrated.model.chain.targets
+    unknown = sorted(set(map(str, table.target)) - set(known))
+    if unknown and len(known) > 1:
+        raise BadInputError(f"{table.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(known)}")
+
+
+def _warn_outside(outside: list[Any], lines: np.ndarray) -> None:
+    """Say which rows lie outside what the calibration has seen: there it extrapolates."""
+    rows = sorted({row for row, *_ in outside})
+    if not rows:
+        return
+    click.echo(f"pincal: note: {len(rows)} rows lie outside the poses that the calibration covered", err=True)
+    for row, name, value, low, high in outside[:_SHOWN]:
+        click.echo(f"pincal: note: line {lines[row]}: {name} = {value:.4g}, covered {low:.4g} to {high:.4g}", err=True)

@@ -1,0 +1,93 @@
+"""Does a table belong to this robot at all? Asked of the fit of base and tool alone, before anything else is trusted."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.identify.calibrate import Fit, Options, place
+from pincal.identify.solve import Noise, Priors, solve
+from pincal.measure.measurements import Measurements
+from pincal.robot.robot import Robot
+
+# Nominal errors above this part of the reach make one look for a mix-up; real ones are a fifth of it and less.
+_SUSPICIOUS = 0.01
+# Above this part of the reach a table and a robot have nothing to do with each other.
+_HOPELESS = 0.2
+# A mix-up is named if undoing it makes the errors this many times smaller.
+_CURED = 4.0
+_ROWS = 300
+
+
+def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
+    """Refuse a table whose joint columns are mixed up, or that is not of this robot.
+
+    Args:
+        robot: the arm.
+        measurements: the training rows.
+        fit: their calibration.
+
+    Raises:
+        MeasurementError: naming the columns that seem swapped or turned round.
+    """
+    error = _rms(fit.problem.residuals(fit.nominal.values), fit)
+    if error < _SUSPICIOUS * robot.reach:
+        return
+    rows = np.unique(np.linspace(0, len(measurements) - 1, _ROWS).astype(int))
+    sample = measurements.select(rows)
+    n = robot.n_joints
+    names = robot.joint_names
+    trials = [
+        (f"the columns {names[i]!r} and {names[j]!r} look swapped", _swapped(n, i, j), np.ones(n))
+        for i, j in combinations(range(n), 2)
+    ]
+    trials += [(f"the column {names[i]!r} looks turned round in sign", np.arange(n), _turned(n, i)) for i in range(n)]
+    found = [(_nominal_error(robot, _mixed(sample, order, sign), fit.options), words) for words, order, sign in trials]
+    best, words = min(found, default=(np.inf, ""))
+    got = f"base and tool alone leave {error * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
+    if best * _CURED < error:
+        raise MeasurementError(
+            f"{measurements.source}: {words}: {got}, with this undone {best * 1e3:.1f} mm; "
+            "correct the header of the table and run again"
+        )
+    if error > _HOPELESS * robot.reach:
+        raise MeasurementError(
+            f"{measurements.source}: {got}; expected some mm. "
+            f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
+        )
+
+
+def _rms(residuals: np.ndarray, fit: Fit) -> float:
+    """Return the robust size of the position residuals [m]: outliers have no say."""
+    size = fit.problem.sensor.blocks[0].size
+    return float(np.median(np.linalg.norm(residuals[:size], axis=0)))
+
+
+def _swapped(n: int, i: int, j: int) -> np.ndarray:
+    order = np.arange(n)
+    order[[i, j]] = j, i
+    return order
+
+
+def _turned(n: int, i: int) -> np.ndarray:
+    sign = np.ones(n)
+    sign[i] = -1.0
+    return sign
+
+
+def _mixed(measurements: Measurements, order: np.ndarray, sign: np.ndarray) -> Measurements:
+    from dataclasses import replace
+
+    return replace(measurements, q=measurements.q[:, order] * sign)
+
+
+def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
+    problem, values = place(robot, measurements, options)
+    frames = np.array([p.effect in ("base_frame", "tool_frame") for p in problem.parameters])
+    flat = Priors(np.full(len(values), np.inf), np.full(len(values), np.inf))
+    noise = Noise((None,) * len(problem.sensor.blocks))
+    fitted = solve(problem, values, frames, flat, noise, loss="huber", rough=True)
+    size = problem.sensor.blocks[0].size
+    return float(np.median(np.linalg.norm(problem.residuals(fitted.values)[:size], axis=0)))

@@ -1,0 +1,110 @@
+"""Fits repeated: cross-validation, bootstrap and Monte Carlo, on any ``concurrent.futures`` executor.
+
+Each repetition is one call of a module-level function on picklable arguments with a seed of its own, so a process pool, a
+cluster's Dask client (``client.get_executor()``) or ``mpi4py.futures`` runs them as they are, with the same results.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.problem import Problem
+from pincal.identify.solve import Solution, solve
+from pincal.identify.split import Split, row_groups
+from pincal.measure.measurements import Measurements
+from pincal.robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Errors of rows by fits that never saw them.
+
+    Attributes:
+        residuals: shape (m, N), reading minus prediction [m, rad].
+        fold: shape (N,), in which fold each row was held out.
+    """
+
+    residuals: np.ndarray
+    fold: np.ndarray
+
+
+def cross_validate(
+    robot: Robot,
+    measurements: Measurements,
+    options: Options,
+    *,
+    folds: int = 5,
+    split: Split = "random",
+    seed: int = 0,
+    executor: Executor | None = None,
+) -> CrossValidation:
+    """Fit ``folds`` times, each time without one part of the rows, and predict that part.
+
+    Args:
+        robot: the arm.
+        measurements: all rows.
+        options: how to calibrate.
+        folds: number of parts.
+        split: rows at random, or clusters in joint space whole.
+        seed: of the division.
+        executor: runs the fits; one after the other here unless given.
+    """
+    groups = row_groups(measurements, split=split, seed=seed)
+    order = np.random.default_rng(seed).permutation(groups.max() + 1)
+    fold = (order % folds)[groups]
+    run = partial(_held_out_residuals, robot, measurements, options, fold)
+    parts = list(map(run, range(folds)) if executor is None else executor.map(run, range(folds)))
+    residuals = np.empty((len(parts[0]), len(measurements)))
+    for k, part in enumerate(parts):
+        residuals[:, fold == k] = part
+    return CrossValidation(residuals, fold)
+
+
+def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
+    fit = calibrate(robot, table.select(fold != k), options)
+    return fit.readings(table.select(fold == k)).residuals(fit.values)
+
+
+def bootstrap(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+    """Refit rows drawn with replacement; the spread of the values needs no model of the noise.
+
+    Returns:
+        Shape (draws, P).
+    """
+    run = partial(_refit_drawn_rows, fit)
+    seeds = np.random.SeedSequence(seed).spawn(draws)
+    return np.array(list(map(run, seeds) if executor is None else executor.map(run, seeds)))
+
+
+def _refit_drawn_rows(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
+    n = len(fit.problem)
+    rows = np.random.default_rng(seed).integers(0, n, n)
+    return _refit(fit, fit.problem.select(rows)).values
+
+
+def monte_carlo(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+    """Refit simulated readings of the calibrated model with the noise of the fit: the parametric bootstrap.
+
+    Returns:
+        Shape (draws, P).
+    """
+    run = partial(_refit_simulated, fit)
+    seeds = np.random.SeedSequence(seed).spawn(draws)
+    return np.array(list(map(run, seeds) if executor is None else executor.map(run, seeds)))
+
+
+def _refit_simulated(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    sigma = np.concatenate([np.full(b.size, s) for b, s in zip(fit.problem.sensor.blocks, fit.solution.sigma, strict=True)])
+    noise = rng.normal(size=(len(sigma), len(fit.problem))) * sigma[:, None] / fit.problem.weights
+    sensor = fit.problem.sensor.shifted(noise - fit.problem.residuals(fit.values))
+    return _refit(fit, replace(fit.problem, sensor=sensor)).values
+
+
+def _refit(fit: Fit, problem: Problem) -> Solution:
+    return solve(problem, fit.values, fit.solution.free, fit.priors, fit.noise, loss=fit.options.loss)

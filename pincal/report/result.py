@@ -1,0 +1,195 @@
+"""The result of a calibration: parameters with uncertainty, status and reason; errors before and after; what it rests on."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtrc
+
+from pincal.identify.calibrate import Fit
+from pincal.identify.explain import explain
+from pincal.identify.problem import Problem
+from pincal.report.validation import error_table
+
+# Correlations below this are not worth a reader's time.
+_CORRELATED = 0.9
+# Chance below which residuals count as larger than the declared noise allows.
+_MISFIT = 1e-3
+_MOST_CORRELATIONS = 20
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One line of the parameter table, SI units.
+
+    Attributes:
+        name: ``<element>.<symbol>``.
+        unit: "m", "rad" or "rad/(N m)".
+        nominal: what the URDF says.
+        value: what was found.
+        sigma: its standard deviation; that of the prior where the data say nothing, None for a given value.
+        status: "identified", "prior", "fixed", "unidentifiable" or "at bound".
+        reason: in words, empty for an identified parameter.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    sigma: float | None
+    status: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """All that ``result.json`` says, as one object.
+
+    Attributes are those of the file (contract): see :meth:`to_dict`.
+    """
+
+    noise: dict[str, Any]
+    rows: dict[str, int]
+    parameters: tuple[ParameterRow, ...]
+    rank: int
+    condition: float
+    chi2_reduced: float
+    chi2_p_value: float | None
+    iterations: int
+    seconds: float
+    converged: bool
+    outliers: tuple[int, ...]
+    correlations: tuple[dict[str, Any], ...]
+    stages: tuple[dict[str, Any], ...]
+    error: dict[str, dict[str, dict[str, float]]]
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of ``result.json``."""
+        return asdict(self)
+
+
+def result_of(
+    fit: Fit, test: Problem | None, *, seconds: float, train_rows: np.ndarray, notes: tuple[str, ...] = ()
+) -> Result:
+    """Put a calibration's result together.
+
+    Args:
+        fit: the calibration.
+        test: held-out rows under the calibrated model, or None.
+        seconds: how long it took.
+        train_rows: shape (N,), line of each training row in its file.
+        notes: warnings from elsewhere that belong to the result.
+    """
+    solution = fit.solution
+    declared = fit.noise.declared[0] is not None
+    parameters = parameter_rows(fit)
+    p_value = float(chdtrc(solution.degrees, solution.chi2)) if declared else None
+    outliers = tuple(int(line) for line in train_rows[solution.weights == 0.0])
+    error: dict[str, dict[str, dict[str, float]]] = {}
+    for name, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
+        error[name] = {"train": error_table(fit.problem, values)}
+        if test is not None and len(test):
+            error[name]["test"] = error_table(test, values)
+    return Result(
+        noise=_noise(fit),
+        rows={"train": len(fit.problem), "test": 0 if test is None else len(test)},
+        parameters=parameters,
+        rank=solution.posterior.rank,
+        condition=solution.posterior.condition,
+        chi2_reduced=solution.cost,
+        chi2_p_value=p_value,
+        iterations=fit.iterations,
+        seconds=seconds,
+        converged=solution.converged,
+        outliers=outliers,
+        correlations=_correlations(fit, parameters),
+        stages=tuple(asdict(stage) for stage in fit.stages),
+        error=error,
+        warnings=(*notes, *_warnings(fit, p_value, outliers, test)),
+    )
+
+
+def _noise(fit: Fit) -> dict[str, Any]:
+    noise: dict[str, Any] = {"source": "estimated" if fit.noise.declared[0] is None else "declared"}
+    for block, sigma, declared, estimated in zip(
+        fit.problem.sensor.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True
+    ):
+        name = "sigma_m" if block.unit == "m" else "sigma_rad"
+        noise[name] = float(sigma if declared is None else declared)
+        noise[f"residual_{name}"] = float(estimated)
+    return noise
+
+
+def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
+    """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
+    sigma = np.full(len(fit.values), np.nan)
+    sigma[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
+    values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
+    for element, rotation in _references(fit).items():
+        places = [i for i, p in enumerate(fit.problem.parameters) if p.name in {f"{element}.r{a}" for a in "xyz"}]
+        if len(places) == 3:
+            values[places] = _rotation_vector(rotation, values[places])
+    rows = []
+    for i, (parameter, finding) in enumerate(zip(fit.problem.parameters, explain(fit), strict=True)):
+        if finding.status == "fixed":
+            spread: float | None = None
+        else:
+            spread = float(sigma[i] if np.isfinite(sigma[i]) else fit.priors.sizes[i])
+        rows.append(
+            ParameterRow(
+                parameter.name, parameter.unit, parameter.nominal, float(values[i]), spread, finding.status, finding.reason
+            )
+        )
+    return tuple(rows)
+
+
+def _references(fit: Fit) -> dict[str, np.ndarray]:
+    chain = fit.model.chain
+    return {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
+
+
+def _rotation_vector(reference: np.ndarray, small: np.ndarray) -> np.ndarray:
+    """Return the rotation vector of R_ref R(x) R(y) R(z)."""
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.from_matrix(reference) * Rotation.from_euler("XYZ", small)
+    return np.asarray(turned.as_rotvec())
+
+
+def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[dict[str, Any], ...]:
+    """Return the strongest correlations between identified parameters, those of base and tool left out."""
+    C = fit.solution.posterior.covariance
+    sd = np.sqrt(np.diag(C))
+    correlation = C / np.outer(sd, sd)
+    parameters = [p for p, free in zip(fit.problem.parameters, fit.solution.free, strict=True) if free]
+    told = {row.name for row in rows if row.status == "identified"}
+    inner = np.array([np.isfinite(p.size) and p.name in told for p in parameters], bool)
+    pairs = [
+        (float(correlation[i, j]), parameters[i].name, parameters[j].name)
+        for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1) & np.outer(inner, inner)), strict=True)
+    ]
+    pairs.sort(key=lambda pair: -abs(pair[0]))
+    return tuple({"parameters": [a, b], "correlation": r} for r, a, b in pairs[:_MOST_CORRELATIONS])
+
+
+def _warnings(fit: Fit, p_value: float | None, outliers: tuple[int, ...], test: Problem | None) -> list[str]:
+    found = []
+    if not fit.solution.converged:
+        found.append("the fit did not converge; look at the noise and at rows that don't belong to this robot")
+    if p_value is not None and p_value < _MISFIT:
+        ratio = np.sqrt(fit.solution.cost)
+        found.append(
+            f"the residuals are {ratio:.2f} times the declared noise (chance {p_value:.1g}): the model misses something "
+            "or the noise was declared too small; uncertainties are scaled up accordingly"
+        )
+    if p_value is not None and p_value > 1.0 - _MISFIT:
+        found.append("the residuals are smaller than the declared noise allows: it was declared too large")
+    if outliers:
+        lines = ", ".join(str(line) for line in outliers[:8]) + (" ..." if len(outliers) > 8 else "")
+        found.append(f"{len(outliers)} rows lie beyond the noise and were left out of the fit: lines {lines}")
+    if test is None or not len(test):
+        found.append("no rows were held out, so the errors are those of the fit, not of prediction")
+    return found

@@ -1,0 +1,206 @@
+"""The text of a URDF, edited in place: only the numbers of an origin change, every other byte stays as it was."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from pincal.errors import RobotFileError
+from pincal.robot.urdf import parse_xml
+
+# A number that changes by less [rad or m] is rounding: its text stays.
+UNCHANGED = 1e-15
+# Rounding of the product of three rotations, by which equally good angles may differ.
+_ROUNDING = 2e-16
+
+_TAG = re.compile(rb"<[^\s/>]+(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
+_ATTRIBUTE = re.compile(rb"([^\s=<>/\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
+_BLANKS = re.compile(rb"\s*")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Numbers of an ``<origin>``: ``xyz``, shape (3,) [m], and ``rpy``, shape (3,) [rad], R = R_z R_y R_x."""
+
+    xyz: np.ndarray
+    rpy: np.ndarray
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """The placement, shape (4, 4), of the child frame in the parent frame."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation_of(self.rpy), self.xyz
+        return T
+
+
+def rotation_of(rpy: np.ndarray) -> np.ndarray:
+    """Return the rotation matrix, shape (3, 3), of roll, pitch and yaw, shape (3,) [rad]."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
+    r"""Return roll, pitch and yaw of a rotation, of all that reproduce it to rounding those nearest to ``near``.
+
+    Yaw and pitch are those of :math:`R R_x(-roll)`, which leaves no error at a pitch of 90 degrees either, where roll
+    and yaw turn about one axis and each alone is ill determined.
+
+    Args:
+        rotation: shape (3, 3).
+        near: shape (3,), the angles that stood there before [rad].
+    """
+    R = rotation
+    rolls = np.array([near[0], np.arctan2(R[2, 1], R[2, 2]), np.arctan2(-R[2, 1], -R[2, 2])])
+    c, s = np.cos(rolls), np.sin(rolls)
+    pitches = np.arctan2(-R[2, 0], R[2, 1] * s + R[2, 2] * c)
+    yaws = np.arctan2(R[0, 2] * s - R[0, 1] * c, R[1, 1] * c - R[1, 2] * s)
+    found = np.column_stack([rolls, pitches, yaws])
+    errors = np.array([np.abs(rotation_of(angles) - R).max() for angles in found])
+    good = found[errors <= errors.min() + _ROUNDING]
+    return np.asarray(good[np.argmin(np.abs(good - near).sum(axis=1))])
+
+
+def read_origins(text: bytes, source: str) -> dict[str, Origin]:
+    """Return the origin of each joint; the identity of one that has none."""
+    origins = {}
+    for joint in parse_xml(text, source).iterfind("joint"):
+        origin = joint.find("origin")
+        numbers = [("0 0 0" if origin is None else origin.get(key, "0 0 0")).split() for key in ("xyz", "rpy")]
+        origins[joint.get("name")] = Origin(*np.array(numbers, float))
+    return origins
+
+
+def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> bytes:
+    """Return the text with the numbers of some joints' origins replaced.
+
+    Args:
+        text: a URDF that :func:`pincal.robot.urdf.parse_urdf` accepts.
+        origins: joint -> its new origin; a number that has not changed keeps its text.
+        source: what to call the text in an error.
+
+    Raises:
+        RobotFileError: if the text is in an encoding that does not extend ASCII.
+    """
+    before = read_origins(text, source)
+    places = _places(text, source)
+    edits = []
+    for name, new in origins.items():
+        pairs = {"xyz": (new.xyz, before[name].xyz), "rpy": (new.rpy, before[name].rpy)}
+        changes = {key: value for key, (value, old) in pairs.items() if np.any(np.abs(value - old) >= UNCHANGED)}
+        if changes:
+            at = places.origins.get(name)
+            edits.append(_inserted(text, places.joints[name], changes) if at is None else _replaced(text, at, changes))
+    for start, end, piece in sorted(edits, reverse=True):
+        text = text[:start] + piece + text[end:]
+    return text
+
+
+def append_frame(text: bytes, *, parent: str, joint: str, link: str, origin: Origin, source: str) -> bytes:
+    """Return the text with a link more at its end, held to link ``parent`` by a fixed joint."""
+    encoding = parse_xml(text, source).getroottree().docinfo.encoding or "utf-8"
+    end = _places(text, source).end
+    lines = [
+        f"  <link name={quoteattr(link)}/>",
+        f'  <joint name={quoteattr(joint)} type="fixed">',
+        f"    <parent link={quoteattr(parent)}/>",
+        f"    <child link={quoteattr(link)}/>",
+        f'    <origin xyz="{_words(origin.xyz)}" rpy="{_words(origin.rpy)}"/>',
+        "  </joint>",
+        "",
+    ]
+    newline = "\r\n" if b"\r\n" in text else "\n"
+    return text[:end] + newline.join(lines).encode(encoding, "xmlcharrefreplace") + text[end:]
+
+
+@dataclass
+class _Places:
+    """Byte offsets in a text: joints' start tags, their origins, and the end tag of the root."""
+
+    joints: dict[str, int] = field(default_factory=dict)
+    origins: dict[str, int] = field(default_factory=dict)
+    end: int = 0
+
+
+def _places(text: bytes, source: str) -> _Places:
+    """Find the joints below the root; those of transmissions and controllers are others."""
+    places, above = _Places(), list[str]()
+    joint = ""
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal joint
+        at = parser.CurrentByteIndex
+        if above == ["robot"] and tag == "joint":
+            joint = attributes["name"]
+            places.joints[joint] = at
+        elif above == ["robot", "joint"] and tag == "origin":
+            places.origins.setdefault(joint, at)
+        above.append(tag)
+
+    def end(tag: str) -> None:
+        above.pop()
+        places.end = parser.CurrentByteIndex
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    try:
+        parser.Parse(text, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise RobotFileError(f"{source}: can't be edited ({error}); save it as UTF-8 first") from None
+    _check_bytes(text, places, source)
+    return places
+
+
+def _check_bytes(text: bytes, places: _Places, source: str) -> None:
+    tags: list[tuple[bytes, Any]] = [(b"<joint", places.joints.values()), (b"<origin", places.origins.values())]
+    if not all(text.startswith(tag, at) for tag, found in tags for at in found):
+        raise RobotFileError(f"{source}: can't be edited in its encoding; save it as UTF-8 first")
+
+
+def _words(values: np.ndarray, old: bytes = b"") -> str:
+    """Write numbers in full precision; one that has not changed keeps its word of ``old``."""
+    texts = old.decode("ascii").split() or ["0"] * 3
+    return " ".join(
+        word if abs(float(word) - value) < UNCHANGED else repr(float(value) + 0.0)
+        for word, value in zip(texts, values, strict=True)
+    )
+
+
+def _tag_at(text: bytes, at: int) -> bytes:
+    found = _TAG.match(text, at)
+    assert found is not None
+    return found.group()
+
+
+def _replaced(text: bytes, at: int, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
+    """Return start, end and new text of an origin's tag whose attributes change."""
+    tag = _tag_at(text, at)
+    piece, missing = tag, dict(changes)
+    for found in reversed(list(_ATTRIBUTE.finditer(tag))):
+        key = found[1].decode("ascii", "replace")
+        if key in missing:
+            first, last = found.start(2) + 1, found.end(2) - 1
+            piece = piece[:first] + _words(missing.pop(key), tag[first:last]).encode() + piece[last:]
+    close = len(piece) - (2 if piece.endswith(b"/>") else 1)
+    added = "".join(f' {key}="{_words(values)}"' for key, values in missing.items())
+    return at, at + len(tag), piece[:close].rstrip() + added.encode() + piece[close:] if added else piece
+
+
+def _inserted(text: bytes, joint: int, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
+    """Return where to insert an origin into a joint that has none, indented as what follows, and its text."""
+    start = joint + len(_tag_at(text, joint))
+    blanks = _BLANKS.match(text, start)
+    assert blanks is not None
+    words = "".join(f' {key}="{_words(values)}"' for key, values in changes.items())
+    return start, start, blanks.group() + f"<origin{words}/>".encode()

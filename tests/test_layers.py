@@ -1,0 +1,118 @@
+"""The order of the packages: each imports only what stands below it."""
+
+import ast
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import pincal
+
+PACKAGE = Path(pincal.__file__).resolve().parent
+# From the bottom up; a layer imports itself and what stands before it.
+LAYERS = ("errors", "robot", "model", "measure", "identify", "report", "cli")
+# What stands beside the layers, and what it may import.
+ASIDE = {"builtin": {"errors"}, "simulate": {"errors", "builtin", "measure"}}
+HEAVY = ("pinocchio", "numba", "scipy", "polars", "matplotlib")
+
+
+def modules() -> dict[str, Path]:
+    """Return the files of the package by the dotted names of their modules."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+MODULES = modules()
+
+
+def imports(module: str) -> set[str]:
+    """Return the modules of pincal that a module imports, within functions and for type checkers, too."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found.update(name for alias in node.names for name in _prefixes(alias.name))
+        elif isinstance(node, ast.ImportFrom):
+            source = _absolute(module, node)
+            found.update(_prefixes(source))
+            found.update(f"{source}.{alias.name}" for alias in node.names)
+    return (found & MODULES.keys()) - {"pincal", module}
+
+
+def _prefixes(name: str) -> Iterator[str]:
+    parts = name.split(".")
+    return (".".join(parts[:count]) for count in range(1, len(parts) + 1))
+
+
+def _absolute(module: str, node: ast.ImportFrom) -> str:
+    if node.level == 0:
+        return node.module or ""
+    package = module.split(".") if MODULES[module].name == "__init__.py" else module.split(".")[:-1]
+    kept = package[: len(package) - node.level + 1]
+    return ".".join([*kept, *([node.module] if node.module else [])])
+
+
+def layer(module: str) -> str:
+    """Return the layer of a module: the name next to pincal."""
+    return module.split(".")[1]
+
+
+def may_import(importer: str, imported: str) -> bool:
+    """Return whether one layer may import another."""
+    if importer == imported:
+        return True
+    if importer in ASIDE:
+        return imported in ASIDE[importer]
+    if imported in ASIDE:
+        return importer == "cli" or imported == "builtin"
+    return LAYERS.index(imported) < LAYERS.index(importer)
+
+
+INNER = sorted(MODULES.keys() - {"pincal"})
+
+
+@pytest.mark.parametrize("module", INNER)
+def test_imports_point_downwards(module: str) -> None:
+    """A module has its place in the table and imports nothing from above it."""
+    assert layer(module) in (*LAYERS, *ASIDE), f"{module} has no place in the table of layers"
+    upwards = sorted(name for name in imports(module) if not may_import(layer(module), layer(name)))
+
+    assert upwards == []
+
+
+def test_imports_form_no_cycle() -> None:
+    """The modules can be put in an order in which each comes after all that it imports."""
+    # A package whose __init__ re-exports is imported with each of its modules; this is no cycle of their contents.
+    packages = {name for name in INNER if MODULES[name].name == "__init__.py"}
+    graph = {name: imports(name) - {p for p in packages if name.startswith(p + ".")} for name in INNER}
+    try:
+        order = list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+    assert set(order) == set(INNER)
+
+
+def test_import_of_the_package_is_light() -> None:
+    """``import pincal`` loads none of the large libraries: they are imported where they are needed."""
+    code = f"import sys, pincal; print([name for name in {HEAVY!r} if name in sys.modules])"
+    paths = [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+
+    assert run.stdout.strip() == "[]"
+
+
+def test_the_table_of_layers_forbids_what_it_should() -> None:
+    """The rule itself: downwards yes, upwards no, the simulator only for the command."""
+    assert may_import("model", "robot") and may_import("cli", "identify") and may_import("robot", "errors")
+    assert not may_import("robot", "model") and not may_import("measure", "identify")
+    assert may_import("cli", "simulate") and not may_import("identify", "simulate")
+    assert may_import("simulate", "measure") and not may_import("simulate", "model")
+    assert may_import("robot", "builtin") and not may_import("builtin", "robot")
