@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import logging
+import os
 import sys
 import warnings
 from typing import Any
@@ -61,6 +62,17 @@ def main(arguments: list[str] | None = None) -> None:
     except PincalError as error:
         click.echo(f"pincal: {error}", err=True)
         sys.exit(error.exit_code)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(1)
+    except Exception as error:
+        if os.environ.get("PINCAL_TRACEBACK"):
+            raise
+        click.echo(f"pincal: internal error: {type(error).__name__}: {error}", err=True)
+        click.echo(
+            "pincal: this is a fault of pincal; run again with PINCAL_TRACEBACK=1 and report what it prints", err=True
+        )
+        sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)
 
 

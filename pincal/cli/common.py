@@ -115,6 +115,7 @@ def output_folder(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: if ``path`` is a file or can't be written.
     """
+    is_new = not path.exists()
     try:
         path.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(prefix=".pincal-", dir=path))
@@ -128,6 +129,8 @@ def output_folder(path: Path) -> Iterator[Path]:
         raise OutputError(f"{path}: can't write here ({error.strerror}); choose another --out") from None
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+        if is_new and not any(path.iterdir()):
+            path.rmdir()
 
 
 def print_json(contents: dict[str, Any]) -> None:

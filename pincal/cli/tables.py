@@ -12,6 +12,7 @@ from pincal.report.result import ParameterRow, Result
 from pincal.report.survey import Survey
 
 _WIDTH = 100
+_STATISTICS = ("mean", "median", "rms", "p95", "max")
 _STYLE = {"identified": "", "prior": "yellow", "fixed": "dim", "unidentifiable": "yellow", "at bound": "red"}
 
 
@@ -26,7 +27,7 @@ def print_result(result: Result, out: Console) -> None:
     out.print(_summary(result))
     out.print(error_table(result.error))
     out.print(parameter_table(result.parameters))
-    _print_reasons(result.parameters, out)
+    print_reasons(result.parameters, out)
     for note in result.warnings:
         out.print(f"note: {note}", style="yellow", markup=False)
 
@@ -47,18 +48,20 @@ def _summary(result: Result) -> str:
 
 
 def error_table(error: dict[str, dict[str, dict[str, float]]]) -> Table:
-    """Return the errors before and after as a table."""
-    table = Table(title="Pose accuracy (distance from predicted to measured target)", title_justify="left")
-    table.add_column("model")
-    table.add_column("rows")
-    names = [name for name in next(iter(next(iter(error.values())).values()))]
-    for name in names:
-        table.add_column(name.replace("_", " [", 1) + "]", justify="right")
-    words = {"nominal": "nominal (base and tool fitted)", "calibrated": "calibrated"}
+    """Return the errors before and after as a table, position and orientation in lines of their own."""
+    table = Table(title="Pose accuracy: distance from predicted to measured target", title_justify="left")
+    for name in ("model", "rows", "unit"):
+        table.add_column(name, no_wrap=True)
+    for name in _STATISTICS:
+        table.add_column(name, justify="right", no_wrap=True)
+    words = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
     parts = {"train": "fitted", "test": "held out"}
     for model, by_rows in error.items():
         for rows, values in by_rows.items():
-            table.add_row(words.get(model, model), parts.get(rows, rows), *(f"{values[n]:.4f}" for n in names))
+            for unit in ("mm", "mrad"):
+                if f"mean_{unit}" in values:
+                    numbers = [f"{values[f'{name}_{unit}']:.4f}" for name in _STATISTICS]
+                    table.add_row(words.get(model, model), parts.get(rows, rows), unit, *numbers)
     return table
 
 
@@ -69,12 +72,12 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
     table = Table(title="Parameters", title_justify="left")
     for name in ("parameter", "unit"):
         table.add_column(name, no_wrap=True)
-    for name in ("nominal", "value", "deviation", "sigma"):
+    for name in ("nominal", "value", "sigma"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("status")
+    table.add_column("status", no_wrap=True)
     for row in rows:
         factor, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(row.unit, (1.0, row.unit))
-        numbers = [row.nominal * factor, row.value * factor, (row.value - row.nominal) * factor]
+        numbers = [row.nominal * factor + 0.0, row.value * factor + 0.0]
         sigma = "-" if row.sigma is None else _number(row.sigma * factor, unit, digits=2)
         mark = f" ({notes[row.reason]})" if row.reason else ""
         table.add_row(
@@ -93,7 +96,8 @@ def _numbered_reasons(rows: list[ParameterRow]) -> dict[str, int]:
     return {reason: i + 1 for i, reason in enumerate(dict.fromkeys(row.reason for row in rows if row.reason))}
 
 
-def _print_reasons(parameters: Iterable[ParameterRow], out: Console) -> None:
+def print_reasons(parameters: Iterable[ParameterRow], out: Console) -> None:
+    """Print the reasons that the parameter table refers to by number."""
     for reason, number in _numbered_reasons(list(parameters)).items():
         out.print(f" ({number}) {reason}", markup=False)
 
@@ -116,7 +120,7 @@ def print_survey(survey: Survey, out: Console) -> None:
     out.print(table)
     rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason) for p in survey.parameters]
     out.print(expectation_table(rows))
-    _print_reasons(rows, out)
+    print_reasons(rows, out)
     for note in survey.warnings:
         out.print(f"note: {note}", style="yellow", markup=False)
 

@@ -132,7 +132,7 @@ def calibrate(robot: Robot, measurements: Measurements, options: Options | None 
 
     Raises:
         BadInputError: if an elastic effect is asked of an arm without masses.
-        MeasurementError: if there are too few rows.
+        MeasurementError: if the rows are too few to tell the parameters and the noise.
 
     Example:
         >>> from pincal.simulate import TrueMachine, measure, plan_poses
@@ -153,6 +153,7 @@ def calibrate(robot: Robot, measurements: Measurements, options: Options | None 
     options = Options() if options is None else options
     problem, nominal, priors, noise = _begin(robot, measurements, options)
     fitted, stages = _fit(problem, nominal.values, priors, noise, options)
+    _refuse_too_few(measurements, problem, fitted, noise)
     return Fit(problem, nominal, fitted, priors, noise, stages, options)
 
 
@@ -183,7 +184,8 @@ def _begin(robot: Robot, measurements: Measurements, options: Options) -> tuple[
     priors = priors_of(problem, options)
     noise = noise_of(problem, options)
     frames = np.array([p.effect in ("base_frame", "tool_frame") for p in problem.parameters]) & _released(problem, options)
-    return problem, solve(problem, values, frames, priors, noise, loss=options.loss, rough=True), priors, noise
+    nominal = solve(problem, values, frames, priors, noise, loss=options.loss, rough=True, label="base and tool")
+    return problem, nominal, priors, noise
 
 
 def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[Problem, np.ndarray]:
@@ -292,14 +294,14 @@ def _fit(
     stages: list[Stage] = []
     values = start
     for name, free in _plan(problem, excited, options):
-        fitted = solve(problem, values, free, priors, noise, loss=options.loss, rough=True)
+        fitted = solve(problem, values, free, priors, noise, loss=options.loss, rough=True, label=name)
         values = fitted.values
         stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
     for name in ("to the end", "with what only the deviations excite"):
         missed = _is_missed(problem, fitted, released, priors)
         if missed or name == "to the end":
             free = released if missed else fitted.free
-            fitted = solve(problem, fitted.values, free, priors, noise, loss=options.loss, robust=fitted.weights)
+            fitted = solve(problem, fitted.values, free, priors, noise, loss=options.loss, robust=fitted.weights, label=name)
             stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
     return fitted, tuple(stages)
 
@@ -330,6 +332,18 @@ def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors:
     slope = g - fitted.values[released] / priors.sizes[released] ** 2
     gain = slope @ wide.step - slope[narrow] @ near.step
     return bool(gain > chdtri(int(held.sum()), _MISSED))
+
+
+def _refuse_too_few(measurements: Measurements, problem: Problem, fitted: Solution, noise: Noise) -> None:
+    """Refuse a fit through all readings: it leaves nothing to estimate the noise from."""
+    counted = int(np.sum(fitted.weights > 0.0))
+    readings = counted * sum(block.size for block in problem.sensor.blocks)
+    if noise.declared[0] is None and fitted.posterior.rank >= readings:
+        raise MeasurementError(
+            f"{measurements.source}: {counted} training rows give {readings} readings, no more than the parameters that "
+            "they would fit, so nothing is left to tell the noise from; measure more poses, declare the noise (--noise, sigma) "
+            "or take the geometric model"
+        )
 
 
 def _refuse_massless(robot: Robot, effects: Sequence[Effect]) -> None:

@@ -20,9 +20,13 @@ MAX_ITERATIONS = 40
 # A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still.
 _STEP = 1e-3
 _ROUGH = 0.1
+# The same where the noise is at its floor: steps there are rounding.
+_ROUNDED = 0.03
 # Steps remembered, and the ratio of successive steps above which they are put to use.
 _MEMORY = 4
 _SLOW = 0.3
+# Relative change of the noise above which earlier steps say nothing about the next.
+_STEADY = 0.05
 # Halvings of a step that made things worse, before the fit is taken to stand still.
 _HALVINGS = 10
 # Robust weights that change by less are settled.
@@ -100,6 +104,7 @@ def solve(
     *,
     loss: Loss = "screen",
     rough: bool = False,
+    label: str = "",
     robust: np.ndarray | None = None,
 ) -> Solution:
     """Find the most probable values of the free parameters.
@@ -113,6 +118,7 @@ def solve(
         loss: "screen" weighs rows beyond the range of the noise down and leaves them out at the end; "huber" only
             weighs them down; "none" takes every row as it is.
         rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
+        label: what this fit is called in the log; it is not logged without a name.
         robust: shape (N,), robust weights of an earlier fit to begin with; its outliers are then known.
 
     Returns:
@@ -127,13 +133,20 @@ def solve(
     for iteration in range(1, MAX_ITERATIONS + 1):
         step, held = fit.step(normal, values, state)
         longer = memory.accelerate(values[free], step, fit.metric(normal, state))
-        values, normal, moved = fit.move(normal, values, [longer, step], state, robust)
-        state = fit.judge(normal, robust, hard=hard)
-        log.info("iteration %d: residual %s, step %.1e of the noise", iteration, state.estimated, moved)
+        moved = fit.length(step, normal, state)
+        values, normal = fit.move(normal, values, [longer, step], state, robust)
+        before, state = state, fit.judge(normal, robust, hard=hard)
+        if np.max(np.abs(state.sigma / before.sigma - 1.0)) > _STEADY:
+            memory = _Memory()
+        if label:
+            log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, fit.readable(state), moved)
         if rough and moved < _ROUGH:
             converged = True
             break
-        if moved < _STEP and np.max(np.abs(state.robust - robust)) < _SETTLED:
+        if (
+            moved < (_STEP if np.any(state.sigma > SIGMA_FLOOR) else _ROUNDED)
+            and np.max(np.abs(state.robust - robust)) < _SETTLED
+        ):
             converged = hard or loss != "screen" or bool(np.all(robust == 1.0))
             if converged:
                 break
@@ -243,6 +256,17 @@ class _Fit:
         G, _ = normal.at(state.sigma)
         return np.asarray(np.sqrt(np.diag(G) + self.priors.sizes[self.free] ** -2.0))
 
+    def readable(self, state: _Judgement) -> str:
+        """Return the size of the residuals for the log."""
+        units = ["mm" if block.unit == "m" else "mrad" for block in self.problem.sensor.blocks]
+        return ", ".join(f"{sigma * 1e3:.5f} {unit}" for sigma, unit in zip(state.estimated, units, strict=True))
+
+    def length(self, step: np.ndarray, normal: Normal, state: _Judgement) -> float:
+        """Return how far a step moves the predictions, root mean square, in units of the noise."""
+        G, _ = normal.at(state.sigma)
+        readings = max(float(np.sum(state.robust > 0.0) * self._sizes.sum()), 1.0)
+        return float(np.sqrt(max(step @ G @ step, 0.0) / readings))
+
     def move(
         self,
         normal: Normal,
@@ -250,9 +274,8 @@ class _Fit:
         steps: list[np.ndarray],
         state: _Judgement,
         robust: np.ndarray,
-    ) -> tuple[np.ndarray, Normal, float]:
+    ) -> tuple[np.ndarray, Normal]:
         """Take the first of the steps, or of the halves of the last, that does not make things worse."""
-        G, _ = normal.at(state.sigma)
         before = self._objective(normal, values, state.sigma)
         readings = max(float(np.sum(robust > 0.0) * self._sizes.sum()), 1.0)
         plain = steps[-1]
@@ -263,8 +286,8 @@ class _Fit:
             found = accumulate(self.problem, trial, self.free, robust)
             after = self._objective(found, trial, state.sigma)
             if after <= before * (1.0 + 1e-9) + 1e-6 * readings:
-                return trial, found, float(np.sqrt(max(step @ G @ step, 0.0) / readings))
-        return values, normal, 0.0
+                return trial, found
+        return values, normal
 
     def _objective(self, normal: Normal, values: np.ndarray, sigma: np.ndarray) -> float:
         known = self.free & np.isfinite(self.priors.sizes)

@@ -151,7 +151,8 @@ class PoseSensor(Sensor):
         """Return the motion; the turning through the inverse right Jacobian of the rotation vector."""
         turn = self.residuals(poses, own)[3:].T
         out = motion.copy()
-        out[:, 3:] = np.einsum("nij,pjn->pin", _inverse_right_jacobian(turn), motion[:, 3:])
+        for i, row in enumerate(_inverse_right_jacobian(turn).transpose(1, 2, 0)):
+            out[:, 3 + i] = row[0] * motion[:, 3] + row[1] * motion[:, 4] + row[2] * motion[:, 5]
         return out
 
 

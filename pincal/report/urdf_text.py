@@ -170,7 +170,10 @@ def _check_bytes(text: bytes, places: _Places, source: str) -> None:
 
 def _words(values: np.ndarray, old: bytes = b"") -> str:
     """Write numbers in full precision; one that has not changed keeps its word of ``old``."""
-    texts = old.decode("ascii").split() or ["0"] * 3
+    texts = old.decode("ascii", "replace").split() or ["0"] * 3
+    if b"&" in old:
+        # A character written as a reference is no number's text to keep.
+        texts = ["nan"] * 3
     return " ".join(
         word if abs(float(word) - value) < UNCHANGED else repr(float(value) + 0.0)
         for word, value in zip(texts, values, strict=True)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -175,12 +175,12 @@ def find_file(source: str | os.PathLike[str]) -> Path:
             f"{path.name!r} is neither a file nor a robot of example-robot-data; "
             f"expected a path to a URDF or a name like {', '.join(near)}"
         )
-    loader = loaders[path.name]
+    loader: Any = loaders[path.name]
     if not loader.urdf_filename:
         raise RobotFileError(f"example-robot-data has no URDF for {path.name!r}; give the path of one")
-    inside = Path(loader.path) / loader.urdf_subpath / loader.urdf_filename
+    inside = Path(str(loader.path), str(loader.urdf_subpath), str(loader.urdf_filename))
     folder: str = robots_loader.getModelPath(inside.as_posix())
-    return Path(folder) / inside
+    return Path(folder, inside)
 
 
 def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:

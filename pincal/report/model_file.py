@@ -1,0 +1,222 @@
+"""The calibrated model and its file, ``model.json``: all that a prediction needs, without the URDF."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pincal.errors import ModelFileError, OutputError
+from pincal.identify.calibrate import Fit
+from pincal.model.effects import Conditions, Parameter
+from pincal.model.model import Model
+from pincal.report.json_section import Section
+from pincal.report.model_json import model_from_json, model_to_json, parameters_from_json, parameters_to_json
+
+FORMAT_VERSION = 1
+# What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
+_MARGIN_PART, _MARGIN = 0.02, 1e-3
+# Rows worked on at once: with 60 parameters a piece is about 6 MB.
+_PIECE = 4096
+
+
+class Outside(NamedTuple):
+    """A value beyond the training rows: row index, joint name or "payload", the value and their range [rad, m or kg]."""
+
+    row: int
+    name: str
+    value: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Covered:
+    """What the training rows cover: ``q``, shape (n, 2), least and largest joint positions, and ``payload``, shape (2,)."""
+
+    q: np.ndarray
+    payload: np.ndarray
+
+    @classmethod
+    def of(cls, conditions: Conditions) -> Covered:
+        """Return what some rows cover."""
+        q, payload = conditions.q, conditions.payload
+        return cls(np.column_stack([q.min(axis=0), q.max(axis=0)]), np.array([payload.min(), payload.max()]))
+
+
+@dataclass(frozen=True)
+class CalibratedModel:
+    """A calibrated robot, ready to predict.
+
+    Attributes:
+        model: chain and effects.
+        values: shape (P,), the model's parameters and then the sensor's own, as deviations from the nominal.
+        covariance: shape (P, P), of the values; zero rows and columns for those that were not fitted.
+        parameters: names, units and nominal values, in the same order.
+        sensor_kind: what was measured: "position", "pose", "distance" and so on.
+        payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
+        covered: the range of the training rows.
+        sigma: shape (blocks,), noise of one component of each block of readings that the fit used [m, rad].
+        provenance: version of pincal, time, input files with their SHA-256, command and seed.
+
+    Example:
+        >>> from pincal.model.chain import Chain
+        >>> from pincal.robot.robot import Robot
+        >>> model = Model(Chain.of(Robot.from_urdf("ur10")), ())
+        >>> covered = Covered(np.tile([-1.0, 1.0], (6, 1)), np.array([0.0, 5.0]))
+        >>> nothing, none = np.zeros(0), np.zeros((0, 0))
+        >>> ur10 = CalibratedModel(model, nothing, none, (), "position", np.zeros(3), covered, np.array([1e-4]), {})
+        >>> ur10.outside(Conditions.at(np.zeros((1, 6)), payload=8.0))
+        [Outside(row=0, name='payload', value=8.0, lower=0.0, upper=5.0)]
+    """
+
+    model: Model
+    values: np.ndarray
+    covariance: np.ndarray
+    parameters: tuple[Parameter, ...]
+    sensor_kind: str
+    payload_centre: np.ndarray
+    covered: Covered
+    sigma: np.ndarray
+    provenance: dict[str, Any]
+
+    def predict(self, conditions: Conditions) -> np.ndarray:
+        """Return the target's poses in the instrument's frame, shape (N, 3, 4): rotation and translation [m]."""
+        return self.model.predict(self.values[: self.model.n_parameters], conditions)
+
+    def position_sigma(self, conditions: Conditions) -> np.ndarray:
+        r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the instrument's axes.
+
+        :math:`\sqrt{\mathrm{diag}(J C J^T)}`: what the calibration leaves unknown, without the noise of a measurement.
+        """
+        n = self.model.n_parameters
+        C = self.covariance[:n, :n]
+        out = np.empty((len(conditions), 3))
+        for start in range(0, len(conditions), _PIECE):
+            rows = slice(start, start + _PIECE)
+            _, J = self.model.linearise(self.values[:n], conditions.select(rows))
+            out[rows] = np.einsum("nip,nip->ni", J @ C, J)
+        return np.sqrt(np.maximum(out, 0.0))
+
+    def outside(self, conditions: Conditions) -> list[Outside]:
+        """Return, row by row, what lies beyond the range of the training rows, where nobody has checked the model."""
+        names = (*self.model.chain.robot.joint_names, "payload")
+        values = np.column_stack([conditions.q, conditions.payload])
+        lower, upper = np.vstack([self.covered.q, self.covered.payload]).T
+        margin = _MARGIN_PART * (upper - lower) + _MARGIN
+        beyond = (values < lower - margin) | (values > upper + margin)
+        return [
+            Outside(int(i), names[j], float(values[i, j]), float(lower[j]), float(upper[j])) for i, j in np.argwhere(beyond)
+        ]
+
+
+def calibrated_model_of(fit: Fit, provenance: dict[str, Any]) -> CalibratedModel:
+    """Return the calibrated model of a fit.
+
+    Args:
+        fit: the fit.
+        provenance: where it came from, in types that JSON knows.
+    """
+    problem, free = fit.problem, fit.solution.free
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(free, free)] = fit.solution.posterior.covariance
+    return CalibratedModel(
+        model=fit.model,
+        values=fit.values.copy(),
+        covariance=covariance,
+        parameters=problem.parameters,
+        sensor_kind=problem.sensor.kind,
+        payload_centre=np.array(fit.options.payload_centre, float),
+        covered=Covered.of(problem.conditions),
+        sigma=np.array(fit.solution.sigma, float),
+        provenance=dict(provenance),
+    )
+
+
+def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> None:
+    """Write ``model.json``: the whole file or nothing, its numbers in full precision.
+
+    Args:
+        path: the file; an existing one is replaced only when the new one is complete.
+        calibrated: the model.
+
+    Raises:
+        OutputError: if the place can't be written to, or a number is not finite.
+    """
+    content = {
+        "format_version": FORMAT_VERSION,
+        "provenance": calibrated.provenance,
+        "sensor_kind": calibrated.sensor_kind,
+        "sigma": calibrated.sigma.tolist(),
+        "payload_centre": calibrated.payload_centre.tolist(),
+        "covered": {"q": calibrated.covered.q.tolist(), "payload": calibrated.covered.payload.tolist()},
+        "parameters": parameters_to_json(calibrated.parameters),
+        "values": calibrated.values.tolist(),
+        "covariance": calibrated.covariance.tolist(),
+        "model": model_to_json(calibrated.model),
+    }
+    try:
+        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in content.items()]
+    except ValueError as error:
+        raise OutputError(
+            f"{os.fspath(path)}: the model has a number that is not finite ({error}); calibrate again"
+        ) from None
+    _write_whole(Path(path), "{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
+    """Read ``model.json``.
+
+    Raises:
+        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value can't be right.
+    """
+    whole = Section.read(path)
+    _check_version(whole)
+    model = model_from_json(whole.at("model"))
+    parameters = parameters_from_json(whole.at("parameters"))
+    names = tuple(p.name for p in parameters)
+    if names[: model.n_parameters] != model.names:
+        raise whole.at("parameters").error("are not those of the effects", f"{', '.join(model.names[:3])} and so on")
+    covered, provenance = whole.at("covered"), whole.at("provenance")
+    if not isinstance(provenance.value, dict):
+        raise provenance.error("is no object", "an object")
+    return CalibratedModel(
+        model=model,
+        values=whole.at("values").numbers(len(names)),
+        covariance=whole.at("covariance").numbers(len(names), len(names)),
+        parameters=parameters,
+        sensor_kind=whole.at("sensor_kind").text(),
+        payload_centre=whole.at("payload_centre").numbers(3),
+        covered=Covered(covered.at("q").numbers(model.chain.robot.n_joints, 2), covered.at("payload").numbers(2)),
+        sigma=whole.at("sigma").numbers(-1),
+        provenance=provenance.value,
+    )
+
+
+def _check_version(whole: Section) -> None:
+    found = whole.at("format_version")
+    if not isinstance(found.value, int) or isinstance(found.value, bool) or found.value < 1:
+        raise found.error(f"is {found.value!r}", f"a whole number up to {FORMAT_VERSION}")
+    if found.value > FORMAT_VERSION:
+        raise ModelFileError(
+            f"{found.file}: format_version is {found.value}, written by a newer pincal; "
+            f"expected at most {FORMAT_VERSION}: update pincal"
+        )
+
+
+def _write_whole(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(f"{path}: can't be written ({error}); choose a folder that exists and is writable") from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()

@@ -1,0 +1,285 @@
+"""Identification: what a fit must reach, and what must not change its answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pincal import ELASTIC, GEOMETRIC, BadInputError, Options, Robot, calibrate, measurements_from_arrays, read_measurements
+from pincal.errors import MeasurementError
+from pincal.identify.agreement import check_agreement
+from pincal.identify.explain import explain
+from pincal.identify.split import hold_out
+from pincal.model.effects import BearingElasticity, JointElasticity
+from pincal.simulate import paper_positions
+from pincal.simulate.paper_machine import PAYLOAD_COM
+
+TOOL = (0.05, 0.03, 0.12)
+OPTIONS = Options(payload_centre=PAYLOAD_COM)
+
+
+def paper_table(kuka, n, seed, sigma=0.0):
+    """Readings of the paper's true machine, an independent NumPy program."""
+    rng = np.random.default_rng(seed)
+    q = kuka.random_configurations(n, rng)
+    p = paper_positions(q, tool_offset=TOOL)
+    return measurements_from_arrays(
+        kuka.joint_names, q, position=p + sigma * rng.normal(size=p.shape), payload=np.full(n, 125.0)
+    )
+
+
+def errors(fit, table):
+    return np.linalg.norm(fit.readings(table).residuals(fit.values)[:3], axis=0)
+
+
+@pytest.fixture(scope="module")
+def noisy(kuka):
+    table = paper_table(kuka, 120, 0, 5e-5)
+    return table, calibrate(kuka, table, OPTIONS)
+
+
+@pytest.mark.parametrize("stages", ["joint", "paper"])
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_free_paper_machine_is_found_to_rounding(kuka, seed, known, stages):
+    """Table I's machine with 36 + 9 released parameters is identified to 1e-10 m on other poses, within 20 iterations."""
+    first = kuka.joint_names[:3]
+    options = Options(
+        effects=(*GEOMETRIC, JointElasticity(first), BearingElasticity(first)),
+        payload_centre=PAYLOAD_COM,
+        base=np.eye(4) if known else None,
+        tools={"tool": TOOL} if known else None,
+        stages=stages,
+    )
+    fit = calibrate(kuka, paper_table(kuka, 60, seed), options)
+
+    assert fit.solution.converged
+    assert errors(fit, paper_table(kuka, 500, 100 + seed)).max() < 1e-10
+    assert fit.iterations <= 20
+
+
+@pytest.mark.long
+def test_noisy_paper_machine_has_chi_square_one_and_intervals_that_cover(kuka):
+    """Over 200 draws of noise, chi-square is 1 and 95 % intervals of predictions and strong directions cover 95 %."""
+    first = kuka.joint_names[:3]
+    effects = (*GEOMETRIC, JointElasticity(first), BearingElasticity(first))
+    options = Options(effects=effects, payload_centre=PAYLOAD_COM, base=np.eye(4), tools={"tool": TOOL}, sigma=5e-5)
+    exact = paper_table(kuka, 100, 0)
+    truth = calibrate(kuka, exact, replace(options, sigma=None))
+    others = paper_table(kuka, 100, 1)
+    rng = np.random.default_rng(7)
+    chi2, inside_prediction, inside_direction = [], [], []
+    for _ in range(200):
+        noisy = replace(exact, position=exact.position + 5e-5 * rng.normal(size=exact.position.shape))
+        fit = calibrate(kuka, noisy, options)
+        chi2.append(fit.solution.cost)
+        problem = fit.readings(others)
+        free = fit.solution.free
+        _, J = fit.model.linearise(fit.values, problem.conditions, free=free)
+        sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.posterior.covariance, J))
+        inside_prediction.append(np.abs(problem.residuals(fit.values).T) < 1.96 * sigma)
+        told = fit.solution.posterior
+        sizes = fit.priors.sizes[free]
+        strong = told.information > 1e3
+        difference = told.directions[:, strong].T @ ((fit.values - truth.values)[free] / sizes)
+        inside_direction.append(np.abs(difference) < 1.96 / np.sqrt(1.0 + told.information[strong]))
+
+    assert 0.95 < np.mean(chi2) < 1.05
+    assert 0.93 < np.mean(inside_prediction) < 0.97
+    assert 0.93 < np.mean(np.concatenate(inside_direction)) < 0.97
+
+
+def test_order_of_rows_means_nothing(kuka, noisy):
+    """Predictions of a fit to shuffled rows are the same."""
+    table, fit = noisy
+    shuffled = calibrate(kuka, table.select(np.random.default_rng(1).permutation(len(table))), OPTIONS)
+    np.testing.assert_allclose(shuffled.values, fit.values, atol=1e-10)
+
+
+def test_order_of_effects_means_nothing(kuka, noisy):
+    """The same parameters have the same values whatever the order in which effects are given."""
+    table, fit = noisy
+    turned = calibrate(kuka, table, replace(OPTIONS, effects=tuple(reversed(ELASTIC))))
+    places = [turned.model.index(name) for name in fit.model.names]
+    np.testing.assert_allclose(turned.values[places], fit.values, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_place_of_instrument_means_nothing(kuka, noisy, seed):
+    """A tracker anywhere, upside down too, gives the same robot."""
+    table, fit = noisy
+    turn = Rotation.from_euler("x", np.pi) if seed == 0 else Rotation.random(random_state=seed)
+    shift = np.array([5.0, -3.0, 2.0])
+    moved = calibrate(kuka, replace(table, position=turn.apply(np.array(table.position)) + shift), OPTIONS)
+    inner = [i for i, p in enumerate(fit.problem.parameters) if np.isfinite(p.size)]
+    np.testing.assert_allclose(moved.values[inner], fit.values[inner], atol=1e-8)
+
+
+def test_place_of_target_means_nothing(kuka):
+    """A longer tool changes no prediction beyond noise; noise-free it changes none at all."""
+    q = kuka.random_configurations(80, np.random.default_rng(3))
+    far = measurements_from_arrays(
+        kuka.joint_names, q, position=paper_positions(q, tool_offset=(0.4, -0.3, 0.6)), payload=np.full(80, 125.0)
+    )
+    fit = calibrate(kuka, far, OPTIONS)
+    others = kuka.random_configurations(100, np.random.default_rng(4))
+    there = measurements_from_arrays(
+        kuka.joint_names, others, position=paper_positions(others, tool_offset=(0.4, -0.3, 0.6)), payload=np.full(100, 125.0)
+    )
+    assert errors(fit, there).max() < 1e-10
+
+
+def test_stages_of_the_paper_end_where_the_joint_solve_ends(kuka, noisy):
+    """Both ways minimise the same thing."""
+    table, fit = noisy
+    staged = calibrate(kuka, table, replace(OPTIONS, stages="paper"))
+    conditions = fit.readings(table).conditions
+    assert np.abs(staged.model.predict(staged.values, conditions) - fit.model.predict(fit.values, conditions)).max() < 1e-7
+    assert [stage.name[0] for stage in staged.stages[:4]] == ["1", "2", "3", "4"]
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.05, 1.0])
+def test_outliers_at_five_per_cent_are_found_and_cost_nothing(kuka, noisy, size):
+    """Every gross outlier is left out, no sound row is, and the held-out error stays what it was."""
+    table, fit = noisy
+    rng = np.random.default_rng(11)
+    bad = rng.choice(len(table), 6, replace=False)
+    position = table.position.copy()
+    direction = rng.normal(size=(6, 3))
+    position[bad] += size * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    screened = calibrate(kuka, replace(table, position=position), OPTIONS)
+    others = paper_table(kuka, 300, 9)
+
+    assert set(np.flatnonzero(screened.solution.weights == 0.0)) == set(bad)
+    assert errors(screened, others).mean() < 1.2 * errors(fit, others).mean()
+
+
+def test_declared_noise_is_judged(kuka):
+    """Noise declared five times too small shows in chi-square, and uncertainties are scaled up to what is seen."""
+    table = paper_table(kuka, 120, 0, 5e-5)
+    fit = calibrate(kuka, table, replace(OPTIONS, sigma=1e-5))
+    assert 20 < fit.solution.cost < 30
+    assert fit.solution.sigma[0] == pytest.approx(5e-5, rel=0.15)
+
+
+def test_rows_of_other_weight_count_by_their_sigma(kuka):
+    """Rows with ten times the noise, declared so, hardly spoil the fit."""
+    table = paper_table(kuka, 240, 0, 5e-5)
+    sigma = np.where(np.arange(240) < 120, 5e-5, 5e-4)
+    rng = np.random.default_rng(5)
+    position = table.position + np.where(sigma > 1e-4, 5e-4, 0.0)[:, None] * rng.normal(size=(240, 3))
+    weighted = calibrate(kuka, replace(table, position=position, sigma=sigma), OPTIONS)
+    equal = calibrate(kuka, replace(table, position=position), OPTIONS)
+    others = paper_table(kuka, 300, 9)
+    assert errors(weighted, others).mean() < 0.5 * errors(equal, others).mean()
+
+
+def test_reasons_name_the_counterpart(kuka, noisy):
+    """The parallel axes 2 and 3, the base, the tool and the vertical axis are all named."""
+    _, fit = noisy
+    found = {finding.name: finding for finding in explain(fit)}
+    assert found["joint_2.d"].status == "unidentifiable"
+    assert "joint_3.d + joint_2.d" in found["joint_2.d"].reason
+    assert "parallel" in found["joint_2.d"].reason
+    assert "base frame absorbs" in found["joint_1.d"].reason
+    assert "tool frame absorbs" in found["joint_6.theta"].reason
+    assert "gravity" in found["joint_1.k_z"].reason
+    assert found["joint_2.k_z"].status == "identified"
+
+
+def test_no_uncertainty_is_zero_or_nan(kuka, noisy):
+    """Whatever the data say of it, a parameter keeps an honest standard deviation."""
+    from pincal.report.result import parameter_rows
+
+    for row in parameter_rows(noisy[1]):
+        assert row.sigma is not None
+        assert row.sigma > 0.0
+
+
+def test_known_base_and_tool_stay_fixed(kuka):
+    """What the user gives is not touched, and is reported as fixed."""
+    options = replace(OPTIONS, base=np.eye(4), tools={"tool": TOOL})
+    fit = calibrate(kuka, paper_table(kuka, 60, 0, 5e-5), options)
+    found = {finding.name: finding.status for finding in explain(fit)}
+    assert found["base.x"] == found["tool.z"] == "fixed"
+    assert fit.values[fit.model.index("tool.x")] == TOOL[0]
+
+
+def test_length_bound_holds(kuka):
+    """A length that would have to deviate more stays at its bound and says so."""
+    rng = np.random.default_rng(0)
+    q = kuka.random_configurations(100, rng)
+    wrong = replace(kuka, frames=replace(kuka.frames, parameters=kuka.frames.parameters + _longer(kuka, 0.02)))
+    table = measurements_from_arrays(kuka.joint_names, q, position=paper_positions(q, with_elasticity=False))
+    fit = calibrate(wrong, table, Options(effects=GEOMETRIC))
+    found = {finding.name: finding for finding in explain(fit)}
+    assert found["joint_2.a"].status == "at bound"
+    assert abs(fit.values[fit.model.index("joint_2.a")]) == pytest.approx(0.01)
+
+
+def _longer(robot, by):
+    change = np.zeros_like(robot.frames.parameters)
+    change[1, 4] = by
+    return change
+
+
+def test_two_columns_swapped_are_named(kuka):
+    """A table whose header mixes up two joints is refused with their names."""
+    table = paper_table(kuka, 60, 0, 5e-5)
+    order = [0, 2, 1, 3, 4, 5]
+    mixed = replace(table, q=table.q[:, order])
+    with pytest.raises(MeasurementError, match=r"joint_2.*joint_3.*swapped"):
+        check_agreement(kuka, mixed, calibrate(kuka, mixed, Options(effects=GEOMETRIC)))
+
+
+def test_too_few_rows_for_the_noise_are_refused(kuka):
+    """Readings that the parameters could fit exactly tell nothing of the noise; declaring it helps."""
+    table = paper_table(kuka, 12, 0, 5e-5)
+    with pytest.raises(MeasurementError, match="declare the noise"):
+        calibrate(kuka, table, OPTIONS)
+    assert calibrate(kuka, table, replace(OPTIONS, sigma=5e-5)).solution.converged
+
+
+def test_elasticity_without_masses_is_refused():
+    """An arm without inertia can be calibrated geometrically only, and the links are named."""
+    robot = Robot.from_urdf("ur10")
+    light = replace(robot, massless=("wrist_1_link",))
+    table = measurements_from_arrays(robot.joint_names, np.zeros((30, 6)), position=np.zeros((30, 3)))
+    with pytest.raises(BadInputError, match="wrist_1_link"):
+        calibrate(light, table, Options())
+
+
+@pytest.mark.parametrize("split", ["random", "blocked"])
+def test_held_out_rows_are_disjoint_and_as_many_as_asked(kuka, split):
+    """A split loses no row and takes about the asked share."""
+    table = paper_table(kuka, 200, 0)
+    train, test = hold_out(table, 0.25, split=split, seed=3)
+    assert sorted([*train.rows, *test.rows]) == sorted(table.rows)
+    assert 40 <= len(test) <= 75
+
+
+@pytest.mark.parametrize(
+    ("folder", "moment_frame", "limit_um"), [("elastic_after", "after", 11.0), ("elastic_paper", "paper", 13.0)]
+)
+def test_simulated_elastic_arms_are_predicted(shared_data, folder, moment_frame, limit_um):
+    """Independent generators' arms are predicted on held-out poses as well as the noise allows (PEERS 3.2)."""
+    robot = Robot.from_urdf(shared_data / folder / "robot.urdf")
+    train = read_measurements(shared_data / folder / "train.csv", robot.joint_names)
+    held = read_measurements(shared_data / folder / "heldout.csv", robot.joint_names)
+    fit = calibrate(robot, train, Options(moment_frame=moment_frame))
+    assert np.sqrt(np.mean(errors(fit, held) ** 2)) * 1e6 <= limit_um
+
+
+@pytest.mark.parametrize(
+    ("robot_name", "file", "limit_mm"),
+    [("ur5", "ur5_tracker/grid.csv", 0.096), ("ur10", "ur10_tmac/series_B.csv", 0.37)],
+)
+def test_real_arms_are_predicted(shared_data, robot_name, file, limit_mm):
+    """Five-fold cross-validated mean error on real tracker data."""
+    from pincal import cross_validate
+
+    robot = Robot.from_urdf(robot_name)
+    table = read_measurements(shared_data / file, robot.joint_names)
+    found = cross_validate(robot, table, Options())
+    assert np.linalg.norm(found.residuals[:3], axis=0).mean() * 1e3 <= limit_mm
