@@ -1,8 +1,8 @@
 """Any arm: a random 6R robot that nobody has seen before, from its URDF to a calibrated URDF that any program reads.
 
-The robot is drawn on the spot: lengths, twists, how each joint frame is turned about its axis, masses. The real machine behind it has errors in all of them, drives and bearings that give way under its own weight, and stands
-somewhere in a hall with a laser tracker. 300 noisy positions are measured; the result is judged at 500 other poses
-against the truth. Run it as
+The robot is drawn on the spot: lengths, twists, how each joint frame is turned about its axis, masses. The real machine
+behind it has errors in all of them, drives and bearings that give way under its own weight, and stands somewhere in a hall
+with a laser tracker. 300 noisy positions are measured; the result is judged at 500 other poses against the truth. Run it as
 
     python examples/any_6r_arm.py [--seed 3] [--out FOLDER]
 """
@@ -58,7 +58,7 @@ def random_urdf(rng: np.random.Generator) -> str:
     """Return the URDF of a random 6R arm with skew axes.
 
     Each joint frame sits at the foot of the common normal to the axis before: this is where the model lets a bearing give
-    way, as the paper does. Elsewhere on the axis some hundredths of a millimetre would be left.
+    way, as the paper does. Elsewhere on the axis up to a tenth of a millimetre would be left.
     """
     text = ['<robot name="random_6r">\n  <link name="base"/>\n']
     xyz, turn = np.array([0.0, 0.0, 0.4]), Rotation.from_rotvec(rng.normal(0.0, 0.2, 3))

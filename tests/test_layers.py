@@ -14,7 +14,7 @@ import pincal
 
 PACKAGE = Path(pincal.__file__).resolve().parent
 # From the bottom up; a layer imports itself and what stands before it.
-LAYERS = ("errors", "robot", "model", "measure", "identify", "report", "cli")
+LAYERS = ("errors", "robot", "model", "measure", "identify", "report", "cli", "__main__")
 # What stands beside the layers, and what it may import.
 ASIDE = {"builtin": {"errors"}, "simulate": {"errors", "builtin", "measure"}}
 HEAVY = ("pinocchio", "numba", "scipy", "polars", "matplotlib")
@@ -70,7 +70,7 @@ def may_import(importer: str, imported: str) -> bool:
     if importer in ASIDE:
         return imported in ASIDE[importer]
     if imported in ASIDE:
-        return importer == "cli" or imported == "builtin"
+        return importer in ("cli", "__main__") or imported == "builtin"
     return LAYERS.index(imported) < LAYERS.index(importer)
 
 

@@ -523,7 +523,6 @@ BAD = {
     "no limits": (urdf(AB.replace("<limit", "<safety"), BC), "joint 'ab'.*limit"),
     "limit in words": (urdf(AB.replace('lower="-1"', 'lower="low"'), BC), "joint 'ab'.*limit"),
     "no name": (urdf(AB, BC).replace(' name="small"', ""), "name"),
-    "mimics nothing": (urdf(AB, BC, joint("bd", "b", "d", inside='<mimic joint="no"/>'), links="abcd"), "'bd'.*'no'"),
     "name of Pinocchio's own": (urdf(joint("universe", "a", "b"), BC), "'universe'"),
     "nothing moves": (urdf(joint("ab", "a", "b", kind="fixed"), links="ab"), "no moving joint between 'a' and 'b'"),
 }

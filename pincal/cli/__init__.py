@@ -83,11 +83,12 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
 
 def show_progress(quiet: bool) -> None:
     """Send the library's log of its progress to stderr, one line a step, unless it is to be quiet."""
+    logger = logging.getLogger("pincal")
+    logger.handlers = []
     if quiet:
         warnings.showwarning = lambda *_, **__: None
         return
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("pincal: %(message)s"))
-    logger = logging.getLogger("pincal")
     logger.handlers = [handler]
     logger.setLevel(logging.INFO)

@@ -77,7 +77,7 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
     table.add_column("status", no_wrap=True)
     for row in rows:
         factor, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(row.unit, (1.0, row.unit))
-        numbers = [row.nominal * factor + 0.0, row.value * factor + 0.0]
+        numbers = [row.nominal * factor, row.value * factor]
         sigma = "-" if row.sigma is None else _number(row.sigma * factor, unit, digits=2)
         mark = f" ({notes[row.reason]})" if row.reason else ""
         table.add_row(
@@ -89,7 +89,7 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
 def _number(value: float, unit: str, *, digits: int = 4) -> str:
     if unit not in ("mm", "mrad"):
         return f"{value:.{digits - 1}e}" if value else "0"
-    return f"{value:.{digits}f}" if digits > 2 else f"{value:#.2g}"
+    return f"{value:z.{digits}f}" if digits > 2 else f"{value:#.2g}"
 
 
 def _numbered_reasons(rows: list[ParameterRow]) -> dict[str, int]:

@@ -261,7 +261,7 @@ def _excited(problem: Problem) -> np.ndarray:
     """Return which parameters act at all at the nominal geometry: not the compliance about a vertical axis."""
     n = problem.model.n_parameters
     excited = np.ones(len(problem.parameters), bool)
-    excited[:n] = problem.model.largest_basis(problem.conditions.select(_sample(problem))) > 0.0
+    excited[:n] = problem.model.largest_basis(problem.conditions.select(_sample(problem)))[1]
     return excited
 
 
@@ -274,8 +274,7 @@ def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
     typical = np.array([parameter.size for parameter in problem.parameters])
     n = problem.model.n_parameters
-    basis = problem.model.largest_basis(problem.conditions.select(_sample(problem)))
-    typical[:n] /= np.where(basis > 0.0, basis, 1.0)
+    typical[:n] /= problem.model.largest_basis(problem.conditions.select(_sample(problem)))[0]
     lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.parameters])
     return Priors(typical, np.where(lengths, options.length_bound, np.inf))
 
@@ -297,9 +296,9 @@ def _fit(
         fitted = solve(problem, values, free, priors, noise, loss=options.loss, rough=True, label=name)
         values = fitted.values
         stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
-    for name in ("to the end", "with what only the deviations excite"):
+    for name in ("final", "with what only the deviations excite"):
         missed = _is_missed(problem, fitted, released, priors)
-        if missed or name == "to the end":
+        if missed or name == "final":
             free = released if missed else fitted.free
             fitted = solve(problem, fitted.values, free, priors, noise, loss=options.loss, robust=fitted.weights, label=name)
             stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
@@ -341,7 +340,7 @@ def _refuse_too_few(measurements: Measurements, problem: Problem, fitted: Soluti
     if noise.declared[0] is None and fitted.posterior.rank >= readings:
         raise MeasurementError(
             f"{measurements.source}: {counted} training rows give {readings} readings, no more than the parameters that "
-            "they would fit, so nothing is left to tell the noise from; measure more poses, declare the noise (--noise, sigma) "
+            "they would fit, so nothing is left to tell the noise from; measure more poses, declare the noise (--noise) "
             "or take the geometric model"
         )
 

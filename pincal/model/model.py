@@ -139,23 +139,28 @@ class Model:
         picked = np.array([values[self.index(name)] for name in rigid.names])
         return np.asarray(rigid.coordinates(picked, at_zero)[0])
 
-    def largest_basis(self, conditions: Conditions) -> np.ndarray:
-        """Return how far one unit of each parameter moves its coordinate at most over these poses, shape (P,).
+    def largest_basis(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
+        """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.
 
-        Zero for a parameter of a moment that the nominal arm does not feel, such as about a vertical axis. Other
-        moments are taken as at least a tenth of the largest on the arm, so that a wrist that carries nothing is not
-        thought to be made of rubber.
+        A moment is taken as at least a tenth of the largest on the arm, so that a wrist that carries nothing is not
+        thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
+        not excite its parameter, although a base that is not quite level would.
+
+        Returns:
+            Sizes and whether excited, both of shape (P,).
         """
         state = _State.at(self, np.zeros(self.n_parameters), conditions)
         heaviest = np.abs(state.moments).max(initial=0.0)
-        largest = np.zeros(self.n_parameters)
+        largest, excited = np.zeros(self.n_parameters), np.zeros(self.n_parameters, bool)
         for p, term in state.terms:
             size = 1.0 if term.basis is None else float(np.abs(term.basis).max(initial=0.0))
             if term.moment is not None:
-                felt = np.abs(state.moments[term.moment]).max() > _UNFELT * heaviest
-                size = max(size, 0.1 * heaviest) if felt else 0.0
+                excited[p] |= bool(np.abs(state.moments[term.moment]).max(initial=0.0) > _UNFELT * heaviest)
+                size = max(size, 0.1 * heaviest)
+            else:
+                excited[p] |= size > 0.0
             largest[p] = max(largest[p], size)
-        return largest
+        return np.where(largest > 0.0, largest, 1.0), excited
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,192 @@
+"""Figures of speed, each beside its target: ``python tests/benchmark.py [--million]``.
+
+All on one thread. Nothing here is a test: how fast it is depends on what else the machine does, so medians of several
+rounds are printed, and best ones where a user would call once.
+"""
+
+# Numerical libraries read the number of their threads once, when they are loaded.
+# ruff: noqa: E402
+
+from __future__ import annotations
+
+import os
+
+if __name__ == "__main__":
+    for _name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[_name] = "1"
+
+import argparse
+import gc
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+import pincal
+from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Model, Options, Robot
+from pincal.builtin import kuka_urdf_path
+from pincal.model.effects import BearingElasticity, JointElasticity
+from pincal.simulate import paper_positions
+from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
+
+ROOT = Path(__file__).resolve().parents[1]
+GRID = ROOT.parent / "shared" / "data" / "ur5_tracker" / "grid.csv"
+ROBOT = Robot.from_urdf(kuka_urdf_path())
+TOOL = (0.05, 0.03, 0.12)  # [m]
+NOISE = 5e-5  # [m]
+POSES, PINOCCHIO_POSES, ROUNDS = 10_000, 2_000, 7
+CALLS = 9
+
+Line = tuple[str, str, str, str]
+
+
+def seconds(call: Callable[[], object], times: int) -> np.ndarray:
+    """Return how long each of several calls takes, shape (times,) [s]."""
+    taken = np.empty(times)
+    for i in range(times):
+        begun = time.perf_counter()
+        call()
+        taken[i] = time.perf_counter() - begun
+    return taken
+
+
+def line(name: str, measured: float, target: float | None, form: str) -> Line:
+    """Return one line of the table: what, measured, target and whether it is met; ``form`` writes a number."""
+    if target is None:
+        return name, form.format(measured), "", ""
+    return name, form.format(measured), "<= " + form.format(target), "met" if measured <= target else "MISSED"
+
+
+def compare_with_pinocchio() -> Iterator[Line]:
+    """Time prediction and exact Jacobian against Pinocchio's own functions, pose by pose, in turns."""
+    first = ROBOT.joint_names[:3]
+    chain = Chain.of(ROBOT)
+    model = Model(chain, (*GEOMETRIC, JointElasticity(joints=first), BearingElasticity(joints=first)))
+    rng = np.random.default_rng(0)
+    values = np.array([p.size for p in model.parameters]) * rng.normal(0.0, 0.3, model.n_parameters)
+    values[[p.unit.endswith("/(N m)") for p in model.parameters]] *= 1e-3
+    q = ROBOT.random_configurations(POSES, rng)
+    conditions = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
+
+    augmented = pincal.augmented_model(chain, payload=PAYLOAD_MASS, payload_centre=np.array(PAYLOAD_COM))
+    data, tip = augmented.createData(), augmented.getFrameId("tip")
+    joints = slice(chain.joint(0, chain.symbols[6]), chain.tool("x"))
+    rows = list(model.coordinates(values, conditions)[:PINOCCHIO_POSES, joints])
+    assert len(rows[0]) == augmented.nq
+
+    def by_pinocchio() -> None:
+        for row in rows:
+            pin.computeFrameJacobian(augmented, data, row, tip)
+            pin.computeGeneralizedGravityDerivatives(augmented, data, row)
+
+    def by_pincal() -> None:
+        model.linearise(values, conditions)
+
+    by_pincal()
+    ours, theirs = np.empty(ROUNDS), np.empty(ROUNDS)
+    for k in range(ROUNDS):
+        theirs[k] = seconds(by_pinocchio, 1)[0] / PINOCCHIO_POSES * 1e6
+        ours[k] = seconds(by_pincal, 1)[0] / POSES * 1e6
+    print(f"chain of {augmented.nq} joints, {model.n_parameters} parameters, {POSES} poses ({PINOCCHIO_POSES} by Pinocchio)")
+    yield line("Pinocchio in a loop, a pose", float(np.median(theirs)), None, "{:.2f} us")
+    yield line("prediction and Jacobian, a pose", float(np.median(ours)), None, "{:.2f} us")
+    yield line("ratio (medians)", float(np.median(ours) / np.median(theirs)), 0.25, "{:.3f}")
+
+
+def table_of(n: int, *, with_elasticity: bool) -> Measurements:
+    """Measure the paper's robot with noise at ``n`` poses from a corner of the hall."""
+    rng = np.random.default_rng(n)
+    q, position = ROBOT.random_configurations(n, rng), np.empty((n, 3))
+    for start in range(0, n, POSES):
+        rows = slice(start, start + POSES)
+        position[rows] = paper_positions(q[rows], tool_offset=TOOL, with_elasticity=with_elasticity)
+    # The tracker stands 3 m away, turned by 90 degrees about the vertical.
+    position = position @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + (3.0, 1.0, 0.5)
+    position += rng.normal(0.0, NOISE, position.shape)
+    return pincal.measurements_from_arrays(ROBOT.joint_names, q, position=position, payload=np.full(n, PAYLOAD_MASS))
+
+
+def time_calibration() -> Iterator[Line]:
+    """Time the library's ``calibrate()``; base and tool unknown, rank and covariance included."""
+    for name, effects, n, target in (
+        ("geometric", GEOMETRIC, 1_000, 0.025),
+        ("geometric", GEOMETRIC, 10_000, 0.25),
+        ("elastic", ELASTIC, 1_000, None),
+    ):
+        table = table_of(n, with_elasticity=name == "elastic")
+        options = Options(effects=effects, sigma=NOISE, payload_centre=PAYLOAD_COM)
+        found = pincal.calibrate(ROBOT, table, options)
+        taken = 1e3 * seconds(lambda table=table, options=options: pincal.calibrate(ROBOT, table, options), CALLS)
+        _check(found)
+        what = f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.rank}, {found.iterations} iterations"
+        yield line(f"{what}: best", float(taken.min()), None if target is None else 1e3 * target, "{:.1f} ms")
+        yield line(f"{'':4s}median of {CALLS}", float(np.median(taken)), None, "{:.1f} ms")
+
+
+def _check(found: Fit) -> None:
+    assert found.solution.converged and 0.8 < found.solution.cost < 1.2, (found.solution.converged, found.solution.cost)
+
+
+def time_million() -> Iterator[Line]:
+    """Time a million rows, and how much memory the fit takes beyond the table."""
+    table = table_of(1_000_000, with_elasticity=False)
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    gc.collect()
+    before = _reset_peak()
+    taken = seconds(lambda: _check(pincal.calibrate(ROBOT, table, options)), 1)[0]
+    yield line("calibrate geometric, N = 1000000, 3D", float(taken), None, "{:.1f} s")
+    yield line("    memory beyond the table, at most", _status("VmHWM") - before, None, "{:.0f} MB")
+
+
+def _reset_peak() -> float:
+    """Let Linux forget the largest memory that this process had, and return what it has now [MB]."""
+    Path("/proc/self/clear_refs").write_text("5")
+    return _status("VmRSS")
+
+
+def _status(name: str) -> float:
+    text = Path("/proc/self/status").read_text()
+    return float(next(row.split()[1] for row in text.splitlines() if row.startswith(name))) / 1024.0
+
+
+def time_processes() -> Iterator[Line]:
+    """Time whole processes, started warm: the import, and a calibration from the command line."""
+    yield line("python -c 'import pincal', best of 5", _process("-c", "import pincal"), 0.6, "{:.2f} s")
+    yield line("    python alone", _process("-c", "pass"), None, "{:.2f} s")
+    if not GRID.is_file():
+        print("measurements on real machines are not here: no folder shared/data next to the project")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        command = ("-m", "pincal", "calibrate", "ur5", str(GRID), "--out", str(Path(folder) / "ur5"), "--quiet")
+        yield line("pincal calibrate ur5 (1000 rows), best of 5", _process(*command), 3.0, "{:.2f} s")
+
+
+def _process(*arguments: str, times: int = 5) -> float:
+    """Return the shortest time of several runs of Python, after one to warm up [s]."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")} | {"PYTHONPATH": path}
+
+    def run() -> None:
+        subprocess.run([sys.executable, *arguments], env=environment, check=True, capture_output=True)
+
+    return float(seconds(run, times + 1)[1:].min())
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--million", action="store_true", help="calibrate with a million rows, too")
+    chosen = parser.parse_args()
+    parts = [compare_with_pinocchio, time_calibration, *([time_million] if chosen.million else []), time_processes]
+    for part in parts:
+        for name, measured, target, verdict in part():
+            print(f"  {name:74s} {measured:>10s}  {target:>12s} {verdict}".rstrip(), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,281 @@
+"""The command as a user meets it: exit codes, what is on stdout and stderr, and files whole or not at all."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_calibrate import paper_table
+
+from pincal.builtin import kuka_urdf_path
+from pincal.cli import main
+from pincal.measure.table import write_table
+
+URDF = str(kuka_urdf_path())
+COM = ["--payload-com", "0.08", "-0.05", "0.22"]
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
+def columns_of(table):
+    columns = {name: table.q[:, i] for i, name in enumerate(table.joint_names)}
+    columns |= {axis: table.position[:, i] for i, axis in enumerate("xyz")}
+    return columns | {"payload": table.payload}
+
+
+@pytest.fixture(scope="module")
+def columns(kuka):
+    return columns_of(paper_table(kuka, 120, 0, 5e-5))
+
+
+@pytest.fixture
+def table(tmp_path, columns):
+    write_table(tmp_path / "data.csv", columns)
+    return tmp_path / "data.csv"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory, columns):
+    folder = tmp_path_factory.mktemp("results")
+    write_table(folder / "data.csv", columns)
+    assert run("calibrate", URDF, folder / "data.csv", "--out", folder / "out", *COM, "--quiet") == 0
+    return folder / "out"
+
+
+def test_calibrate_writes_all_files(results):
+    """The folder holds the five files of the contract and nothing else."""
+    assert {f.name for f in results.iterdir()} == {
+        "model.json",
+        "result.json",
+        "calibrated.urdf",
+        "report.html",
+        "residuals.csv",
+    }
+
+
+def test_result_json_has_the_keys_of_the_contract(results):
+    """Programs find noise, rows, parameters with status and reason, rank, chi-square and errors before and after."""
+    result = json.loads((results / "result.json").read_text())
+
+    assert {"noise", "rows", "parameters", "rank", "condition", "chi2_reduced", "iterations", "seconds", "error"} <= set(
+        result
+    )
+    assert result["rows"] == {"train": 90, "test": 30}
+    assert result["noise"]["source"] == "estimated"
+    assert result["noise"]["sigma_m"] == pytest.approx(5e-5, rel=0.2)
+    for parameter in result["parameters"]:
+        assert set(parameter) == {"name", "unit", "nominal", "value", "sigma", "status", "reason"}
+        assert parameter["status"] in {"identified", "prior", "fixed", "unidentifiable", "at bound"}
+        assert parameter["status"] == "identified" or parameter["reason"]
+    assert result["error"]["calibrated"]["test"]["mean_mm"] < 0.15
+    assert result["error"]["nominal"]["test"]["mean_mm"] > 2.0
+
+
+def test_json_goes_to_stdout_and_progress_to_stderr(tmp_path, table, capsys):
+    """``--json`` prints one JSON object; what the fit does is told on stderr."""
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--json") == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["converged"]
+    assert "iteration" in printed.err
+
+
+def test_quiet_says_nothing_on_stderr(tmp_path, table, capsys):
+    """``--quiet`` silences progress and notes."""
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet") == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_text_fits_a_hundred_columns(tmp_path, table, capsys):
+    """The result table is not wider than a page."""
+    run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet")
+    table_lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("│", "┃"))]
+    assert table_lines
+    assert max(map(len, table_lines)) <= 100
+
+
+def test_max_error_is_a_gate(tmp_path, table):
+    """Exit 5 where the held-out mean exceeds the limit; the files are written all the same."""
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--max-error", "1um", "--quiet") == 5
+    assert (tmp_path / "out" / "model.json").exists()
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--max-error", "1mm", "--quiet") == 0
+
+
+def test_validate_reports_errors_on_new_rows(results, tmp_path, kuka, capsys):
+    """The model is as true on a second table as the calibration said."""
+    write_table(tmp_path / "new.csv", columns_of(paper_table(kuka, 50, 8, 5e-5)))
+    assert run("validate", results / "model.json", tmp_path / "new.csv", "--json", "--quiet") == 0
+    assert json.loads(capsys.readouterr().out)["error"]["calibrated"]["test"]["mean_mm"] < 0.15
+    assert run("validate", results / "model.json", tmp_path / "new.csv", "--max-error", "1um", "--quiet") == 5
+
+
+def test_predict_gives_positions_in_the_instruments_frame(results, tmp_path, kuka, capsys):
+    """Predicted positions are those that are measured; columns it does not need are ignored."""
+    exact = paper_table(kuka, 20, 8)
+    write_table(tmp_path / "poses.csv", columns_of(exact) | {"remark": np.full(20, "x")})
+    assert run("predict", results / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "p.csv", "--quiet") == 0
+    lines = (tmp_path / "p.csv").read_text().splitlines()
+    header = lines[0].split(",")
+    rows = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    found = rows[:, [header.index(axis) for axis in "xyz"]]
+    assert np.abs(found - exact.position).max() < 5e-4
+    assert "sigma_x" in header
+
+
+def test_predict_warns_outside_the_covered_poses(results, tmp_path, kuka, capsys):
+    """A joint beyond the measured range is named with its line."""
+    table = columns_of(paper_table(kuka, 5, 8))
+    table["joint_3"] = np.full(5, 3.0)
+    write_table(tmp_path / "poses.csv", table)
+    run("predict", results / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "p.csv")
+    assert "joint_3 = 3" in capsys.readouterr().err
+
+
+def test_export_equals_the_urdf_of_the_calibration(results, tmp_path):
+    """The URDF can be written again from model.json alone."""
+    assert run("export", results / "model.json", "--urdf", tmp_path / "again.urdf") == 0
+    assert (tmp_path / "again.urdf").read_bytes() == (results / "calibrated.urdf").read_bytes()
+
+
+def test_check_says_what_can_be_told(table, capsys):
+    """Coverage, rank, and the reason for what can't be identified, before any fit is trusted."""
+    assert run("check", URDF, table, *COM, "--quiet") == 0
+    text = capsys.readouterr().out
+    for words in ("rank", "Coverage", "parallel", "unidentifiable"):
+        assert words in text
+
+
+def test_headers_with_units_change_nothing(results, tmp_path, columns, capsys):
+    """Degrees and millimetres that the header names give the same calibration."""
+    joints = [name for name in columns if name.startswith("joint")]
+    converted = {f"{name} [deg]": np.degrees(columns[name]) for name in joints}
+    converted |= {f"{axis} [mm]": columns[axis] * 1e3 for axis in "xyz"} | {"payload [g]": columns["payload"] * 1e3}
+    write_table(tmp_path / "units.csv", converted)
+    assert run("calibrate", URDF, tmp_path / "units.csv", "--out", tmp_path / "out", *COM, "--json", "--quiet") == 0
+    found = json.loads(capsys.readouterr().out)["error"]["calibrated"]["test"]["mean_mm"]
+    assert found == pytest.approx(
+        json.loads((results / "result.json").read_text())["error"]["calibrated"]["test"]["mean_mm"], rel=1e-6
+    )
+
+
+def _degrees(columns):
+    return {n: np.degrees(c) if n.startswith("joint") else c for n, c in columns.items()}
+
+
+def _millimetres(columns):
+    return {n: c * 1e3 if n in "xyz" else c for n, c in columns.items()}
+
+
+def _swapped(columns):
+    names = list(columns)
+    names[1], names[2] = names[2], names[1]
+    return dict(zip(names, columns.values(), strict=True))
+
+
+def _without(name):
+    return lambda columns: {n: c for n, c in columns.items() if n != name}
+
+
+def _with_cell(name, value):
+    def change(columns):
+        column = columns[name].astype(object)
+        column[3] = value
+        return columns | {name: column.astype(str)}
+
+    return change
+
+
+BAD_TABLES = {
+    "degrees without a unit": (_degrees, "degrees"),
+    "millimetres without a unit": (_millimetres, "mm"),
+    "swapped joint columns": (_swapped, "swapped"),
+    "a missing joint column": (_without("joint_3"), "joint_3"),
+    "not a number": (_with_cell("y", math.nan), "line 5"),
+    "infinite": (_with_cell("y", math.inf), "line 5"),
+    "text in a number": (_with_cell("y", "abc"), "line 5"),
+    "no measurement": (lambda c: {n: v for n, v in c.items() if n not in "xyz"}, "measurement"),
+    "an unknown column": (lambda c: c | {"foo": c["x"]}, "foo"),
+    "one row": (lambda c: {n: v[:1] for n, v in c.items()}, "1 rows"),
+    "no row": (lambda c: {n: v[:0] for n, v in c.items()}, "no rows"),
+    "all poses equal": (lambda c: {n: np.repeat(v[:1], 50) for n, v in c.items()}, "same"),
+    "fewer readings than parameters": (lambda c: {n: v[:14] for n, v in c.items()}, "noise"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TABLES)
+def test_bad_tables_are_refused_at_the_door(tmp_path, columns, capsys, case):
+    """Exit 3, one message that says what and where, and no trace on the disk."""
+    change, words = BAD_TABLES[case]
+    write_table(tmp_path / "bad.csv", change(dict(columns)))
+    assert run("calibrate", URDF, tmp_path / "bad.csv", "--out", tmp_path / "out", *COM, "--quiet") == 3
+    printed = capsys.readouterr()
+    assert words in printed.err
+    assert "Traceback" not in printed.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_failed_run_leaves_earlier_results_untouched(tmp_path, table, columns):
+    """What was in the folder before is still there, byte for byte, and nothing else."""
+    out = tmp_path / "out"
+    run("calibrate", URDF, table, "--out", out, *COM, "--quiet")
+    before = {f.name: f.read_bytes() for f in out.iterdir()}
+    write_table(tmp_path / "bad.csv", _degrees(columns))
+    assert run("calibrate", URDF, tmp_path / "bad.csv", "--out", out, "--quiet") == 3
+    assert {f.name: f.read_bytes() for f in out.iterdir()} == before
+
+
+def test_interruption_leaves_nothing_half_done(tmp_path, table, monkeypatch, capsys):
+    """Ctrl-C in the middle ends with 130, a word, and no output folder."""
+    import pincal.report.run as module
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "calibrate", interrupted)
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet") == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_is_a_file_is_refused(tmp_path, table, capsys):
+    """Exit 3 before any work, and the file is untouched."""
+    (tmp_path / "out").write_text("precious")
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet") == 3
+    assert (tmp_path / "out").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["calibrate"], ["nonsense"], ["calibrate", URDF, "x.csv", "--out", "o", "--noise", "5"], ["validate", "--what"]],
+)
+def test_wrong_usage_exits_with_two(arguments):
+    """Usage errors have an exit code of their own; a noise needs its unit."""
+    assert run(*arguments) == 2
+
+
+@pytest.mark.parametrize("verb", ["demo", "check", "calibrate", "validate", "predict", "export"])
+def test_every_verb_shows_an_example(verb, capsys):
+    """``--help`` ends with a line to copy."""
+    assert run(verb, "--help") == 0
+    assert f"pincal {verb}" in capsys.readouterr().out
+
+
+def test_demo_tells_the_story(tmp_path, capsys):
+    """Nothing to prepare: from some mm to hundredths, and files to open."""
+    assert run("demo", "--out", tmp_path / "demo", "--quiet") == 0
+    text = capsys.readouterr().out
+    assert "standard DH" in text
+    assert "report.html" in text
+    assert (tmp_path / "demo" / "deviations.png").stat().st_size > 10_000
+
+
+def test_a_broken_model_file_is_refused(results, tmp_path, capsys):
+    """A model.json that is cut off is named, with exit 3."""
+    text = (results / "model.json").read_text()
+    Path(tmp_path / "cut.json").write_text(text[: len(text) // 2])
+    assert run("validate", tmp_path / "cut.json", "x.csv") == 3
+    assert "cut.json" in capsys.readouterr().err

@@ -1,0 +1,134 @@
+"""The examples run without a screen and print what they claim."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pincal
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+NUMBER = r"([-+]?\d+\.?\d*(?:e[-+]?\d+)?)"
+
+
+def run(name: str, *arguments: str, folder: Path, exit_code: int = 0) -> str:
+    """Run an example in a folder of its own; return what it printed, to stderr where it should fail."""
+    paths = [str(Path(pincal.__file__).resolve().parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PYTHONPATH": os.pathsep.join(paths)}
+    command = [sys.executable, str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == exit_code, done.stderr
+    return done.stderr if exit_code else done.stdout
+
+
+def numbers(text: str, label: str) -> list[float]:
+    """Return all numbers that follow a label in its line."""
+    line = re.search(re.escape(label) + "(.*)", text)
+    assert line is not None, f"{label!r} is not in:\n{text}"
+    return [float(number) for number in re.findall(NUMBER, line[1])]
+
+
+@pytest.fixture(scope="module")
+def kuka_output(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return what the case study prints with few repetitions, and check that it draws."""
+    folder = tmp_path_factory.mktemp("kuka")
+    text = run("kuka_kr125_2.py", "--seeds", "2", "--draws", "6", folder=folder)
+
+    assert (folder / "kuka_fig6.png").read_bytes().startswith(b"\x89PNG")
+    return text
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stages", ["calibrated at once, held-out max", "calibrated in the paper's stages, max"])
+def test_case_study_finds_the_robot_from_exact_measurements(kuka_output: str, stages: str) -> None:
+    """At once and in the paper's stages, held-out poses are right to 1e-10 m within 20 iterations."""
+    error, iterations = numbers(kuka_output, stages)
+
+    assert error <= 1e-10
+    assert iterations <= 20
+
+
+@pytest.mark.long
+def test_case_study_finds_the_identifiable_combinations(kuka_output: str) -> None:
+    """They are those of Table I to 1e-8, whatever the poses, although the nominal model is off by millimetres."""
+    assert numbers(kuka_output, "to the real ones")[0] <= 1e-8
+    assert numbers(kuka_output, "among these fits")[0] <= 1e-8
+    assert numbers(kuka_output, "fits of different poses predict apart by")[0] <= 1e-10
+    assert 7.0 <= numbers(kuka_output, "nominal model, largest deviation")[0] <= 20.0
+
+
+@pytest.mark.long
+def test_case_study_prints_table_one(kuka_output: str) -> None:
+    """Each of the 45 parameters has a line; from exact measurements the real value is found."""
+    rows = [line.split() for line in kuka_output.splitlines() if re.match(r"  joint_\d\.\w+ +[-\d]", line)]
+
+    assert len(rows) == 45
+    for row in rows:
+        assert float(row[3]) == pytest.approx(float(row[1]), rel=1e-4, abs=1e-10), row[0]
+    assert "only joint_2.s_x + joint_1.alpha is determined" in kuka_output
+
+
+@pytest.mark.long
+def test_case_study_prints_the_course_and_figure_six(kuka_output: str) -> None:
+    """The stages end at rounding, and each model of Fig. 6 is better than the one before."""
+    models = [numbers(kuka_output, f"        {name} ")[0] for name in ("standard DH", "DH,s", "DH,s,e")]
+
+    assert numbers(kuka_output, "norm of the last residual")[0] < 1e-12
+    assert models[0] > models[1] > 1e6 * models[2]
+
+
+@pytest.mark.long
+def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
+    """With noise, chi-square is about 1 and 95 % intervals hold the truth; wide limits, since draws are few."""
+    # Six draws: chi-square over 6 x 146 degrees of freedom has a deviation of 0.05; coverage one of about 1.5 %, that of
+    # predictions, which hang together within a draw, about 3 %.
+    assert numbers(kuka_output, "reduced chi-square, mean")[0] == pytest.approx(1.0, abs=0.2)
+    assert 88.0 <= numbers(kuka_output, "combinations within their 95 % interval")[0] <= 99.5
+    assert 84.0 <= numbers(kuka_output, "predictions within their 95 % interval")[0] <= 100.0
+
+
+@pytest.mark.parametrize("seed", ["3", "8"])
+def test_any_arm_is_calibrated_to_the_noise(tmp_path: Path, seed: str) -> None:
+    """A random arm is predicted to below its noise of 0.05 mm, and its URDF has the model's geometry."""
+    text = run("any_6r_arm.py", "--seed", seed, "--out", "arm", folder=tmp_path)
+    nominal, calibrated = (numbers(text, label) for label in ("nominal model", "model.json, reloaded"))
+
+    assert nominal[0] > 1.0
+    assert calibrated[0] < 0.03 and calibrated[1] < 0.1
+    assert numbers(text, "reduced chi-square")[0] == pytest.approx(1.0, abs=0.2)
+    assert numbers(text, "calibrated.urdf        flange within")[0] < 1e-9
+    assert {path.name for path in (tmp_path / "arm").iterdir()} == {"robot.urdf", "calibrated.urdf", "model.json"}
+
+
+def test_any_arm_leaves_nothing_behind_without_a_folder(tmp_path: Path) -> None:
+    """Without ``--out`` the files are temporary."""
+    run("any_6r_arm.py", folder=tmp_path)
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
+    """On the measured UR10 geometry and then elasticity help, and what remains is said."""
+    text = run("ur10_tracker.py", str(shared_data / "ur10_tmac" / "series_B.csv"), folder=tmp_path)
+    nominal, geometric, elastic = (numbers(text, f"  {name} ") for name in ("nominal", "geometric", "elastic"))
+
+    # Left by an independent fit on held-out poses, mean: 1.02, 0.398 and 0.364 mm.
+    assert nominal[0] == pytest.approx(1.02, abs=0.05)
+    assert geometric[0] == pytest.approx(0.398, abs=0.03)
+    assert elastic[0] == pytest.approx(0.364, abs=0.03)
+    # The mean of the five folds.
+    assert geometric[-1] == pytest.approx(0.398, abs=0.01)
+    assert elastic[-1] == pytest.approx(0.364, abs=0.01)
+    assert numbers(text, "About")[0] == 0.4
+
+
+def test_real_robot_says_where_its_measurements_come_from(tmp_path: Path) -> None:
+    """A path without a file is answered with the origin of the data and the columns, not with a traceback."""
+    message = run("ur10_tracker.py", "nowhere.csv", folder=tmp_path, exit_code=3)
+
+    assert "christianlandgraf/ipa-robot-accuracy" in message
+    assert "shoulder_pan_joint" in message and "Traceback" not in message
