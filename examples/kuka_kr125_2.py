@@ -65,14 +65,16 @@ def fit(
     table: Measurements, *, effects: tuple[Effect, ...] = EFFECTS, stages: Stages = "joint", sigma: float | None = None
 ) -> Fit:
     """Calibrate with base and tool known, as the paper does."""
-    known = {"base": np.eye(4), "tools": {"tool": TOOL}, "payload_centre": PAYLOAD_COM}
-    return calibrate(ROBOT, table, Options(effects=effects, stages=stages, sigma=sigma, **known))
+    options = Options(
+        effects=effects, sigma=sigma, stages=stages, base=np.eye(4), tools={"tool": TOOL}, payload_centre=PAYLOAD_COM
+    )
+    return calibrate(ROBOT, table, options)
 
 
 def deviations(found: Fit, q: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:
     """Return how far predictions are from the truth, shape (N,) [m]."""
     residuals = found.readings(measure(q)).residuals(found.values if values is None else values)
-    return np.linalg.norm(residuals, axis=0)
+    return np.asarray(np.linalg.norm(residuals, axis=0))
 
 
 def true_values(model: Model) -> np.ndarray:
@@ -104,6 +106,7 @@ def combination_error(found: Fit, values: np.ndarray, reference: np.ndarray) -> 
         between = reference + node * (values - reference)
         J += weight * found.model.linearise(between, found.problem.conditions, free=free)[1].reshape(len(J), -1)
     _, singular, Vt = np.linalg.svd(J * sizes, full_matrices=False)
+    # Told is what moves the readings by more than their noise when it changes by as much as real robots differ.
     told = Vt[singular > NOISE]
     difference, size = (told @ (v[free] / sizes) for v in (values - reference, reference))
     return float(np.abs(difference).max() / np.abs(size).max())

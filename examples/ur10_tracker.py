@@ -43,7 +43,8 @@ def compare(robot: Robot, path: Path, fraction: float) -> None:
             crossed = 1e3 * float(np.linalg.norm(residuals, axis=0).mean())
             shown += f"  {crossed:11.3f}"
         print(f"  {name:10s} {shown}")
-    print(f"About {crossed:.1f} mm remains that neither geometry nor gravity explains: the gears' own errors, among others.")
+    print(f"About {crossed:.1f} mm remains that neither geometry nor gravity explains.")
+    print("Most of it follows the drives' own angles, as errors of gears do.")
 
 
 def main() -> int:

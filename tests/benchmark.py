@@ -4,13 +4,11 @@ All on one thread. Nothing here is a test: how fast it is depends on what else t
 rounds are printed, and best ones where a user would call once.
 """
 
-# Numerical libraries read the number of their threads once, when they are loaded.
-# ruff: noqa: E402
-
 from __future__ import annotations
 
 import os
 
+# Numerical libraries read the number of their threads once, when they are loaded.
 if __name__ == "__main__":
     for _name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[_name] = "1"
@@ -22,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +120,7 @@ def time_calibration() -> Iterator[Line]:
         table = table_of(n, with_elasticity=name == "elastic")
         options = Options(effects=effects, sigma=NOISE, payload_centre=PAYLOAD_COM)
         found = pincal.calibrate(ROBOT, table, options)
-        taken = 1e3 * seconds(lambda table=table, options=options: pincal.calibrate(ROBOT, table, options), CALLS)
+        taken = 1e3 * seconds(partial(pincal.calibrate, ROBOT, table, options), CALLS)
         _check(found)
         what = f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.rank}, {found.iterations} iterations"
         yield line(f"{what}: best", float(taken.min()), None if target is None else 1e3 * target, "{:.1f} ms")

@@ -91,7 +91,7 @@ def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
     assert 84.0 <= numbers(kuka_output, "predictions within their 95 % interval")[0] <= 100.0
 
 
-@pytest.mark.parametrize("seed", ["3", "8"])
+@pytest.mark.parametrize("seed", ["3", pytest.param("8", marks=pytest.mark.long)])
 def test_any_arm_is_calibrated_to_the_noise(tmp_path: Path, seed: str) -> None:
     """A random arm is predicted to below its noise of 0.05 mm, and its URDF has the model's geometry."""
     text = run("any_6r_arm.py", "--seed", seed, "--out", "arm", folder=tmp_path)
@@ -104,6 +104,7 @@ def test_any_arm_is_calibrated_to_the_noise(tmp_path: Path, seed: str) -> None:
     assert {path.name for path in (tmp_path / "arm").iterdir()} == {"robot.urdf", "calibrated.urdf", "model.json"}
 
 
+@pytest.mark.long
 def test_any_arm_leaves_nothing_behind_without_a_folder(tmp_path: Path) -> None:
     """Without ``--out`` the files are temporary."""
     run("any_6r_arm.py", folder=tmp_path)
@@ -111,6 +112,7 @@ def test_any_arm_leaves_nothing_behind_without_a_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     """On the measured UR10 geometry and then elasticity help, and what remains is said."""
     text = run("ur10_tracker.py", str(shared_data / "ur10_tmac" / "series_B.csv"), folder=tmp_path)

@@ -154,7 +154,16 @@ def calibrate(robot: Robot, measurements: Measurements, options: Options | None 
     problem, nominal, priors, noise = _begin(robot, measurements, options)
     fitted, stages = _fit(problem, nominal.values, priors, noise, options)
     _refuse_too_few(measurements, problem, fitted, noise)
-    return Fit(problem, nominal, fitted, priors, noise, stages, options)
+    return Fit(problem, _without_outliers(problem, nominal, fitted, priors, noise), fitted, priors, noise, stages, options)
+
+
+def _without_outliers(problem: Problem, nominal: Solution, fitted: Solution, priors: Priors, noise: Noise) -> Solution:
+    """Return the fit of base and tool on the rows that the full fit found sound, so that "before" is judged fairly."""
+    sound = fitted.weights > 0.0
+    if sound.all():
+        return nominal
+    again = solve(problem.select(sound), nominal.values, nominal.free, priors, noise, loss="none")
+    return replace(again, weights=fitted.weights, iterations=nominal.iterations)
 
 
 def foresee(robot: Robot, measurements: Measurements, options: Options | None = None) -> Fit:

@@ -106,14 +106,19 @@ class Posterior:
 
     @property
     def rank(self) -> int:
-        """Number of directions that the data determine at all."""
+        """Number of directions that the data see at all, however faintly."""
         return self.frame_rank + int(np.count_nonzero(self.information))
 
     @property
+    def told(self) -> int:
+        """Number of directions that the data determine better than the priors do."""
+        return self.frame_rank + int(np.count_nonzero(self.information > 1.0))
+
+    @property
     def condition(self) -> float:
-        """Ratio of the best to the worst determined direction, in units of the priors."""
-        seen = self.information[self.information > 0]
-        return float(np.sqrt(seen[-1] / seen[0])) if len(seen) else 1.0
+        """Ratio of the best to the worst of these directions, in units of the priors."""
+        told = self.information[self.information > 1.0]
+        return float(np.sqrt(told[-1] / told[0])) if len(told) else 1.0
 
     @property
     def effective(self) -> float:

@@ -13,8 +13,10 @@ from pincal.model.chain import Chain
 from pincal.model.effects import Conditions, Effect, Parameter, Term
 from pincal.model.kernels import Compliances, Payload, Terms, Values
 
-# The moments of a bent arm differ from those of a straight one by about 1e-3; each round gains three digits.
-_EQUILIBRIUM_ROUNDS = 8
+# The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
+# arm needs more, and the Jacobian as many sweeps again.
+_EQUILIBRIUM_ROUNDS = 20
+_SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 # A moment below this part of the largest is there only because the base is not quite level.
 _UNFELT = 1e-3
@@ -114,7 +116,7 @@ class Model:
             state.compliances(values),
             int(columns.max(initial=-1)) + 1,
             rows,
-            _EQUILIBRIUM_ROUNDS if self.equilibrium else 0,
+            _SWEEPS if self.equilibrium else 0,
         )
         return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
 
@@ -178,6 +180,8 @@ class _State:
     @classmethod
     def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> _State:
         target = np.require(conditions.target, np.int64, ["C", "W"])
+        if target.max(initial=0) >= len(model.chain.targets):
+            raise ValueError(f"target {target.max()} of a chain with {len(model.chain.targets)} targets")
         mass = np.require(conditions.payload, np.float64, ["C", "W"])
         payload = Payload(mass, np.array(conditions.payload_centre, float))
         plain = _terms(model, conditions, None)

@@ -31,6 +31,10 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
         >>> figure = deviation_figure({"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([1e-9, 2e-9])})
         >>> [axes.get_title() for axes in figure.axes]
         ['standard DH\nmean 2.00 mm, max 3.00 mm', 'DH,s,e\nmean 1.50e-09 m, max 2.00e-09 m']
+        >>> deviation_figure({})
+        Traceback (most recent call last):
+            ...
+        ValueError: no deviations to draw; expected at least one series of at least one pose
     """
     if not series or any(len(deviations) == 0 for deviations in series.values()):
         raise ValueError("no deviations to draw; expected at least one series of at least one pose")

@@ -97,7 +97,7 @@ def result_of(
         noise=_noise(fit),
         rows={"train": len(fit.problem), "test": 0 if test is None else len(test)},
         parameters=parameters,
-        rank=solution.posterior.rank,
+        rank=solution.posterior.told,
         condition=solution.posterior.condition,
         chi2_reduced=solution.cost,
         chi2_p_value=p_value,

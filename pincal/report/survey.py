@@ -50,7 +50,7 @@ class Survey:
         joints: coverage of each joint.
         nominal: errors with base and tool fitted alone.
         noise: standard deviation that the expectations rest on [m], and where it comes from.
-        rank: directions that the poses determine.
+        rank: directions that the poses determine better than what is known beforehand.
         released: parameters that a fit would release.
         condition: of the determined directions.
         parameters: what to expect of each.
@@ -99,7 +99,7 @@ def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey
         joints=_ranges(robot, measurements),
         nominal=error_table(fit.problem, fit.nominal.values),
         noise={"sigma_m": float(fit.solution.sigma[0]), "source": "declared" if sigma else "foreseen by a fit"},
-        rank=posterior.rank,
+        rank=posterior.told,
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
         parameters=_expectations(fit),

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Sine of the angle below which two axes count as parallel: URDFs round their angles to 1e-4 .. 1e-6 rad.
-PARALLEL = 1e-3
+# Sine of the angle below which two axes count as parallel: URDFs round their angles, the worst of them pi to 3.14.
+PARALLEL = 5e-3
 # Distance [m] below which two axes count as intersecting: the common normal then has no direction of its own.
 INTERSECTING = 1e-7
 # Distance [m] below which two parallel axes count as one line.

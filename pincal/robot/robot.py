@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.robot.dh import DhFrames, dh_frames
-from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf, read_urdf
+from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf, plain_text, read_urdf
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -78,7 +78,8 @@ class Robot:
             source: path of a URDF, the name of a robot of example-robot-data ("ur10"), or the URDF's text as bytes.
             tip: link at the end of the arm; unless given, the end of the chain of ``joints``, or of the longest
                 moving chain without its gripper.
-            base: link at its start; the root of the URDF unless given.
+            base: link at its start; unless given, the root of the URDF, or the parent of the first of ``joints`` where
+                other moving joints stand before it.
             joints: names of the joints that the arm consists of (the columns of a table of measurements).
 
         Returns:
@@ -94,7 +95,7 @@ class Robot:
         """
         tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(find_file(source))
         tip = tree.default_tip(joints) if tip is None else tip
-        base = tree.root if base is None else base
+        base = _default_base(tree, tip, joints) if base is None else base
         path = _moving_path(tree, base, tip)
         return _build(cls, tree, path, base, tip)
 
@@ -137,7 +138,7 @@ class Robot:
 
     def pinocchio_model(self) -> pin.Model:
         """Return the nominal ``pin.Model`` of the arm, everything off the path locked."""
-        return _reduced_model(self.urdf, self.joint_names)
+        return _reduced_model(self.urdf, self.joint_names, self.source)
 
     def configuration(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration vector of ``model`` for joint positions ``q``, shape (n,).
@@ -183,6 +184,14 @@ def find_file(source: str | os.PathLike[str]) -> Path:
     return Path(folder, inside)
 
 
+def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str:
+    """Return the root, or the link behind the moving joints that stand before the first of ``joints``."""
+    moving = [joint for joint in tree.path(tree.root, tip) if joint.kind in MOVING_TYPES]
+    if joints is None or not moving or moving[0].name in joints:
+        return tree.root
+    return next((joint.parent for joint in moving if joint.name in joints), tree.root)
+
+
 def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
     path = tree.path(base, tip)
     for joint in path:
@@ -202,32 +211,34 @@ def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
     return moving
 
 
-def _full_model(urdf: bytes) -> pin.Model:
-    """Build the whole tree; what Pinocchio can't read although the XML was sound is passed on in words."""
+def _full_model(urdf: bytes, source: str) -> pin.Model:
+    """Build the whole tree from text of any encoding; what Pinocchio can't read is passed on in words."""
     import pinocchio as pin
 
     try:
-        return pin.buildModelFromXML(urdf.decode("utf-8", "replace"))
+        return pin.buildModelFromXML(plain_text(urdf, source))
     except (ValueError, RuntimeError) as error:
-        raise RobotFileError(f"Pinocchio can't read this URDF: {error}") from None
+        raise RobotFileError(f"{source}: Pinocchio can't read this URDF: {error}") from None
 
 
-def _reduced_model(urdf: bytes, joint_names: tuple[str, ...]) -> pin.Model:
+def _reduced_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
     import pinocchio as pin
 
-    model = _full_model(urdf)
+    model = _full_model(urdf, source)
     locked = [model.getJointId(name) for name in model.names[1:] if name not in joint_names]
     try:
         return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
     except ValueError as error:
-        raise RobotFileError(f"Pinocchio can't lock the joints off the path ({error}); rename what has one name") from None
+        raise RobotFileError(
+            f"{source}: Pinocchio can't lock the joints off the path ({error}); rename what has one name"
+        ) from None
 
 
 def _build(cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str) -> Robot:
     import pinocchio as pin
 
     names = tuple(joint.name for joint in path)
-    model = _reduced_model(tree.text, names)
+    model = _reduced_model(tree.text, names, tree.source)
     data = model.createData()
     ids = [model.getJointId(name) for name in names]
     pin.framesForwardKinematics(model, data, pin.neutral(model))
@@ -271,7 +282,7 @@ def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
     pin.computeJointJacobians(model, data, pin.neutral(model))
     axes = []
     for i in ids:
-        column = pin.getJointJacobian(model, data, i, pin.LOCAL)[:, model.joints[i].idx_v]
+        column = np.reshape(pin.getJointJacobian(model, data, i, pin.LOCAL), (6, -1))[:, model.joints[i].idx_v]
         axes.append(column[3:] if np.any(column[3:]) else column[:3])
     return np.array(axes)
 

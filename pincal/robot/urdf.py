@@ -17,8 +17,12 @@ from pincal.errors import RobotFileError
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 _UNSUPPORTED_TYPES = ("planar", "floating")
+# Lengths of an axis that can be meant; others lose all digits when they are normalised.
+_AXIS_LENGTHS = (1e-6, 1e6)
+# What Pinocchio calls the world.
+_RESERVED = "universe"
 # How ROS-Industrial and makers' URDFs name the link that a tool is mounted on, most specific first.
-_TIP_NAMES = ("tool0", "tcp", "flange", "ee_link", "eef")
+_TIP_NAMES = ("tool0", "tcp", "flange", "ee_link", "eef", "end_effector")
 
 
 @dataclass(frozen=True)
@@ -168,9 +172,18 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     joints = tuple(_read_joint(element, source) for element in root.iterfind("joint"))
     _check_unique(links, "link", source)
     _check_unique([joint.name for joint in joints], "joint", source)
+    if _RESERVED in (*links, *(joint.name for joint in joints)):
+        raise RobotFileError(f"{source}: {_RESERVED!r} names a link or joint, but means the world to Pinocchio; rename it")
+    if not root.get("name"):
+        raise RobotFileError(f'{source}:{root.sourceline}: <robot> has no name; expected <robot name="...">')
     _check_numbers(root, source)
     _check_masses(root, source)
     return UrdfTree(text, root.get("name", "robot"), source, links, joints, _find_root(links, joints, source))
+
+
+def plain_text(text: bytes, source: str) -> str:
+    """Return the XML as text without a declaration of its encoding, for readers that know only one."""
+    return str(etree.tostring(parse_xml(text, source), encoding="unicode"))
 
 
 def _read_joint(element: Any, source: str) -> UrdfJoint:
@@ -185,11 +198,40 @@ def _read_joint(element: Any, source: str) -> UrdfJoint:
         if end is None or not end.get("link"):
             raise RobotFileError(f"{source}:{element.sourceline}: joint {name!r} names no {role} link")
         ends.append(end.get("link"))
-    axis = element.find("axis")
-    if kind in MOVING_TYPES and axis is not None and not np.any(_numbers(axis, "xyz", source)):
-        raise RobotFileError(f"{source}:{axis.sourceline}: joint {name!r} has a zero axis; expected a direction")
+    _check_axis(element, name, kind, source)
+    _check_limit(element, name, kind, source)
     mimic = element.find("mimic")
     return UrdfJoint(name, kind, ends[0], ends[1], None if mimic is None else mimic.get("joint", ""))
+
+
+def _check_axis(element: Any, name: str, kind: str, source: str) -> None:
+    axis = element.find("axis")
+    if kind not in MOVING_TYPES or axis is None:
+        return
+    with np.errstate(over="ignore"):
+        length = float(np.linalg.norm(_numbers(axis, "xyz", source)))
+    if not _AXIS_LENGTHS[0] < length < _AXIS_LENGTHS[1]:
+        what = "a zero axis" if length == 0.0 else f"an axis of length {length:.1e}"
+        raise RobotFileError(f"{source}:{axis.sourceline}: joint {name!r} has {what}; expected a direction of length 1")
+
+
+def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
+    """URDF asks for limits of revolute and prismatic joints, and readers refuse a file without."""
+    limit = element.find("limit")
+    if limit is None:
+        if kind in ("revolute", "prismatic"):
+            raise RobotFileError(
+                f"{source}:{element.sourceline}: joint {name!r} is {kind} and has no <limit>; "
+                "add <limit lower upper effort velocity>, or make it continuous"
+            )
+        return
+    for key, text in limit.items():
+        try:
+            float(text)
+        except ValueError:
+            raise RobotFileError(
+                f"{source}:{limit.sourceline}: joint {name!r} has <limit {key}={text!r}>; expected a number"
+            ) from None
 
 
 def _attribute(element: Any, key: str, source: str) -> str:
@@ -219,7 +261,7 @@ def _check_unique(names: Iterable[str], what: str, source: str) -> None:
 
 
 def _check_numbers(root: Any, source: str) -> None:
-    for element in root.iterfind("joint/origin"):
+    for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
         _numbers(element, "xyz", source)
         _numbers(element, "rpy", source)
 
@@ -235,6 +277,11 @@ def _check_masses(root: Any, source: str) -> None:
             raise RobotFileError(
                 f"{source}:{element.sourceline}: link {link!r} has mass {element.get('value')!r}; "
                 "expected a number of kg that is not negative"
+            )
+        if element.getparent().find("inertia") is None:
+            raise RobotFileError(
+                f"{source}:{element.sourceline}: link {link!r} has a mass but no <inertia>, so URDF readers drop the mass; "
+                "add one, of zeros if it is not known"
             )
 
 

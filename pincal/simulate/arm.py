@@ -102,11 +102,18 @@ def _load(urdf: str | Path) -> Any:
         raise RobotFileError(f"{'URDF text' if is_text else urdf}: {error}") from error
 
 
+def _frame_id(model: Any, name: str) -> int:
+    """Return the index of a link's frame; a joint may have the same name."""
+    import pinocchio as pin
+
+    if not model.existFrame(name, pin.BODY):
+        names = [frame.name for frame in model.frames if frame.type == pin.BODY]
+        raise RobotFileError(f"link {name!r}: not in the URDF; expected one of {', '.join(names)}")
+    return int(model.getFrameId(name, pin.BODY))
+
+
 def _frame(model: Any, name: str) -> Any:
-    if not model.existFrame(name):
-        names = [frame.name for frame in model.frames][1:]
-        raise RobotFileError(f"frame {name!r}: not in the URDF; expected one of {', '.join(names)}")
-    return model.frames[model.getFrameId(name)]
+    return model.frames[_frame_id(model, name)]
 
 
 def _path(model: Any, tip: str, base: str | None) -> list[int]:
@@ -124,14 +131,14 @@ def _arm(model: Any, tip: str, base: str | None) -> Arm:
     data, q = model.createData(), pin.neutral(model)
     pin.computeJointJacobians(model, data, q)
     pin.framesForwardKinematics(model, data, q)
-    origin = data.oMf[model.getFrameId(base)] if base else pin.SE3.Identity()
+    origin = data.oMf[_frame_id(model, base)] if base else pin.SE3.Identity()
     joints = range(1, model.njoints)
     twists = [_twist(model, data, i) for i in joints]
     prismatic = np.array([not np.any(twist[3:]) for twist in twists])
     axes = np.array([_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)])
     frames = [origin.homogeneous]
     frames += [data.oMi[i].homogeneous @ _rotation(axes[i - 1]) for i in joints]
-    frames.append(data.oMf[model.getFrameId(tip)].homogeneous)
+    frames.append(data.oMf[_frame_id(model, tip)].homogeneous)
     lower, upper = _limits(model, prismatic)
     return Arm(
         names=tuple(model.names[i] for i in joints),
