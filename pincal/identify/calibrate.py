@@ -186,6 +186,29 @@ def foresee(robot: Robot, measurements: Measurements, options: Options | None = 
     return Fit(problem, nominal, outlook, priors, noise, stages, options)
 
 
+def refit(fit: Fit, effects: Sequence[Effect]) -> Fit:
+    """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
+
+    Args:
+        fit: a calibration.
+        effects: what may deviate, beside base and tool; parameters known to ``fit`` by name start at its values.
+    """
+    frames = [effect for effect in fit.model.effects if isinstance(effect, BaseFrame | ToolFrame)]
+    model = fit.model.with_effects([*frames, *effects])
+    problem = fit.problem.with_model(model)
+    options = replace(fit.options, effects=tuple(effects))
+    before = {p.name: i for i, p in enumerate(fit.problem.parameters)}
+    places = [before.get(p.name) for p in problem.parameters]
+
+    def carried(values: np.ndarray) -> np.ndarray:
+        return np.array([0 if i is None else values[i] for i in places], values.dtype)
+
+    nominal = replace(fit.nominal, values=carried(fit.nominal.values), free=carried(fit.nominal.free))
+    priors = priors_of(problem, options)
+    fitted, stages = _fit(problem, carried(fit.values), priors, fit.noise, options)
+    return Fit(problem, nominal, fitted, priors, fit.noise, stages, options)
+
+
 def _begin(robot: Robot, measurements: Measurements, options: Options) -> tuple[Problem, Solution, Priors, Noise]:
     """Return the problem, its fit of base and tool alone, the priors and the noise."""
     _refuse_massless(robot, options.effects)

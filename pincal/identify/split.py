@@ -12,7 +12,7 @@ from pincal.measure.measurements import Measurements
 Split = Literal["random", "blocked"]
 
 # Regions of joint space that a blocked split deals out.
-_BLOCKS = 20
+_BLOCKS = 25
 
 
 def hold_out(
@@ -40,9 +40,9 @@ def hold_out(
     if wanted:
         folds = row_groups(measurements, split=split, seed=seed)
         for group in np.random.default_rng(seed).permutation(folds.max() + 1):
-            if held.sum() >= wanted:
-                break
-            held |= folds == group
+            size = int(np.sum(folds == group))
+            if held.sum() + 0.5 * size <= wanted:
+                held |= folds == group
     return measurements.select(~held), measurements.select(held)
 
 

@@ -102,10 +102,17 @@ class Term:
 
 
 class Effect(ABC):
-    """A physical cause of deviations from the nominal robot."""
+    """A physical cause of deviations from the nominal robot.
+
+    Attributes:
+        name: its name in reports and files.
+        uses_moments: whether its terms need the static moments.
+        needs: what must be recorded of the poses: "temperature", "time", "approach", "payload".
+    """
 
     name: ClassVar[str]
     uses_moments: ClassVar[bool] = False
+    needs: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -120,6 +127,14 @@ class Effect(ABC):
             conditions: the N poses.
             moments: shape (N, 3 n), static moments [N m]; None for an effect that does not use them.
         """
+
+    def missing(self, conditions: Conditions) -> tuple[str, ...]:
+        """Return what the effect needs and these poses lack: columns that are absent or the same in all rows."""
+        return tuple(column for column in self.needs if not _varies(getattr(conditions, column)))
+
+
+def _varies(column: np.ndarray | None) -> bool:
+    return column is not None and bool(np.any(column != column[:1]))
 
 
 def _constants(name: str, chain: Chain, joints: Iterable[int], symbols: dict[str, float]) -> tuple[Parameter, ...]:

@@ -134,12 +134,16 @@ class Model:
         return out
 
     def rigid_coordinates(self, values: np.ndarray) -> np.ndarray:
-        """Return the coordinates at q = 0 that no pose changes, shape (K,): the geometry without elasticity."""
+        """Return the coordinates at q = 0, shape (K,), by all that is the same in every pose: the geometry alone."""
         at_zero = Conditions.at(np.zeros((1, self.chain.robot.n_joints)))
-        effects = tuple(effect for effect in self.effects if not effect.uses_moments)
-        rigid = self.with_effects(effects)
-        picked = np.array([values[self.index(name)] for name in rigid.names])
-        return np.asarray(rigid.coordinates(picked, at_zero)[0])
+        constant = self.chain.nominal.copy()
+        for start, effect in zip(self._starts, self.effects, strict=False):
+            if effect.uses_moments or effect.needs:
+                continue
+            for term in effect.terms(self.chain, at_zero, None):
+                if term.basis is None:
+                    constant[term.coordinate] += values[start + term.parameter]
+        return constant
 
     def largest_basis(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
         """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.

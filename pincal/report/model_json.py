@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+# Imported for its classes, which known_effects finds.
+import pincal.model.catalogue  # noqa: F401
 from pincal.model.chain import MOMENT_FRAMES, Chain
 from pincal.model.effects import Effect, Parameter
 from pincal.model.model import Model

@@ -1,0 +1,242 @@
+r"""Score tests of candidate effects on the Jacobian of a fitted model.
+
+With A the whitened Jacobian by all parameters (those of the model, N, and those of every candidate, at zero), r the
+whitened residuals, S = A A^T and b = A r, everything that criticism asks follows from S and b: with the model's tangent
+space and its priors L projected out,
+
+.. math:: S'_{gg} = S_{gg} - S_{gN} (S_{NN} + L)^{-1} S_{Ng}, \qquad T_g = b'^T_g S'^{-1}_{gg} b'_g ,
+
+T_g is what adding effect g and refitting everything would take off the sum of squares (Rao's score test; chi-square with
+k_g degrees of freedom if g is not there). One pass over the data serves all candidates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import fdtrc
+
+from pincal.identify.calibrate import Fit, priors_of
+from pincal.identify.normal import block_rows
+from pincal.identify.problem import Problem
+from pincal.model.effects import Effect
+
+# Part of a column's square that must be left after projection for the data to see it.
+_SEEN = 1e-5
+
+
+@dataclass(frozen=True)
+class Score:
+    """The test of one candidate.
+
+    Attributes:
+        gain: T, what it takes off the sum of squares (in units of the noise that the model leaves).
+        rank: k, directions of it that the data see.
+        p_value: of the F test.
+        ebic: change of the extended Bayesian information criterion (Chen and Chen 2008); negative is better.
+    """
+
+    gain: float
+    rank: int
+    p_value: float
+    ebic: float
+
+
+@dataclass(frozen=True)
+class Criticism:
+    """Gram matrices of a fitted model and of all candidates.
+
+    Attributes:
+        effects: the candidates.
+        columns: for each candidate, its columns in ``S``.
+        n_model: the first columns, those of the model and of nuisance effects.
+        S: shape (P, P), whitened by the noise that the model leaves.
+        b: shape (P,).
+        precision: shape (n_model,), 1 / prior^2 of the model's parameters.
+        pull: shape (n_model,), precision times present deviation.
+        blocks_S, blocks_b: shape (B, P, P), (B, P), by block of poses, for cross-validation.
+        squares: weighted sum of squared residuals.
+        readings: number of readings that count.
+        spent: parameters spent by the model.
+    """
+
+    effects: tuple[Effect, ...]
+    columns: tuple[slice, ...]
+    n_model: int
+    S: np.ndarray
+    b: np.ndarray
+    precision: np.ndarray
+    pull: np.ndarray
+    sizes: np.ndarray
+    blocks_S: np.ndarray
+    blocks_b: np.ndarray
+    squares: float
+    readings: int
+    spent: float
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom that the model leaves."""
+        return max(self.readings - self.spent, 1.0)
+
+    @cached_property
+    def _projected(self) -> tuple[np.ndarray, np.ndarray]:
+        """S' and b' of all candidate columns."""
+        N = slice(0, self.n_model)
+        C = slice(self.n_model, len(self.b))
+        H = self.S[N, N] + np.diag(self.precision)
+        scale = 1.0 / np.sqrt(np.diag(H))
+        values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+        seen = values > 1e-13 * values[-1]
+        half = (scale[:, None] * vectors[:, seen]) / np.sqrt(values[seen])
+        left = half.T @ self.S[N, C]
+        slope = self.b[N] - self.pull
+        return self.S[C, C] - left.T @ left, self.b[C] - left.T @ (half.T @ slope)
+
+    def columns_of(self, which: Sequence[int]) -> np.ndarray:
+        """Return the columns of some candidates, counted from the first candidate column."""
+        spans = [np.arange(self.columns[i].start, self.columns[i].stop) for i in which]
+        return np.concatenate(spans) - self.n_model if spans else np.zeros(0, int)
+
+    def gain(self, which: Sequence[int]) -> tuple[float, int]:
+        """Return T and rank of some candidates together."""
+        S, b = self._projected
+        j = self.columns_of(which)
+        whole = np.diag(self.S)[self.n_model + j]
+        scale = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
+        values, vectors = np.linalg.eigh(S[np.ix_(j, j)] * np.outer(scale, scale))
+        seen = values > _SEEN
+        along = (vectors[:, seen].T @ (scale * b[j])) ** 2
+        return float(np.sum(along / values[seen])), int(seen.sum())
+
+    def score(self, which: Sequence[int], groups: int) -> Score:
+        """Return the test of some candidates taken as one."""
+        gain, rank = self.gain(which)
+        return self.judge(gain, rank, groups)
+
+    def judge(self, gain: float, rank: int, groups: int) -> Score:
+        """Return p-value and EBIC of a gain."""
+        if rank == 0:
+            return Score(0.0, 0, 1.0, np.inf)
+        gain = min(gain, 0.999999 * self.squares)
+        left = self.squares - gain
+        F = (gain / rank) / (left / max(self.dof - rank, 1.0))
+        p_value = float(fdtrc(rank, max(self.dof - rank, 1.0), F))
+        ebic = self.readings * np.log(left / self.squares) + rank * np.log(self.readings) + 2.0 * np.log(max(groups, 1))
+        return Score(gain, rank, p_value, float(ebic))
+
+    def gain_given(self, which: int, given: int) -> Score:
+        """Return what one candidate still explains once another is in the model."""
+        both, rank_both = self.gain([which, given])
+        alone, rank_alone = self.gain([given])
+        return self.judge(both - alone, max(rank_both - rank_alone, 0), 1)
+
+    def cross_validated_gain(self, which: Sequence[int]) -> tuple[float, float]:
+        """Return the gain in squared prediction error on blocks left out, and its standard error.
+
+        Both the model and the model with the candidates are refitted, to first order, without each block.
+        """
+        j = np.concatenate([np.arange(self.n_model), self.n_model + self.columns_of(which)])
+        gains = []
+        for S, b in zip(self.blocks_S, self.blocks_b, strict=True):
+            without = self._error_without(S, b, np.arange(self.n_model))
+            gains.append(without - self._error_without(S, b, j))
+        found = np.array(gains)
+        return float(found.sum()), float(found.std(ddof=1) * np.sqrt(len(found)))
+
+    def _error_without(self, S: np.ndarray, b: np.ndarray, j: np.ndarray) -> float:
+        """Return the change of squared error on a block, the parameters ``j`` fitted without it."""
+        precision = np.concatenate([self.precision, self.sizes[self.n_model :] ** -2.0])[j]
+        pull = np.concatenate([self.pull, np.zeros(len(self.b) - self.n_model)])[j]
+        H = (self.S - S)[np.ix_(j, j)] + np.diag(precision)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+        seen = values > 1e-12 * values[-1]
+        U = scale[:, None] * vectors[:, seen]
+        step = U @ ((U.T @ ((self.b - b)[j] - pull)) / values[seen])
+        return float(step @ S[np.ix_(j, j)] @ step - 2.0 * step @ b[j])
+
+    def estimate(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return values and covariance of some candidates' parameters to first order, priors included."""
+        S, b = self._projected
+        j = self.columns_of(which)
+        C = np.linalg.inv(S[np.ix_(j, j)] + np.diag(self.sizes[self.n_model + j] ** -2.0))
+        return C @ b[j], C
+
+
+def criticise(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect], groups: np.ndarray) -> Criticism:
+    """Test candidates against a fit.
+
+    Args:
+        fit: the fitted model.
+        candidates: effects to test, none of them in the model.
+        nuisance: effects that are projected out but not tested.
+        groups: shape (N,), the block of each training row, for cross-validation.
+    """
+    model = fit.model
+    everything = model.with_effects([*model.effects, *nuisance, *candidates])
+    problem = fit.problem.with_model(everything)
+    own = len(fit.values) - model.n_parameters
+    sizes = priors_of(problem, fit.options).sizes
+    starts = np.cumsum([0, *(len(e.parameters(model.chain)) for e in everything.effects)])
+    # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
+    relative = slice(int(starts[len(model.effects)]), int(starts[len(model.effects) + len(nuisance)]))
+    sizes[relative] = [parameter.size for parameter in problem.parameters[relative]]
+    first = len(model.effects) + len(nuisance)
+    columns = tuple(slice(int(a), int(b)) for a, b in zip(starts[first:-1], starts[first + 1 :], strict=True))
+    values = np.concatenate([fit.values[: model.n_parameters], np.zeros(everything.n_parameters - model.n_parameters)])
+    free = np.ones(len(values), bool)
+    free[: model.n_parameters] = fit.solution.free[: model.n_parameters]
+    return _gram(fit, problem, np.concatenate([values, fit.values[model.n_parameters :]]), free, sizes, columns, groups, own)
+
+
+def _gram(
+    fit: Fit,
+    problem: Problem,
+    values: np.ndarray,
+    free: np.ndarray,
+    sizes: np.ndarray,
+    columns: tuple[slice, ...],
+    groups: np.ndarray,
+    own: int,
+) -> Criticism:
+    """Accumulate Gram matrices block of poses by block of poses."""
+    free = np.concatenate([free, np.ones(own, bool)])
+    kept = np.flatnonzero(free)
+    sigma = fit.solution.estimated
+    n_blocks = int(groups.max()) + 1
+    blocks_S, blocks_b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
+    squares = 0.0
+    for piece, residuals, jacobian in problem.linearise(values, free):
+        weights = problem.weights[piece] * fit.solution.weights[piece]
+        for rows, s in zip(block_rows(problem), sigma, strict=True):
+            jacobian[:, rows] *= weights / s
+            residuals[rows] *= weights / s
+        squares += float(np.sum(residuals**2))
+        for k in np.unique(groups[piece]):
+            here = groups[piece] == k
+            A = jacobian[:, :, here].reshape(len(kept), -1)
+            blocks_S[k] += A @ A.T
+            blocks_b[k] += A @ residuals[:, here].ravel()
+    n_model = int(np.sum(kept < columns[0].start)) if columns else len(kept)
+    shift = n_model - (columns[0].start if columns else 0)
+    at, priors = values[kept], sizes[kept]
+    precision = priors[:n_model] ** -2.0
+    return Criticism(
+        effects=tuple(problem.model.effects[-len(columns) :]) if columns else (),
+        columns=tuple(slice(c.start + shift, c.stop + shift) for c in columns),
+        n_model=n_model,
+        S=blocks_S.sum(axis=0),
+        b=blocks_b.sum(axis=0),
+        precision=precision,
+        pull=at[:n_model] * np.where(np.isfinite(priors[:n_model]), precision, 0.0),
+        sizes=priors,
+        blocks_S=blocks_S,
+        blocks_b=blocks_b,
+        squares=squares,
+        readings=int(np.sum(fit.solution.weights > 0) * sum(b.size for b in problem.sensor.blocks)),
+        spent=fit.solution.posterior.effective,
+    )

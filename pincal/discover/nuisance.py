@@ -1,0 +1,92 @@
+"""What may be wrong without being worth a name: masses and centres of mass that a URDF knows to some per cent only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.model import kernels
+from pincal.model.chain import Chain
+from pincal.model.effects import Compliance, Conditions, Effect, Parameter, Term
+from pincal.model.kernels import Payload, Values
+from pincal.model.model import Model
+
+# How well a URDF knows masses and first moments of mass: fractions of the link's own.
+MASS_SIZE = 0.05
+CENTRE_SIZE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class MassError(Effect):
+    """Mass and first moment of each link are off, seen through compliances as they are known so far.
+
+    The static moments are linear in mass and first moment of mass, so one evaluation a parameter gives the exact basis:
+    gamma_l += k_l d n_l / d parameter.
+
+    Attributes:
+        compliance: shape (3 n,), k of each joint's x, y, z [rad/(N m)].
+        coordinates: shape (K,), the rigid arm's coordinates at q = 0.
+    """
+
+    compliance: np.ndarray
+    coordinates: np.ndarray
+    name: ClassVar[str] = "mass_error"
+
+    @classmethod
+    def of(cls, model: Model, values: np.ndarray) -> MassError | None:
+        """Return the effect for a model's present compliances, None for a rigid model."""
+        n = model.chain.robot.n_joints
+        k = np.zeros(3 * n)
+        joints = model.chain.robot.joint_names
+        for effect in model.effects:
+            if not isinstance(effect, Compliance):
+                continue
+            for parameter in effect.parameters(model.chain):
+                joint, symbol = parameter.name.rsplit(".", 1)
+                k[3 * joints.index(joint) + "xyz".index(symbol[-1])] = values[model.index(parameter.name)]
+        return cls(k, model.rigid_coordinates(values)) if k.any() else None
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Relative error of mass, and of the first moment along x, y, z in units of mass times link size."""
+        return tuple(
+            Parameter(f"{joint}.{symbol}", "1", self.name, 0.0, MASS_SIZE if symbol == "mass" else CENTRE_SIZE)
+            for joint in chain.robot.joint_names
+            for symbol in ("mass", "mc_x", "mc_y", "mc_z")
+        )
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add each compliance times the change of its moment."""
+        values = _values(chain, conditions, self.coordinates)
+        n = chain.robot.n_joints
+        bent = [(m, chain.joint(m // 3, f"gamma_{'xyz'[m % 3]}")) for m in range(3 * n) if self.compliance[m]]
+        terms = []
+        for i in range(n):
+            for c in range(4):
+                change = self._moments(chain, conditions, values, i, c)
+                terms += [Term(4 * i + c, k, self.compliance[m] * change[m]) for m, k in bent if m // 3 <= i]
+        return tuple(terms)
+
+    def _moments(self, chain: Chain, conditions: Conditions, values: Values, i: int, component: int) -> np.ndarray:
+        """Return the static moments, shape (3 n, N), of one unit of a parameter of link i alone."""
+        robot = chain.robot
+        layout = chain.layout
+        masses, centres = np.zeros_like(robot.masses), np.zeros_like(robot.centres)
+        masses[i] = robot.masses[i]
+        no_load = Payload(np.zeros(len(conditions)), np.zeros(3))
+        if component == 0:
+            centres[i] = robot.centres[i]
+            return np.asarray(kernels.static_moments(layout._replace(masses=masses, centres=centres), values, no_load))
+        size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
+        centres[i, component - 1] = size
+        shifted = kernels.static_moments(layout._replace(masses=masses, centres=centres), values, no_load)
+        straight = kernels.static_moments(layout._replace(masses=masses, centres=0.0 * centres), values, no_load)
+        return np.asarray(shifted - straight)
+
+
+def _values(chain: Chain, conditions: Conditions, coordinates: np.ndarray) -> Values:
+    slot = np.full(len(coordinates), -1)
+    slot[chain.drives] = np.arange(len(chain.drives))
+    varying = np.ascontiguousarray((conditions.q + coordinates[chain.drives]).T)
+    return Values(coordinates.copy(), slot, varying)

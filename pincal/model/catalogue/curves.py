@@ -1,0 +1,87 @@
+"""A drive error that is any curve of the joint's own position."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model.catalogue.places import WAVE, drive_terms, drive_unit, parameters_of, positions
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect, Parameter, Term
+
+TURN = 2.0 * np.pi
+# Part of a turn from which on the curve is taken as periodic: what is left is too small a gap for a Fourier series to swing.
+_NEARLY_A_TURN = 0.9
+_DEGREE = 3
+
+
+@dataclass(frozen=True)
+class TransmissionError(Effect):
+    r"""An irregular gear: the joint moves by a curve g(q) of its own position more.
+
+    .. math:: g(q) = \sum_p c_p B_p(\min(\max(q, q_{lower}), q_{upper}))
+
+    with :math:`B_p` the sines and cosines of q, 2q, ... if periodic, else cubic B-splines on uniform knots. Outside the
+    positions that were measured g stays what it is at their end: a curve found in one range says nothing of another. The
+    splines add up to 1, which repeats the joint offset; the prior settles that.
+
+    Attributes:
+        joint: the joint.
+        lower, upper: the positions covered by measurements [rad or m].
+        size: number of basis functions, at least 4; even if periodic.
+        periodic: whether the curve repeats after a turn.
+    """
+
+    joint: str
+    lower: float
+    upper: float
+    size: int = 24
+    periodic: bool = False
+    name: ClassVar[str] = "transmission_error"
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range and a number of basis functions that does not fit."""
+        if not self.lower < self.upper:
+            raise BadInputError(f"{self.name} of {self.joint}: range {self.lower} .. {self.upper} is empty; move the joint")
+        if self.size <= _DEGREE or (self.periodic and self.size % 2):
+            kind = "an even number of at least 4" if self.periodic else "at least 4"
+            raise BadInputError(f"{self.name} of {self.joint}: size {self.size}; expected {kind}")
+
+    @classmethod
+    def over(cls, joint: str, q_column: np.ndarray, size: int = 24, *, periodic: bool | None = None) -> TransmissionError:
+        """Return the curve over the positions that a joint takes.
+
+        Args:
+            joint: the joint.
+            q_column: shape (N,), its positions [rad or m].
+            size: number of basis functions; one more where a periodic curve needs an even number.
+            periodic: whether the curve repeats after a turn; if the positions cover nearly one, unless given. A sliding
+                joint's does not.
+        """
+        lower, upper = float(np.min(q_column)), float(np.max(q_column))
+        repeats = upper - lower >= _NEARLY_A_TURN * TURN if periodic is None else periodic
+        return cls(joint, lower, upper, size + size % 2 if repeats else size, repeats)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Coefficients of the basis functions [rad or m]."""
+        symbols = [f"curve_{p + 1}" for p in range(self.size)]
+        return parameters_of(self, self.joint, symbols, unit=drive_unit(chain, self.joint), size=WAVE)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the basis functions of the joint's position to its drive."""
+        return drive_terms(chain, self.joint, self.basis(positions(chain, conditions, self.joint)))
+
+    def basis(self, q: np.ndarray) -> np.ndarray:
+        """Return the basis functions at positions of shape (N,), shape (size, N)."""
+        inside = np.clip(q, self.lower, self.upper)
+        if self.periodic:
+            angles = np.arange(1, self.size // 2 + 1)[:, None] * inside
+            return np.stack((np.sin(angles), np.cos(angles)), axis=1).reshape(self.size, -1)
+        from scipy.interpolate import BSpline
+
+        knots = np.linspace(self.lower, self.upper, self.size - _DEGREE + 1)
+        padded = np.concatenate(([self.lower] * _DEGREE, knots, [self.upper] * _DEGREE))
+        return np.asarray(BSpline.design_matrix(inside, padded, _DEGREE).toarray().T)

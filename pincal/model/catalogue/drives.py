@@ -1,0 +1,199 @@
+r"""Effects of a drive: what gear, encoder and bearing add to a joint's position, whatever the load.
+
+Sources: gear eccentricity and coupling after Whitney, Lozinski, Rourke (1986) and Judd, Knasinski (1990); backlash by the
+direction of approach after Slamani et al. (2012), as listed in the project's table of effects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model.catalogue.places import (
+    GROWTH,
+    PLAY,
+    RATIO,
+    TILT,
+    WAVE,
+    drive_terms,
+    drive_unit,
+    joint_index,
+    parameters_of,
+    positions,
+    recorded,
+    turning,
+    waves,
+)
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect, Parameter, Term
+
+Order = Literal[1, 2]
+WobbleFrame = Literal["before", "after"]
+ORDERS: tuple[Order, ...] = (1, 2)
+WOBBLE_FRAMES: tuple[WobbleFrame, ...] = ("before", "after")
+
+
+def _check_order(effect: Effect, joint: str, order: int) -> None:
+    if order not in ORDERS:
+        raise BadInputError(f"{effect.name} of {joint}: order {order}; expected 1 or 2")
+
+
+@dataclass(frozen=True)
+class GearEccentricity(Effect):
+    r"""An eccentric (order 1) or elliptical (order 2) wheel: the joint turns by :math:`s \sin kq + c \cos kq` more.
+
+    Over much less than a turn order 1 is like an offset, a ratio and a compensator together.
+
+    Attributes:
+        joint: the joint, a revolute one.
+        order: k, errors a turn.
+    """
+
+    joint: str
+    order: Order = 1
+    name: ClassVar[str] = "gear_eccentricity"
+
+    def __post_init__(self) -> None:
+        """Refuse other orders."""
+        _check_order(self, self.joint, self.order)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Amplitudes s and c [rad]."""
+        symbols = (f"eccentric_sin{self.order}", f"eccentric_cos{self.order}")
+        return parameters_of(self, self.joint, symbols, unit="rad", size=WAVE)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add sine and cosine of the joint's angle to its drive."""
+        return drive_terms(chain, self.joint, waves(self.order * positions(chain, conditions, self.joint)))
+
+
+@dataclass(frozen=True)
+class GearRatio(Effect):
+    """Gear or encoder ratio that is off: the joint moves by r q more, r relative."""
+
+    joint: str
+    name: ClassVar[str] = "gear_ratio"
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Relative error of the ratio [1]."""
+        return parameters_of(self, self.joint, ("ratio",), unit="1", size=RATIO)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the joint's position to its drive."""
+        return drive_terms(chain, self.joint, (positions(chain, conditions, self.joint),))
+
+
+@dataclass(frozen=True)
+class JointCoupling(Effect):
+    """Motion of one joint that leaks into another: ``joint`` moves by c q_source more."""
+
+    joint: str
+    source: str
+    name: ClassVar[str] = "joint_coupling"
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """The leak over the motion [1], or rad/m and m/rad between joints that turn and slide."""
+        units = drive_unit(chain, self.joint), drive_unit(chain, self.source)
+        unit = "1" if units[0] == units[1] else "/".join(units)
+        return parameters_of(self, self.joint, (f"coupling_{self.source}",), unit=unit, size=RATIO)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the source's position to the joint's drive."""
+        return drive_terms(chain, self.joint, (positions(chain, conditions, self.source),))
+
+
+@dataclass(frozen=True)
+class AxisWobble(Effect):
+    r"""A bearing whose axis tilts about x and y as it turns: each by :math:`s \sin kq + c \cos kq`.
+
+    The tilt acts before q (on s_x, s_y), where a constant tilt is the axis distortion and where a tilt fixed to the link is
+    a circle of order 1. So of order 1 before q that circle (two of four parameters) repeats constant geometry of the link,
+    and of order 1 after q the circle that stands still repeats s_x, s_y. As circles a turn seen from the previous link,
+    "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before) of (2, after).
+
+    Attributes:
+        joint: the joint, a revolute one.
+        order: k, waves a turn.
+        frame: whether the tilt is seen from the previous link ("before") or from the turning one ("after").
+    """
+
+    joint: str
+    order: Order = 2
+    frame: WobbleFrame = "before"
+    name: ClassVar[str] = "axis_wobble"
+
+    def __post_init__(self) -> None:
+        """Refuse other orders and frames."""
+        _check_order(self, self.joint, self.order)
+        if self.frame not in WOBBLE_FRAMES:
+            raise BadInputError(f"{self.name} of {self.joint}: frame {self.frame!r}; expected before or after")
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Amplitudes of sine and cosine about x, then about y [rad]."""
+        kind = "wobble" if self.frame == "before" else "wobble_after"
+        symbols = [f"{kind}_{axis}_{wave}{self.order}" for axis in "xy" for wave in ("sin", "cos")]
+        return parameters_of(self, self.joint, symbols, unit="rad", size=TILT)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add sines and cosines to s_x and s_y."""
+        i = joint_index(chain, self.joint)
+        both = waves(self.order * positions(chain, conditions, self.joint))
+        tilts = chain.joint(i, "s_x"), chain.joint(i, "s_y")
+        if self.frame == "before":
+            return tuple(Term(2 * axis + p, tilts[axis], wave) for axis in range(2) for p, wave in enumerate(both))
+        turned = turning(chain, conditions, i)
+        return tuple(
+            Term(2 * axis + p, tilts[c], turned[:, c, axis] * wave)
+            for axis in range(2)
+            for p, wave in enumerate(both)
+            for c in range(2)
+        )
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """Play in a gear: the joint moves by b times its direction of approach (-1, 0, 1) more.
+
+    A joint that lags behind its drive by half the play has b = - play / 2.
+    """
+
+    joint: str
+    name: ClassVar[str] = "backlash"
+    needs: ClassVar[tuple[str, ...]] = ("approach",)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Shift after an approach in positive direction [rad or m]."""
+        return parameters_of(self, self.joint, ("backlash",), unit=drive_unit(chain, self.joint), size=PLAY)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the direction of approach to the joint's drive."""
+        approach = recorded(self, f"approach_{self.joint}", conditions.approach)
+        return drive_terms(chain, self.joint, (approach[:, joint_index(chain, self.joint)],))
+
+
+@dataclass(frozen=True)
+class ThermalOffset(Effect):
+    """Zero of a joint that shifts with temperature: by c (T - reference).
+
+    Attributes:
+        joint: the joint.
+        reference: temperature without shift [deg C]; another one only changes the joint offset.
+    """
+
+    joint: str
+    reference: float = 20.0
+    name: ClassVar[str] = "thermal_offset"
+    needs: ClassVar[tuple[str, ...]] = ("temperature",)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Shift [rad/K or m/K]."""
+        unit = f"{drive_unit(chain, self.joint)}/K"
+        return parameters_of(self, self.joint, ("offset_T",), unit=unit, size=GROWTH)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the temperature to the joint's drive."""
+        temperature = recorded(self, "temperature", conditions.temperature)
+        return drive_terms(chain, self.joint, (temperature - self.reference,))

@@ -1,0 +1,223 @@
+r"""Effects of gravity's moments beyond linear joint and bearing elasticity.
+
+Moments are those of the chain (paper, Eq. (3)); a basis that follows one gives its slope, so that the Jacobian stays exact
+through the moments. Sources: Whitney et al. (1986) and Lightcap et al. (2008) for links and base, Klimchik et al. (2013,
+arXiv 1311.6810) for the compensator, Tuttle (1992) for the stiffening drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model.catalogue.places import (
+    PLAY,
+    WAVE,
+    drive_unit,
+    joint_index,
+    moment_axes,
+    moment_terms,
+    nominal_moments,
+    parameters_of,
+    positions,
+    waves,
+)
+from pincal.model.chain import Chain
+from pincal.model.effects import BENDING_SIZE, Conditions, Effect, Parameter, Term
+
+# Part of the largest moment of an axis that friction holds before its play goes to one side.
+_TRANSITION = 0.02
+# Part of the payload's largest moment on the arm below which an axis does not feel it.
+_UNFELT = 1e-3
+
+
+@dataclass(frozen=True)
+class NonlinearElasticity(Effect):
+    """Drive whose compliance depends on its torque: gamma_z = k3_z n_z |n_z|, beside the linear k_z n_z."""
+
+    joint: str
+    name: ClassVar[str] = "nonlinear_elasticity"
+    uses_moments: ClassVar[bool] = True
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Quadratic compliance [rad/(N m)^2]."""
+        return parameters_of(self, self.joint, ("k3_z",), unit="rad/(N m)^2", size=BENDING_SIZE)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add n |n|, whose slope is 2 |n|, to gamma_z."""
+        assert moments is not None
+        i = joint_index(chain, self.joint)
+        moment, size = 3 * i + 2, np.abs(moments[:, 3 * i + 2])
+        return (Term(0, chain.joint(i, "gamma_z"), moments[:, moment] * size, moment, 2.0 * size),)
+
+
+@dataclass(frozen=True)
+class LinkBending(Effect):
+    """Link that bends: its far end turns by k_x n_x, k_y n_y, the moments at the next joint, before that joint's q.
+
+    The turn about the next joint's own axis is that joint's elasticity. A cantilever's end also turns and moves under the
+    weight beyond it, which this leaves out: of a long link with its load near its end, that is the larger part. With
+    moments and bending "before" q this is the bearing elasticity of the next joint.
+
+    Attributes:
+        joint: the joint that moves the link; not the last.
+    """
+
+    joint: str
+    name: ClassVar[str] = "link_bending"
+    uses_moments: ClassVar[bool] = True
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Compliances about x and y of the next joint's frame before q [rad/(N m)].
+
+        Raises:
+            BadInputError: if no joint follows.
+        """
+        self._next(chain)
+        return parameters_of(self, self.joint, ("bend_x", "bend_y"), unit="rad/(N m)", size=BENDING_SIZE)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the next joint's moments to its s_x and s_y."""
+        assert moments is not None
+        i = self._next(chain)
+        axes = moment_axes(chain, conditions, i)
+        x = moment_terms(0, chain.joint(i, "s_x"), i, axis=axes[:, 0], moments=moments)
+        return x + moment_terms(1, chain.joint(i, "s_y"), i, axis=axes[:, 1], moments=moments)
+
+    def _next(self, chain: Chain) -> int:
+        i = joint_index(chain, self.joint) + 1
+        if i == chain.robot.n_joints:
+            others = ", ".join(chain.robot.joint_names[:-1])
+            raise BadInputError(f"{self.name} of {self.joint}: no joint follows its link; expected one of {others}")
+        return i
+
+
+@dataclass(frozen=True)
+class BaseElasticity(Effect):
+    """Foundation that tilts under the arm: rx = k_x m_x, ry = k_y m_y, in base axes about the base's origin.
+
+    m is the moment of the arm about the base's origin: joint 1's moment, in base axes, and where joint 1 stands beside the
+    origin (seen along gravity) the arm's weight times that distance.
+    """
+
+    name: ClassVar[str] = "base_elasticity"
+    uses_moments: ClassVar[bool] = True
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Compliances about the base's x and y [rad/(N m)]."""
+        return parameters_of(self, "base", ("k_x", "k_y"), unit="rad/(N m)", size=BENDING_SIZE)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add joint 1's moments in base axes to rx and ry."""
+        assert moments is not None
+        first = chain.robot.frames.T_base_first
+        axes = first[:3, :3] @ moment_axes(chain, conditions, 0)
+        # Moment of the whole weight, as if it hung at joint 1, about the base's origin, per kg.
+        beside = np.cross(first[:3, 3], chain.gravity)
+        mass = chain.robot.masses.sum() + conditions.payload
+        terms: tuple[Term, ...] = ()
+        for p, symbol in enumerate(("rx", "ry")):
+            terms += moment_terms(p, chain.base(symbol), 0, axis=axes[:, p], moments=moments)
+            terms += (Term(p, chain.base(symbol), beside[p] * mass),) if beside[p] else ()
+        return terms
+
+
+@dataclass(frozen=True)
+class GravityCompensator(Effect):
+    r"""Spring between two links that relieves the drive: gamma_z is the drive's compliance times the spring's torque.
+
+    The torque is a smooth function of the joint's angle alone, whatever the payload; its first harmonics are enough:
+    :math:`\gamma_z = s_1 \sin q + c_1 \cos q + s_2 \sin 2q + c_2 \cos 2q`. Gear eccentricity of both orders spans the same.
+    """
+
+    joint: str
+    name: ClassVar[str] = "gravity_compensator"
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Amplitudes s_1, c_1, s_2, c_2 [rad]."""
+        symbols = [f"spring_{wave}{order}" for order in (1, 2) for wave in ("sin", "cos")]
+        return parameters_of(self, self.joint, symbols, unit="rad", size=BENDING_SIZE)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add sines and cosines to gamma_z."""
+        q, k = positions(chain, conditions, self.joint), chain.joint(joint_index(chain, self.joint), "gamma_z")
+        return tuple(Term(p, k, wave) for p, wave in enumerate((*waves(q), *waves(2.0 * q))))
+
+
+@dataclass(frozen=True)
+class PayloadError(Effect):
+    """Payload that differs from the table: gamma_z of each joint grows by p_z times the payload's own moment there.
+
+    p_z is compliance times relative error of the payload's moment. The moment is taken on the nominal arm, as given: it
+    does not follow the geometry. Only where the payload varies can p_z be told from k_z.
+
+    Attributes:
+        joints: the joints that feel the payload; all unless given.
+    """
+
+    joints: tuple[str, ...] | None = None
+    name: ClassVar[str] = "payload_error"
+    needs: ClassVar[tuple[str, ...]] = ("payload",)
+
+    @classmethod
+    def over(cls, chain: Chain, conditions: Conditions) -> PayloadError:
+        """Return the effect on those joints that feel the payload in some pose."""
+        felt = np.abs(nominal_moments(chain, conditions, payload_only=True)).max(axis=0, initial=0.0)
+        names = zip(chain.robot.joint_names, chain.robot.joint_types, felt[2::3], strict=True)
+        threshold = _UNFELT * felt.max()
+        return cls(tuple(name for name, kind, moment in names if kind != "prismatic" and moment > threshold))
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """One p_z a joint [rad/(N m)]."""
+        names = self._names(chain)
+        return tuple(p for n in names for p in parameters_of(self, n, ("p_z",), unit="rad/(N m)", size=WAVE))
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the payload's moment to gamma_z."""
+        own = nominal_moments(chain, conditions, payload_only=True)
+        places = [joint_index(chain, name) for name in self._names(chain)]
+        return tuple(Term(p, chain.joint(i, "gamma_z"), own[:, 3 * i + 2]) for p, i in enumerate(places))
+
+    def _names(self, chain: Chain) -> Sequence[str]:
+        return chain.robot.joint_names if self.joints is None else self.joints
+
+
+@dataclass(frozen=True)
+class LoadBacklash(Effect):
+    """Play that the load takes up: the joint moves by b tanh(n_z / transition) more, b half the play.
+
+    Attributes:
+        joint: the joint.
+        transition: torque within which the joint changes sides [N m].
+    """
+
+    joint: str
+    transition: float = 20.0
+    name: ClassVar[str] = "load_backlash"
+    uses_moments: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Refuse a transition without width."""
+        if not self.transition > 0.0:
+            raise BadInputError(f"{self.name} of {self.joint}: transition {self.transition} N m; expected more than 0")
+
+    @classmethod
+    def over(cls, joint: str, moment: np.ndarray) -> LoadBacklash:
+        """Return the effect with a transition of 2 % of the largest of the moments n_z seen, shape (N,) [N m]."""
+        largest = float(np.abs(moment).max(initial=0.0))
+        return cls(joint, _TRANSITION * largest) if largest > 0.0 else cls(joint)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Half the play [rad or m]."""
+        return parameters_of(self, self.joint, ("load_backlash",), unit=drive_unit(chain, self.joint), size=PLAY)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the smoothed sign of the moment to the joint's drive."""
+        assert moments is not None
+        i = joint_index(chain, self.joint)
+        side = np.tanh(moments[:, 3 * i + 2] / self.transition)
+        return (Term(0, int(chain.drives[i]), side, 3 * i + 2, (1.0 - side**2) / self.transition),)

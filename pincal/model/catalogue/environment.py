@@ -1,0 +1,131 @@
+"""Effects of temperature, time and instrument on lengths and base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.model.catalogue.places import GROWTH, TILT, joint_index, parameters_of, recorded
+from pincal.model.chain import FRAME_SYMBOLS, Chain
+from pincal.model.effects import Conditions, Effect, Parameter, Term
+
+
+@dataclass(frozen=True)
+class ThermalExpansion(Effect):
+    """Lengths that grow with temperature: by alpha_T (T - reference) times their nominal value.
+
+    Of the whole arm these are d and a of every joint, and the constant ways from the base to joint 1 and from the last link
+    to the tip: which of a robot's lengths are d and a is a matter of where the URDF puts its frames. The constant ways act
+    on base and tool x, y, z. Of one joint it is the way from where the URDF has this joint to where it has the next, or the
+    tip: d and a, but for the parts of d (before) and of the next joint's d (behind) that lie beyond those places.
+
+    Attributes:
+        joint: the joint that moves the one link that grows; None for the whole arm.
+        reference: temperature at which lengths are nominal [deg C]; another one only changes the lengths.
+    """
+
+    joint: str | None = None
+    reference: float = 20.0
+    name: ClassVar[str] = "thermal_expansion"
+    needs: ClassVar[tuple[str, ...]] = ("temperature",)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Coefficient of expansion [1/K]."""
+        return parameters_of(self, self.joint or "arm", ("alpha_T",), unit="1/K", size=GROWTH)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add nominal length times temperature to d and a, and to base and tool."""
+        warm = recorded(self, "temperature", conditions.temperature) - self.reference
+        lengths = _whole(chain) if self.joint is None else _link(chain, joint_index(chain, self.joint))
+        return tuple(Term(0, k, length * warm) for k, length in lengths.items() if length)
+
+
+@dataclass(frozen=True)
+class BaseDrift(Effect):
+    """Base, or instrument, that creeps: its six coordinates change by rate times (time - reference).
+
+    Attributes:
+        reference: time without drift [s]; the mean is well conditioned, another one only changes the base.
+    """
+
+    reference: float = 0.0
+    name: ClassVar[str] = "base_drift"
+    needs: ClassVar[tuple[str, ...]] = ("time",)
+
+    @classmethod
+    def over(cls, time: np.ndarray) -> BaseDrift:
+        """Return the drift about the mean of the times [s]."""
+        return cls(float(np.mean(time)))
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Rates along the instrument's axes [m/s] and about the base's [rad/s]."""
+        shift = parameters_of(self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[:3]], unit="m/s", size=GROWTH)
+        return shift + parameters_of(self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[3:]], unit="rad/s", size=GROWTH)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the time to the base's coordinates."""
+        since = recorded(self, "time", conditions.time) - self.reference
+        return tuple(Term(p, chain.base(symbol), since) for p, symbol in enumerate(FRAME_SYMBOLS))
+
+
+@dataclass(frozen=True)
+class MeasurementScale(Effect):
+    """Instrument with a wrong scale: every length is seen (1 + s) times as long.
+
+    To first order d and a of every joint (and the way of a sliding one) grow by s; base and tool are constants, which their
+    own parameters take up. With all lengths free this adds nothing (rank 0): it needs a length that is known, such as
+    links fixed at their nominal lengths.
+    """
+
+    name: ClassVar[str] = "measurement_scale"
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Relative error of the scale [1]."""
+        return parameters_of(self, "instrument", ("scale",), unit="1", size=TILT)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add nominal lengths to d and a."""
+        ones, types = np.ones(len(conditions)), chain.robot.joint_types
+        ways = {int(k): conditions.q[:, i] for i, k in enumerate(chain.drives) if types[i] == "prismatic"}
+        lengths = {k: length * ones + ways.get(k, 0.0) for k, length in _lengths(chain).items()}
+        return tuple(Term(0, k, length) for k, length in lengths.items() if np.any(length))
+
+
+def _lengths(chain: Chain) -> dict[int, float]:
+    """Return the nominal d and a of every joint by coordinate [m]."""
+    places = [chain.joint(i, symbol) for i in range(chain.robot.n_joints) for symbol in "da"]
+    return {k: float(chain.nominal[k]) for k in places}
+
+
+def _whole(chain: Chain) -> dict[int, float]:
+    """Return all lengths from the base to the tip by coordinate [m]."""
+    to_first = chain.base_rotation @ chain.robot.frames.T_base_first[:3, 3]
+    base = {chain.base(symbol): float(way) for symbol, way in zip("xyz", to_first, strict=True)}
+    return base | _lengths(chain) | _flange(chain)
+
+
+def _flange(chain: Chain) -> dict[int, float]:
+    """Return the way from the last link's frame to the tip, in the axes of the tip, by coordinate [m]."""
+    T = chain.robot.frames.T_last_tip
+    return {chain.tool(symbol): float(way) for symbol, way in zip("xyz", T[:3, :3].T @ T[:3, 3], strict=True)}
+
+
+def _link(chain: Chain, i: int) -> dict[int, float]:
+    """Return the way from joint i to the next, as the URDF places them, by coordinate [m].
+
+    With u_i the height of the URDF's joint i on its axis:  p_(i+1) - p_i = (d_i - u_i) z_i + a_i x_i + u_(i+1) z_(i+1).
+    """
+    d, a = chain.joint(i, "d"), chain.joint(i, "a")
+    way = {d: float(chain.nominal[d]) - _height(chain, i), a: float(chain.nominal[a])}
+    if i + 1 == chain.robot.n_joints:
+        return way | _flange(chain)
+    return way | {chain.joint(i + 1, "d"): _height(chain, i + 1)}
+
+
+def _height(chain: Chain, i: int) -> float:
+    """Return where on its axis, from the frame before it, the URDF has joint i [m]."""
+    d, alpha = (chain.nominal[chain.joint(i, symbol)] for symbol in ("d", "alpha"))
+    _, y, z = chain.robot.T_link_joint[i, :3, 3]
+    return float(d + np.sin(alpha) * y + np.cos(alpha) * z)

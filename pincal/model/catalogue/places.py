@@ -1,0 +1,130 @@
+"""What the effects of the catalogue share: joints by name, recorded columns, parameters and moments in other axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model import kernels
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect, Parameter, Term
+
+# Typical sizes of what an effect does to its coordinate (DISCOVERY.md, table of effects) [rad or m].
+PLAY = 2e-4
+WAVE = 3e-4
+TILT = 1e-4
+GROWTH = 3e-4
+RATIO = 1e-3
+
+# Direction cosine below which a moment has no part along an axis: rounding of a URDF's rotations.
+_ACROSS = 1e-12
+
+
+def joint_index(chain: Chain, joint: str) -> int:
+    """Return the place of a joint, 0 at the base.
+
+    Raises:
+        BadInputError: if the arm has no such joint.
+    """
+    names = chain.robot.joint_names
+    if joint not in names:
+        near = get_close_matches(joint, names, n=3)
+        listed = ", ".join(near + [name for name in names if name not in near])
+        raise BadInputError(f"joint {joint!r}: not on this arm; expected one of {listed}")
+    return names.index(joint)
+
+
+def is_revolute(chain: Chain, joint: str) -> bool:
+    """Return whether a joint turns; the others slide."""
+    return chain.robot.joint_types[joint_index(chain, joint)] != "prismatic"
+
+
+def drive_unit(chain: Chain, joint: str) -> str:
+    """Return the unit of a joint's position."""
+    return "rad" if is_revolute(chain, joint) else "m"
+
+
+def positions(chain: Chain, conditions: Conditions, joint: str) -> np.ndarray:
+    """Return the recorded positions of a joint, shape (N,) [rad or m]."""
+    return np.asarray(conditions.q[:, joint_index(chain, joint)])
+
+
+def recorded(effect: Effect, column: str, values: np.ndarray | None) -> np.ndarray:
+    """Return a column of conditions.
+
+    Raises:
+        BadInputError: if these poses come without it.
+    """
+    if values is None:
+        raise BadInputError(f"{effect.name} needs the column {column}, which these poses do not have; add it")
+    return values
+
+
+def parameters_of(effect: Effect, element: str, symbols: Iterable[str], *, unit: str, size: float) -> tuple[Parameter, ...]:
+    """Return parameters of one element that share unit and typical size; each is zero in the nominal robot."""
+    return tuple(Parameter(f"{element}.{symbol}", unit, effect.name, 0.0, size) for symbol in symbols)
+
+
+def drive_terms(chain: Chain, joint: str, bases: Iterable[np.ndarray]) -> tuple[Term, ...]:
+    """Return one term a basis, all on the coordinate that the joint's position adds to."""
+    drive = int(chain.drives[joint_index(chain, joint)])
+    return tuple(Term(p, drive, basis) for p, basis in enumerate(bases))
+
+
+def waves(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return sine and cosine of angles [rad]."""
+    return np.sin(angle), np.cos(angle)
+
+
+def turning(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
+    """Return the rotations from the axes of joint i after q to those before q, shape (N, 3, 3), by nominal theta."""
+    turned = np.zeros((len(conditions), 3, 3))
+    sine, cosine = waves(chain.nominal[chain.joint(i, "theta")] + _turned_by(chain, conditions, i))
+    turned[:, 0, 0] = turned[:, 1, 1] = cosine
+    turned[:, 0, 1], turned[:, 1, 0] = -sine, sine
+    turned[:, 2, 2] = 1.0
+    return turned
+
+
+def _turned_by(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
+    q = np.asarray(conditions.q[:, i])
+    return q if chain.robot.joint_types[i] != "prismatic" else np.zeros_like(q)
+
+
+def moment_axes(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
+    """Return the rotations from the axes in which the chain takes joint i's moment to those before q, (N, 3, 3)."""
+    if chain.moment_frame == "after":
+        return turning(chain, conditions, i)
+    return np.broadcast_to(np.eye(3), (len(conditions), 3, 3))
+
+
+def moment_terms(parameter: int, coordinate: int, i: int, *, axis: np.ndarray, moments: np.ndarray) -> tuple[Term, ...]:
+    """Return the terms of one parameter driven by the moment of joint i about an axis: one a component.
+
+    Args:
+        parameter: index among the effect's parameters.
+        coordinate: index in the chain.
+        i: the joint.
+        axis: shape (N, 3), the axis in the axes of the moment.
+        moments: shape (N, 3 n), static moments [N m].
+    """
+    return tuple(
+        Term(parameter, coordinate, axis[:, c] * moments[:, 3 * i + c], 3 * i + c, axis[:, c].copy())
+        for c in range(3)
+        if np.abs(axis[:, c]).max(initial=0.0) > _ACROSS
+    )
+
+
+def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
+    """Return the static moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload alone."""
+    constant, n = chain.nominal, chain.robot.n_joints
+    slot = np.full(chain.size, -1)
+    slot[chain.drives] = np.arange(n)
+    varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
+    mass = np.require(conditions.payload, np.float64, ["C", "W"])
+    payload = kernels.Payload(mass, np.array(conditions.payload_centre, float))
+    layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
+    return np.asarray(kernels.static_moments(layout, kernels.Values(constant.copy(), slot, varying), payload).T)
