@@ -17,6 +17,7 @@ _COMMANDS = {
     "demo": "pincal.cli.demo",
     "check": "pincal.cli.check",
     "calibrate": "pincal.cli.calibrate",
+    "discover": "pincal.cli.discover",
     "validate": "pincal.cli.use",
     "predict": "pincal.cli.use",
     "export": "pincal.cli.use",
@@ -45,6 +46,7 @@ def pincal() -> None:
     Start here:   pincal demo
     Your robot:   pincal check     ROBOT.urdf DATA.csv
                   pincal calibrate ROBOT.urdf DATA.csv --out results
+    Still off?    pincal discover  ROBOT.urdf DATA.csv --out results
     """
 
 

@@ -71,7 +71,7 @@ def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max
         for note in exported:
             click.echo(f"note: {note}")
         click.echo(f"written to {out}: model.json result.json calibrated.urdf residuals.csv report.html")
-    return _verdict(calibration.result, max_error)
+    return verdict(calibration.result, max_error)
 
 
 def write_results(folder: Path, calibration: Any, origin: dict[str, Any]) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ def write_residuals(path: Path, calibration: Any) -> None:
     write_table(path, {name: np.concatenate(parts) for name, parts in columns.items()})
 
 
-def _verdict(result: Any, max_error: float | None) -> int:
+def verdict(result: Any, max_error: float | None) -> int:
     """Return the exit code: 4 if the fit did not converge, 5 if the gate is not met."""
     if not result.converged:
         click.echo("pincal: the fit did not converge; the files hold its last state", err=True)

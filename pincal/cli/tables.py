@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -137,3 +138,48 @@ def expectation_table(rows: list[ParameterRow]) -> Table:
         table.add_row(row.name, unit, _number((row.sigma or 0.0) * factor, unit, digits=2), row.status + mark,
                       style=_STYLE[row.status])  # fmt: skip
     return table
+
+
+def print_discovery(report: dict[str, Any], out: Console) -> None:
+    """Print what was found, step by step, down to the noise floor."""
+    before, after = report["gap"]["before"], report["gap"]["after"]
+    out.print(
+        f"Held-out error: mean {before['mean_mm']:.4f} -> {after['mean_mm']:.4f} mm, "
+        f"rms {before['rms_mm']:.4f} -> {after['rms_mm']:.4f} mm; noise alone {report['noise_floor_mm']:.4f} mm rms\n"
+        f"Verdict: {report['verdict']}, unexplained {report['unexplained_mm']:.4f} mm"
+    )
+    table = Table(title="Effects found", title_justify="left")
+    for name in ("effect", "joint", "p", "mean before", "after", "could also be"):
+        table.add_column(name, justify="right" if name in ("p", "mean before", "after") else "left")
+    for entry in report["effects"]:
+        also = "; ".join(_effect_words(other) for other in entry["equivalent"])
+        numbers = (f"{entry['p_value']:.0e}", f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}")
+        table.add_row(_effect_words(entry, joint=False), entry["joint"] or "whole arm", *numbers, also)
+    out.print(table if report["effects"] else "No effect is missing that these data could show.")
+    for place in report["where"]:
+        out.print(f"where: {place['statement']} ({100 * place['share']:.0f} % of what was left)", markup=False)
+    for entry in report["effects"]:
+        if entry["tell_apart"]:
+            out.print(f"to tell {_effect_words(entry)} from its rivals: {entry['tell_apart']}", markup=False)
+    for entry in report["scatter"]:
+        out.print(
+            f"{entry['joint']} scatters by {entry['sigma_rad'] * 1e3:.3f} mrad; record {entry['missing']}", markup=False
+        )
+    reasons: dict[str, list[str]] = {}
+    for entry in report["not_testable"]:
+        reasons.setdefault(entry["reason"], []).append(entry["effect"])
+    for reason, names in reasons.items():
+        out.print(f"not testable: {', '.join(dict.fromkeys(names))}: {reason}", markup=False)
+
+
+def _effect_words(entry: dict[str, Any], *, joint: bool = True) -> str:
+    words = [entry["effect"]]
+    if joint and entry["joint"]:
+        words.append(f"of {entry['joint']}")
+    if "source" in entry:
+        words.append(f"by {entry['source']}")
+    if entry.get("order", 1) != 1:
+        words.append(f"order {entry['order']}")
+    if "depends_on" in entry:
+        words.append(f"({entry.get('shape', 'curve')} of {entry['depends_on']})")
+    return " ".join(words)

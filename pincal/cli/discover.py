@@ -1,0 +1,75 @@
+"""``pincal discover``: where model and data disagree, and what makes it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pincal.cli import show_progress
+from pincal.cli.common import (
+    LENGTH,
+    model_options,
+    output_folder,
+    output_options,
+    print_json,
+    provenance,
+    robot_options,
+    split_options,
+)
+
+_EPILOG = """\b
+Example:
+  pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
+
+DIR then holds what calibrate writes, for the model with all that was found, and discovery.json.
+"""
+
+
+@click.command(epilog=_EPILOG)
+@robot_options
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for the results.")
+@model_options
+@split_options
+@click.option("--max-error", type=LENGTH, help="Fail (exit 5) if the mean held-out error is larger, e.g. 0.1mm.")
+@output_options
+def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_error: float | None, **chosen: Any) -> int:
+    """Find where model and data disagree, name the missing effect, add it, and show the gap shrink on held-out rows."""
+    show_progress(quiet)
+    from pincal.cli.calibrate import verdict, write_results
+    from pincal.cli.inputs import load_robot, load_table, options_of
+    from pincal.model.effects import GEOMETRIC
+    from pincal.report.discovery import run_discovery
+
+    context = click.get_current_context()
+    options = options_of(chosen)
+    if context.get_parameter_source("model") is click.core.ParameterSource.DEFAULT:
+        options = replace(options, effects=GEOMETRIC)
+    given = {name: context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT for name in chosen}
+    with output_folder(out) as draft:
+        arm = load_robot(robot, data, tip=chosen["tip"], base=chosen["base"])
+        table = load_table(arm, data, ignore=chosen["ignore"])
+        held = None if chosen["holdout"] is None else load_table(arm, chosen["holdout"], ignore=chosen["ignore"])
+        found = run_discovery(
+            arm,
+            table,
+            options,
+            test_fraction=chosen["test_fraction"] if given["test_fraction"] else 0.2,
+            split=chosen["split"] if given["split"] else "blocked",
+            seed=chosen["seed"],
+            holdout=held,
+        )
+        files = [data, *([chosen["holdout"]] if chosen["holdout"] else []), Path(arm.source)]
+        write_results(draft, found.calibration, provenance(files, seed=chosen["seed"]))
+        (draft / "discovery.json").write_text(json.dumps(found.report, indent=1, allow_nan=False))
+    if as_json:
+        print_json(found.report)
+    else:
+        from pincal.cli.tables import console, print_discovery
+
+        print_discovery(found.report, console())
+        click.echo(f"written to {out}: discovery.json model.json result.json calibrated.urdf residuals.csv report.html")
+    return verdict(found.calibration.result, max_error)
