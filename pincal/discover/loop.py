@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,9 +29,14 @@ _TIE = 6.0
 _BETTER = 10.0
 # Chance above which an effect adds nothing to another.
 _ADDS_NOTHING = 1e-3
-_MOST_STEPS = 8
+# Wald statistic a parameter above which an effect need not be judged again.
+_SURE = 12.0
+_MOST_STEPS = 14
 _CURVE_SIZE = 8
-_CURVE_SIZES = (8, 12, 16, 20, 26, 34, 44, 60, 80, 120)
+_FIRST_SIZES = (8, 12, 18, 26, 44, 80)
+_CURVE_SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180)
+# An effect that takes less off the squares than this share, and less than this many, matters to nobody.
+_SHARE, _GAIN = 0.01, 100.0
 
 
 @dataclass(frozen=True)
@@ -65,14 +70,12 @@ class Trail:
         steps: the accepted effects, in order.
         final: the fit of everything that stayed.
         last: the criticism of the final fit, nothing of which passed.
-        unnamed: the terms without a name that were tried last, with their tests.
     """
 
     first: Fit
     steps: tuple[Step, ...]
     final: Fit
     last: Criticism
-    unnamed: tuple[tuple[Effect, Score], ...]
 
 
 def discover_effects(
@@ -95,12 +98,10 @@ def discover_effects(
         log.info("found %s: residual %.4f -> %.4f mm", _words(step.effects), *_noise_of(step))
         steps.append(step)
         fit = step.after
+    fit, steps = _sharpen(fit, steps, groups)
     fit, steps = _backward(fit, steps, groups, alpha)
     last = _criticise(fit, _candidates(fit, extra, elastic), groups)
-    generics = _generics(fit)
-    tested = _criticise(fit, generics, groups)
-    scores = [(e, tested.score([i], len(generics))) for i, e in enumerate(generics)]
-    return Trail(first, tuple(steps), fit, last, tuple(sorted(scores, key=lambda pair: pair[1].ebic)[:10]))
+    return Trail(first, tuple(steps), fit, last)
 
 
 def _noise_of(step: Step) -> tuple[float, float]:
@@ -137,15 +138,19 @@ def _candidates(fit: Fit, extra: Sequence[Effect], elastic: bool) -> list[Effect
 
 
 def _catalogue(fit: Fit) -> Iterator[Effect]:
-    """Return the catalogue's candidates, drive curves in several resolutions: the data choose."""
-    conditions, chain = fit.problem.conditions, fit.model.chain
-    for effect in catalogue_candidates(chain, conditions):
+    """Return the catalogue's candidates, drive curves coarse and fine."""
+    for effect in catalogue_candidates(fit.model.chain, fit.problem.conditions):
         if isinstance(effect, TransmissionError):
-            q = conditions.q[:, chain.robot.joint_names.index(effect.joint)]
-            most = len(conditions) // 6
-            yield from (TransmissionError.over(effect.joint, q, size) for size in _CURVE_SIZES if size <= most)
+            yield from _curves(fit, effect.joint, _FIRST_SIZES)
         else:
             yield effect
+
+
+def _curves(fit: Fit, joint: str, sizes: Sequence[int]) -> list[Effect]:
+    """Return drive curves of one joint, as fine as the number of poses allows."""
+    conditions = fit.problem.conditions
+    q = conditions.q[:, fit.model.chain.robot.joint_names.index(joint)]
+    return [TransmissionError.over(joint, q, size) for size in sizes if size <= len(conditions) // 6]
 
 
 def _same(effect: Effect, present: Sequence[Effect]) -> bool:
@@ -157,15 +162,18 @@ def _key(effect: Effect) -> tuple[object, ...]:
     return effect.name, *place_of(effect), vars(effect).get("order")
 
 
-def _generics(fit: Fit) -> list[Effect]:
-    """Return terms without a name, those that a name of the catalogue covers left out."""
+def _generics(fit: Fit, near: str | None) -> list[Effect]:
+    """Return terms without a name, those that a name of the catalogue covers left out; near one joint or everywhere."""
     chain, conditions = fit.model.chain, fit.problem.conditions
+    names = chain.robot.joint_names
+    at = names.index(near) if near in names else None
+    places = names if at is None else names[max(at - 1, 0) : at + 2]
     curves = [
         e
         for e in generic_candidates(chain, conditions, size=_CURVE_SIZE)
-        if not (e.acts_on == "drive" and e.depends_on == e.joint)
+        if e.joint in places and not (e.acts_on == "drive" and e.depends_on == e.joint)
     ]
-    breaks = [b for joint in chain.robot.joint_names for b in broken_candidates(chain, conditions, joint)]
+    breaks = [b for joint in places for b in broken_candidates(chain, conditions, joint)]
     return [*curves, *(b for b in breaks if b.depends_on == b.joint)]
 
 
@@ -187,7 +195,31 @@ def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: flo
     if best is None:
         return None
     equivalent = _equivalents(found, scores, best)
-    return _accept(fit, [effects[best]], scores[best], equivalent, found, (best,))
+    chosen = effects[best]
+    if isinstance(chosen, TransmissionError):
+        chosen = _resolved(fit, chosen, groups)
+    return _accept(fit, [chosen], scores[best], equivalent, found, (best,))
+
+
+def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> Effect:
+    """Return the curve of this joint in the resolution that the data choose, the curve not being in the model."""
+    curves = _curves(fit, curve.joint, _CURVE_SIZES)
+    found = _criticise(fit, curves, groups)
+    return min(curves, key=lambda c: found.score([curves.index(c)], len(curves)).ebic)
+
+
+def _sharpen(fit: Fit, steps: list[Step], groups: np.ndarray) -> tuple[Fit, list[Step]]:
+    """Choose the resolution of every curve again, once all the others are in: what hid its detail is gone."""
+    curves = [e for e in fit.options.effects if isinstance(e, TransmissionError)]
+    if len(curves) < 2:
+        return fit, steps
+    for curve in curves:
+        without = refit(fit, [e for e in fit.options.effects if e is not curve])
+        finer = _resolved(without, curve, groups)
+        fit = refit(without, [*without.options.effects, finer])
+        steps = [replace(s, effects=(finer,)) if curve in s.effects else s for s in steps]
+    log.info("curves resolved again: residual %.4f mm", fit.solution.estimated[0] * 1e3)
+    return fit, steps
 
 
 def _best(found: Criticism, scores: dict[int, Score], alpha: float) -> int | None:
@@ -195,6 +227,8 @@ def _best(found: Criticism, scores: dict[int, Score], alpha: float) -> int | Non
     passed = [i for i, s in scores.items() if s.p_value < alpha and s.ebic < 0.0]
     passed.sort(key=lambda i: scores[i].ebic)
     for i in passed[:5]:
+        if scores[i].gain < min(_GAIN, _SHARE * found.squares):
+            continue
         gain, error = found.cross_validated_gain([i])
         if gain <= error:
             continue
@@ -226,7 +260,7 @@ def _equivalents(found: Criticism, scores: dict[int, Score], best: int) -> tuple
 
 def _generic_step(fit: Fit, groups: np.ndarray, alpha: float, named: tuple[Effect, Score] | None) -> Step | None:
     """Return a step by a term without a name where no name does as well."""
-    generics = _generics(fit)
+    generics = _generics(fit, None if named is None else place_of(named[0])[0])
     together = [*generics, *([named[0]] if named else [])]
     found = _criticise(fit, together, groups)
     scores = {i: found.score([i], len(generics)) for i in range(len(generics))}
@@ -256,12 +290,11 @@ def _accept(
 
 
 def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> tuple[Fit, list[Step]]:
-    """Take out again what later effects have made needless."""
+    """Take out again what later effects have made needless: suspected by Wald's test, judged by the score test."""
     for step in list(steps):
-        if len(steps) == 1:
-            break
-        kept = [e for e in fit.options.effects if e not in step.effects]
-        smaller = refit(fit, kept)
+        if len(steps) == 1 or _is_sure(fit, step):
+            continue
+        smaller = refit(fit, [e for e in fit.options.effects if e not in step.effects])
         tested = _criticise(smaller, list(step.effects), groups)
         limit = _ELASTIC if isinstance(step.effects[0], JointElasticity) else alpha / 10.0
         if tested.score(range(len(step.effects)), 1).p_value > limit:
@@ -269,3 +302,13 @@ def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> 
             fit = smaller
             steps = [s for s in steps if s is not step]
     return fit, steps
+
+
+def _is_sure(fit: Fit, step: Step) -> bool:
+    """Return whether the parameters of a step are far from zero together."""
+    names = {p.name for e in step.effects for p in e.parameters(fit.model.chain)}
+    place = np.flatnonzero(fit.solution.free)
+    among = [j for j, i in enumerate(place) if fit.problem.parameters[i].name in names]
+    values = fit.values[place[among]]
+    wald = values @ np.linalg.pinv(fit.solution.posterior.covariance[np.ix_(among, among)], hermitian=True) @ values
+    return bool(wald > _SURE * len(among))

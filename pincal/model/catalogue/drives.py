@@ -112,8 +112,8 @@ class AxisWobble(Effect):
     The tilt acts before q (on s_x, s_y), where a constant tilt is the axis distortion and where a tilt fixed to the link is
     a circle of order 1. So of order 1 before q that circle (two of four parameters) repeats constant geometry of the link,
     and of order 1 after q the circle that stands still repeats s_x, s_y. As circles a turn seen from the previous link,
-    "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before) of (2, after). The axis
-    tilts about the origin of the frame before q: the foot of the common normal, wherever the bearing is.
+    "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before) of (2, after).
+    The axis tilts about the origin of the frame before q: the foot of the common normal, wherever the bearing is.
 
     Attributes:
         joint: the joint, a revolute one.

@@ -1,0 +1,518 @@
+"""Random cases with a hidden effect of known strength, and what a discovery made of them.
+
+The strength is lambda, the squared signal that a refitted elastic model can't absorb over the noise variance, over all
+rows of the table. It is found from two noise-free tables, with and without the effect.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.discover.loop import Trail, discover_effects, place_of
+from pincal.identify.split import hold_out, row_groups
+from pincal.measure.measurements import Measurements
+from pincal.model.effects import ELASTIC
+from pincal.simulate.effect import DeformingEffect, HiddenEffect
+from pincal.simulate.state import Deformation, Loads, Poses
+
+SIGMA = 5e-5  # standard deviation of one coordinate [m]
+ELASTICITY = ("joint_elasticity", "bearing_elasticity")
+Name = tuple[str, str | None, str | None]  # effect, joint, source
+
+# Standard DH: o, d, a, alpha of each joint; masses, share of the way to the next joint where they sit; range of each joint.
+_HEAVY = (
+    ((0, 0.74, 0.38, -1), (0, 0, 1.05, 0), (0, 0.03, 0.06, -1), (0, 1.05, 0, 1), (0, 0, 0, -1), (0, 0.23, 0, 0)),
+    (310.0, 205.0, 175.0, 68.0, 36.0, 11.0),
+    (150, 75, 110, 170, 110, 175),
+    (-90, -90, 0, 0, 0, 0),
+)
+_LIGHT = (
+    ((0, 0.163, 0, 1), (0, 0.02, -0.63, 0), (0, 0, -0.57, 0), (0, 0.135, 0, 1), (0, 0.115, 0, -1), (0, 0.21, 0, 0)),
+    (7.4, 13.1, 4.2, 2.0, 2.0, 0.4),
+    (175, 170, 150, 175, 175, 175),
+    (0, -90, 0, 0, 0, 0),
+)
+_LINK = '<link name="{0}"><inertial><origin xyz="{1}"/><mass value="{2!r}"/>'
+_LINK += '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
+_JOINT = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/><origin xyz="{4}" rpy="{5}"/>'
+_JOINT += '<axis xyz="0 0 1"/><limit lower="{6!r}" upper="{7!r}" effort="1" velocity="1"/></joint>'
+
+
+def random_urdf(rng: np.random.Generator, *, heavy: bool) -> str:
+    """Return a 6R arm of a class, lengths and masses drawn to +- 20 %, each joint at the foot of the normal to the one before."""
+    rows, masses, ranges, middles = _HEAVY if heavy else _LIGHT
+    text = ['<robot name="drawn"><link name="base"/>']
+    xyz, rpy, parent = np.zeros(3), np.zeros(3), "base"
+    for i, (o, d, a, quarter) in enumerate(rows):
+        d, a = d * rng.uniform(0.8, 1.2), a * rng.uniform(0.8, 1.2)
+        half, middle = np.deg2rad(ranges[i]), np.deg2rad(middles[i])
+        limits = float(middle - half), float(middle + half)
+        text.append(_JOINT.format(f"axis_{i + 1}", "revolute", parent, f"link_{i + 1}", _row(xyz), _row(rpy), *limits))
+        xyz, rpy, parent = np.array([a, 0.0, d]), np.array([quarter * np.pi / 2, 0.0, o]), f"link_{i + 1}"
+        centre = rng.uniform(0.2, 0.7) * xyz + rng.normal(0.0, 0.04 if heavy else 0.015, 3)
+        text.append(_LINK.format(parent, _row(centre), float(masses[i] * rng.uniform(0.8, 1.2))))
+    text.append(_JOINT.format("flange", "fixed", parent, "tool0", _row(xyz), _row(rpy), 0.0, 0.0))
+    return "".join(text) + '<link name="tool0"/></robot>'
+
+
+def _row(values: np.ndarray) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreign(DeformingEffect):
+    """An effect that no catalogue lists: ``size`` times a shape of pose and conditions.
+
+    Attributes:
+        shape: from poses, joint index -> shape (N,).
+        acts_on: "drive", or a transverse tilt of the bearing before q: "x" or "y".
+    """
+
+    shape: Callable[[Poses, int], np.ndarray]
+    acts_on: str = "drive"
+    effect = "unnamed"
+
+    def deform(self, arm: sim.Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Turn the joint, or tilt it."""
+        i = arm.index(self.joint)
+        value = self.size * self.shape(poses, i)
+        if self.acts_on == "drive":
+            deformation.joint[:, i] += value
+        else:
+            deformation.before[:, i, 3 + "xy".index(self.acts_on)] += value
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot's measured rows and what is hidden in them."""
+
+    kind: str
+    seed: int
+    robot: Robot
+    rows: Measurements
+    options: Options
+    hidden: tuple[HiddenEffect, ...]
+    strength: float
+    elastic: bool
+    arm: str
+
+    @property
+    def truth(self) -> tuple[Name, ...]:
+        """Names of what is hidden."""
+        return tuple((e.effect, e.joint, vars(e).get("source")) for e in self.hidden)
+
+
+@dataclass
+class _Setting:
+    """An arm in a hall, before anything is hidden."""
+
+    machine: sim.TrueMachine
+    robot: Robot
+    q: np.ndarray
+    hall: np.ndarray
+    tool: np.ndarray
+    conditions: dict[str, Any]
+    com: tuple[float, float, float]
+    arm: str
+    moments: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def positions(self, *effects: HiddenEffect) -> np.ndarray:
+        """Return noise-free positions with effects."""
+        table = sim.measure(
+            self.machine.with_effects(*effects),
+            self.q,
+            base_pose=self.hall,
+            targets=self.tool,
+            payload_com=self.com,
+            noise_free=True,
+            **self.conditions,
+        )
+        return np.column_stack([table[axis] for axis in "xyz"])
+
+
+def _setting(
+    rng: np.random.Generator, n: int, *, arm: str, elastic: bool, masses: float, one_payload: bool, columns: set[str]
+) -> _Setting:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(kuka_urdf_path())
+        if arm != "kuka":
+            path = Path(folder) / "robot.urdf"
+            path.write_text(random_urdf(rng, heavy=arm == "heavy"), encoding="utf-8")
+        robot = Robot.from_urdf(path, tip="tool0")
+        machine = sim.TrueMachine.from_urdf(path, tip="tool0")
+    light = arm == "light"
+    machine = machine.draw_errors(
+        rng, sigma_length=2e-4 if light else 5e-4, sigma_angle=1e-3, sigma_offset=1e-3 if light else 2e-3
+    ).draw_masses(rng, sigma=masses)
+    if elastic:
+        # The wrist is softer than the shoulder, as it is smaller.
+        drive = np.array([1.0, 1.0, 1.5, 8.0, 8.0, 12.0]) * rng.uniform(0.7, 1.3, 6) * (5e-6 if light else 2e-7)
+        bearing = 0.15 * drive * rng.uniform(0.5, 1.5, 6)
+        machine = replace(machine, compliance=np.column_stack([bearing, bearing, drive]), moment_frame="after")
+    q = sim.plan_poses(machine.nominal, n, rng, min_height=-0.5 if light else 0.1)
+    load = 6.0 if light else float(rng.choice([60.0, 100.0, 120.0]))
+    payload = np.full(n, load)
+    if not one_payload:
+        payload[: n // 2] = 0.0
+        if rng.random() < 0.5:
+            payload = np.roll(np.where(np.arange(n) % 2, load, 0.0), 1)
+    time = np.arange(n) * 40.0
+    warming = 20.0 + 12.0 * (1.0 - np.exp(-time / rng.uniform(1500.0, 6000.0)))
+    conditions: dict[str, Any] = {"payload": payload}
+    if "temperature" in columns or rng.random() < 0.3:
+        conditions["temperature"] = warming + rng.normal(0.0, 0.5, n)
+    if "time" in columns or rng.random() < 0.3:
+        conditions["time"] = time
+    if "approach" in columns or rng.random() < 0.3:
+        conditions["approach"] = rng.choice([-1, 1], (n, 6))
+    hall = np.eye(4)
+    hall[:3, :3], hall[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
+    # Off the axis of the last joint, or nothing could be seen of it.
+    tool = np.append(rng.choice([-1.0, 1.0], 2) * rng.uniform(0.05, 0.2, 2), rng.uniform(0.05, 0.25)) * (
+        0.6 if light else 1.0
+    )
+    com = (0.01, 0.02, 0.08) if light else (0.06, 0.03, 0.2)
+    setting = _Setting(machine, robot, q, hall, tool, conditions, com, arm)
+    poses = machine.poses(q, payload=payload, payload_com=com)
+    setting.moments = np.abs(machine.equilibrium(poses).loads.drive).max(axis=0)
+    return setting
+
+
+class _Absorber:
+    """Takes off a difference of positions what a refitted elastic model takes up, to first order."""
+
+    def __init__(self, setting: _Setting, options: Options) -> None:
+        rows = _table(setting, setting.positions())
+        fit = calibrate(setting.robot, rows, replace(options, effects=ELASTIC, loss="none"))
+        free = np.ones(len(fit.values), bool)
+        jacobian = np.concatenate([J.reshape(len(J), -1) for _, _, J in fit.problem.linearise(fit.values, free)])
+        self.A = jacobian.T / SIGMA
+        # Directions that only priors hold (parallel axes) absorb no more than their priors let them.
+        self.held = 1.0 / fit.priors.sizes
+
+    def strength(self, difference: np.ndarray) -> float:
+        """Return lambda of a difference of positions, shape (N, 3)."""
+        d = difference.T.ravel() / SIGMA
+        stacked = np.vstack([self.A, np.diag(self.held)])
+        p = np.linalg.lstsq(stacked, np.append(d, 0.0 * self.held), rcond=None)[0]
+        return float(np.sum((d - self.A @ p) ** 2))
+
+
+def _table(setting: _Setting, positions: np.ndarray) -> Measurements:
+    return measurements_from_arrays(setting.machine.names, setting.q, position=positions, **setting.conditions)
+
+
+def _kink(joint: int, place: float) -> Callable[[Poses, int], np.ndarray]:
+    return lambda poses, _: np.abs(poses.q[:, joint] - place)
+
+
+# Foreign effects: (joint index) from the generator of numbers.
+def _foreign(kind: str, rng: np.random.Generator, names: tuple[str, ...], q: np.ndarray) -> Foreign:
+    i = int(rng.integers(0, 5))
+    other = int(rng.choice([j for j in range(6) if j != i]))
+    place = float(np.quantile(q[:, i], rng.uniform(0.3, 0.7)))
+    width = np.ptp(q[:, other]) / 4.0
+    middle = float(np.median(q[:, other]))
+    acts_on = "drive"
+    if kind == "step":
+        shape = lambda poses, j: (poses.q[:, j] > place).astype(float)  # noqa: E731
+    elif kind == "kink":
+        shape = _kink(i, place)
+    elif kind == "product":
+        shape = lambda poses, j: np.sin(poses.q[:, j]) * np.sin(poses.q[:, other])  # noqa: E731
+    elif kind == "cubed_tilt":
+        i, acts_on = 4, str(rng.choice(["x", "y"]))
+        shape = lambda poses, j: np.sin(poses.q[:, j]) ** 3  # noqa: E731
+    elif kind == "other_joint":
+        shape = lambda poses, j: np.exp(-0.5 * ((poses.q[:, other] - middle) / width) ** 2)  # noqa: E731
+    elif kind == "other_wave":
+        shape = lambda poses, j: np.sin(2.0 * poses.q[:, other] + 0.5)  # noqa: E731
+    else:
+        raise ValueError(kind)
+    return Foreign(joint=names[i], size=1e-4, shape=shape, acts_on=acts_on)
+
+
+FOREIGN = ("step", "kink", "product", "cubed_tilt", "other_joint", "other_wave")
+NAMED = (
+    "gear_eccentricity",
+    "transmission_error",
+    "gear_ratio",
+    "joint_coupling",
+    "axis_wobble",
+    "backlash",
+    "load_backlash",
+    "thermal_expansion",
+    "thermal_offset",
+    "base_drift",
+    "nonlinear_elasticity",
+    "link_bending",
+    "base_elasticity",
+    "gravity_compensator",
+    "payload_error",
+)
+NEEDS = {"backlash": "approach", "thermal_expansion": "temperature", "thermal_offset": "temperature", "base_drift": "time"}
+_LOADED = ("load_backlash", "nonlinear_elasticity")
+
+
+def _named(kind: str, rng: np.random.Generator, setting: _Setting) -> HiddenEffect:
+    names = setting.machine.names
+    i = int(rng.integers(0, 6))
+    values: dict[str, Any] = {"joint": names[i], "size": 1e-4}
+    if kind == "gear_eccentricity":
+        values |= {"order": int(rng.integers(1, 3)), "phase": rng.uniform(0, 6.28)}
+    elif kind == "transmission_error":
+        values |= {"seed": int(rng.integers(1000)), "bumps": int(rng.integers(5, 12))}
+    elif kind == "joint_coupling":
+        j = int(np.clip(i + rng.choice([-1, 1]), 0, 5))
+        values |= {"source": names[j if j != i else (1 if i == 0 else 4)]}
+    elif kind == "axis_wobble":
+        i = int(rng.integers(0, 5))
+        frame, order = [("before", 2), ("after", 1), ("after", 2)][int(rng.integers(3))]
+        shape = {"roundness": float(rng.uniform(0.2, 1.0)), "phase": rng.uniform(0, 6.28)}
+        values |= {"joint": names[i], "order": order, "frame": frame, **shape}
+    elif kind in _LOADED:
+        i = int(rng.integers(1, 5))
+        key = "stiffening" if kind == "nonlinear_elasticity" else "transition"
+        values |= {"joint": names[i], key: float(setting.moments[i] * (0.3 if key == "stiffening" else 0.02))}
+        values["size"] = 1e-7 if kind == "nonlinear_elasticity" else 1e-4
+    elif kind == "thermal_expansion":
+        values |= {"joint": None if rng.random() < 0.6 else names[int(rng.integers(1, 3))], "size": 1e-5}
+    elif kind == "thermal_offset":
+        values["size"] = 1e-5
+    elif kind == "base_drift":
+        direction = rng.standard_normal(3)
+        values |= {"joint": None, "size": 1e-8, "direction": tuple(direction / np.linalg.norm(direction))}
+    elif kind == "link_bending":
+        values |= {"joint": names[int(rng.integers(1, 3))], "size": 1e-9}
+    elif kind == "base_elasticity":
+        values |= {"joint": None, "size": 1e-9, "weights": (1.0, float(rng.choice([0.3, 1.0])), 0.0)}
+    elif kind == "gravity_compensator":
+        light = setting.arm == "light"
+        compliance = float(setting.machine.compliance[1, 2]) or 1e-7
+        values |= {"joint": names[1], "size": 1e3, "compliance": compliance}
+        if light:
+            values |= {"anchor": (-0.05, 0.12, 0.0), "lever": (0.08, 0.0, 0.0), "free_length": 0.06}
+    elif kind == "payload_error":
+        values |= {"joint": None, "size": 0.1 if setting.arm == "light" else 1.0}
+    return sim.hidden_effect(kind, **values)
+
+
+def _scaled(
+    effect: HiddenEffect, wanted: float, setting: _Setting, absorber: _Absorber
+) -> tuple[HiddenEffect, float, float]:
+    """Return the effect of the size that has the wanted strength, its strength and its raw rms [m]."""
+    nothing = setting.positions()
+    got = raw = 0.0
+    for _ in range(3):
+        difference = setting.positions(effect) - nothing
+        got, raw = absorber.strength(difference), float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
+        if got <= 1e-9:
+            return effect, got, np.inf
+        if abs(got / wanted - 1.0) < 0.02:
+            break
+        effect = replace(effect, size=effect.size * float(np.sqrt(wanted / got)))
+        if raw * np.sqrt(wanted / got) > 1e-2:
+            return effect, got, np.inf
+    return effect, got, raw
+
+
+# Largest rms of what a hidden effect does to the tool [m]; beyond it nobody would look for it in the residuals.
+_RAW = 2e-3
+
+
+def draw_case(
+    kind: str,
+    seed: int,
+    *,
+    strength: float | None = None,
+    n: int | None = None,
+    arm: str | None = None,
+    elastic: bool = True,
+    masses: float = 0.03,
+    noise: str = "normal",
+    one_payload: bool = False,
+) -> Case:
+    """Draw a case.
+
+    Args:
+        kind: "null", a name of ``NAMED`` or ``FOREIGN``, "measurement_scale", or two names of ``NAMED`` with a plus.
+        seed: of everything.
+        strength: lambda of each effect; from 60 to 300 unless given.
+        n: rows; from 150 to 500 unless given.
+        arm: "kuka", "heavy" or "light"; in turn unless given.
+        elastic: whether the arm is elastic.
+        masses: relative error of the URDF's masses and centres.
+        noise: "normal", "outliers" (3 % of the rows off by millimetres) or "heavy" (Student t4).
+        one_payload: the same load in all rows.
+    """
+    rng = np.random.default_rng([seed, crc32(kind.encode())])
+    arm = ("kuka", "heavy", "light")[seed % 3] if arm is None else arm
+    n = int(rng.integers(150, 501)) if n is None else n
+    parts = [] if kind == "null" else kind.split("+")
+    columns = {NEEDS[part] for part in parts if part in NEEDS}
+    options = Options(effects=GEOMETRIC, sigma=SIGMA, moment_frame="after")
+    for _ in range(30):
+        setting = _setting(rng, n, arm=arm, elastic=elastic, masses=masses, one_payload=one_payload, columns=columns)
+        options = replace(options, payload_centre=setting.com)
+        hidden: list[HiddenEffect] = []
+        got, raw = 0.0, 0.0
+        absorber = _Absorber(setting, options) if parts and kind != "measurement_scale" else None
+        for part in parts:
+            if part == "measurement_scale":
+                hidden.append(sim.hidden_effect(part, size=4e-5))
+                continue
+            assert absorber is not None
+            foreign = part in FOREIGN
+            effect = _foreign(part, rng, setting.machine.names, setting.q) if foreign else _named(part, rng, setting)
+            wanted = float(np.exp(rng.uniform(np.log(60.0), np.log(300.0)))) if strength is None else strength
+            effect, got, raw_one = _scaled(effect, wanted, setting, absorber)
+            raw = max(raw, raw_one)
+            hidden.append(effect)
+        if raw < _RAW and (len(hidden) < 2 or (hidden[0].effect, hidden[0].joint) != (hidden[1].effect, hidden[1].joint)):
+            break
+    else:
+        raise ValueError(f"{kind}: no arm on which it is seen without moving the tool by {_RAW} m")
+    positions = setting.positions(*hidden)
+    positions = positions + _noise(noise, positions.shape, rng)
+    return Case(kind, seed, setting.robot, _table(setting, positions), options, tuple(hidden), got, elastic, arm)
+
+
+def _noise(noise: str, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    if noise == "heavy":
+        return SIGMA * rng.standard_t(4, shape) / np.sqrt(2.0)
+    drawn = SIGMA * rng.standard_normal(shape)
+    if noise == "outliers":
+        wrong = rng.random(len(drawn)) < 0.03
+        drawn[wrong] += rng.uniform(1e-3, 5e-3, (int(wrong.sum()), 1)) * rng.choice([-1.0, 1.0], (int(wrong.sum()), 3))
+    return drawn
+
+
+def discover(case: Case) -> Trail:
+    """Discover as the command does: every fifth row held out by regions, the geometric model to start from."""
+    training, _ = hold_out(case.rows, 0.2, split="blocked", seed=0)
+    groups = row_groups(training, split="blocked", seed=0) % 8
+    return discover_effects(calibrate(case.robot, training, case.options), groups)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a discovery made of a case.
+
+    Attributes:
+        kind, seed, strength, arm, n: the case.
+        truth: what is hidden.
+        named: each accepted effect with its equivalents, elasticity left out.
+        details: the same in words, for people.
+        elastic: whether joint or bearing elasticity was named.
+        sound: whether that is right.
+    """
+
+    kind: str
+    seed: int
+    strength: float
+    arm: str
+    n: int
+    truth: tuple[Name, ...]
+    named: tuple[tuple[Name, ...], ...]
+    details: tuple[str, ...]
+    elastic: bool
+    sound: bool
+
+    @property
+    def detected(self) -> bool:
+        """Whether anything was found."""
+        return bool(self.named)
+
+    @property
+    def right(self) -> bool:
+        """Whether each hidden effect stands in some class (a nameless one: its joint)."""
+        return all(any(_agrees(true, c) for c in self.named) for true in self.truth)
+
+    @property
+    def first_right(self) -> bool:
+        """Whether each hidden effect is the first name of some class."""
+        return all(any(_agrees(true, c[:1]) for c in self.named) for true in self.truth)
+
+    @property
+    def false_names(self) -> tuple[Name, ...]:
+        """Accepted names of the catalogue in whose class nothing hidden stands."""
+        return tuple(c[0] for c in self.named if c[0][0] != "unnamed" and not any(_agrees(t, c) for t in self.truth))
+
+    @property
+    def joint_right(self) -> bool:
+        """Whether the strongest name stands at a joint of a hidden effect."""
+        return bool(self.named) and self.named[0][0][1] in {t[1] for t in self.truth}
+
+    @property
+    def class_size(self) -> int:
+        """Size of the smallest class with a hidden effect in it, 0 if none."""
+        return min((len(c) for c in self.named for t in self.truth if _agrees(t, c)), default=0)
+
+    def __str__(self) -> str:
+        """Return the case and its names in a line."""
+        truth = " + ".join(_words(name) for name in self.truth) or "nothing"
+        return f"{self.kind} {self.seed} {self.arm} N={self.n} lambda={self.strength:.0f}: {truth} -> {' | '.join(self.details)}"
+
+
+def _agrees(true: Name, candidates: tuple[Name, ...]) -> bool:
+    return true in candidates
+
+
+def _words(name: Name) -> str:
+    return " ".join(part for part in name if part)
+
+
+def name_of(effect: Any) -> Name:
+    """Return the name of an effect; of a nameless one its joint alone."""
+    joint, source = place_of(effect)
+    return effect.name, joint, source
+
+
+def judge(case: Case, trail: Trail | None = None) -> Verdict:
+    """Return what a discovery made of a case; of a new one unless its trail is given."""
+    trail = discover(case) if trail is None else trail
+    named, details, elastic = [], [], False
+    for step in trail.steps:
+        names = tuple(name_of(e) for e in (step.effects[0], *step.equivalent))
+        if names[0][0] in ELASTICITY:
+            elastic = True
+            continue
+        named.append(names)
+        extra = {
+            k: v
+            for k, v in vars(step.effects[0]).items()
+            if k in ("order", "frame", "acts_on", "depends_on", "shape", "size")
+        }
+        words = _words(names[0]) + "".join(f" {k}={v}" for k, v in extra.items())
+        words += f" T={step.score.gain:.0f}/{step.score.rank}"
+        details.append(words + (f" ~ {', '.join(_words(n) for n in names[1:])}" if names[1:] else ""))
+    sound = elastic == case.elastic
+    strength, n = case.strength, len(case.rows)
+    return Verdict(case.kind, case.seed, strength, case.arm, n, case.truth, tuple(named), tuple(details), elastic, sound)
+
+
+def summary(verdicts: list[Verdict]) -> str:
+    """Return rates by kind."""
+    lines = []
+    for kind in Counter(v.kind for v in verdicts):
+        own = [v for v in verdicts if v.kind == kind]
+        size = np.median([v.class_size for v in own if v.class_size] or [0])
+        lines.append(
+            f"{kind:22} {len(own):3} detected {np.mean([v.detected for v in own]):.2f} right {np.mean([v.right for v in own]):.2f}"
+            f" first {np.mean([v.first_right for v in own]):.2f} joint {np.mean([v.joint_right for v in own]):.2f}"
+            f" class {size:.0f} false {np.mean([bool(v.false_names) for v in own]):.2f}"
+            f" elastic right {np.mean([v.sound for v in own]):.2f}"
+        )
+    return "\n".join(lines)
