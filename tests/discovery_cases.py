@@ -51,7 +51,7 @@ _JOINT += '<axis xyz="0 0 1"/><limit lower="{6!r}" upper="{7!r}" effort="1" velo
 
 
 def random_urdf(rng: np.random.Generator, *, heavy: bool) -> str:
-    """Return a 6R arm of a class, lengths and masses drawn to +- 20 %, each joint at the foot of the normal to the one before."""
+    """Return a 6R arm of a class, its lengths and masses drawn to +- 20 %."""
     rows, masses, ranges, middles = _HEAVY if heavy else _LIGHT
     text = ['<robot name="drawn"><link name="base"/>']
     xyz, rpy, parent = np.zeros(3), np.zeros(3), "base"
@@ -463,7 +463,8 @@ class Verdict:
     def __str__(self) -> str:
         """Return the case and its names in a line."""
         truth = " + ".join(_words(name) for name in self.truth) or "nothing"
-        return f"{self.kind} {self.seed} {self.arm} N={self.n} lambda={self.strength:.0f}: {truth} -> {' | '.join(self.details)}"
+        case = f"{self.kind} {self.seed} {self.arm} N={self.n} lambda={self.strength:.0f}"
+        return f"{case}: {truth} -> {' | '.join(self.details)}"
 
 
 def _agrees(true: Name, candidates: tuple[Name, ...]) -> bool:
@@ -510,7 +511,8 @@ def summary(verdicts: list[Verdict]) -> str:
         own = [v for v in verdicts if v.kind == kind]
         size = np.median([v.class_size for v in own if v.class_size] or [0])
         lines.append(
-            f"{kind:22} {len(own):3} detected {np.mean([v.detected for v in own]):.2f} right {np.mean([v.right for v in own]):.2f}"
+            f"{kind:22} {len(own):3} detected {np.mean([v.detected for v in own]):.2f}"
+            f" right {np.mean([v.right for v in own]):.2f}"
             f" first {np.mean([v.first_right for v in own]):.2f} joint {np.mean([v.joint_right for v in own]):.2f}"
             f" class {size:.0f} false {np.mean([bool(v.false_names) for v in own]):.2f}"
             f" elastic right {np.mean([v.sound for v in own]):.2f}"

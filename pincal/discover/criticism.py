@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import fdtrc
 
 from pincal.identify.calibrate import Fit, priors_of
@@ -96,6 +97,10 @@ class Criticism:
         slope = self.b[N] - self.pull
         return self.S[C, C] - left.T @ left, self.b[C] - left.T @ (half.T @ slope)
 
+    @cached_property
+    def _gains(self) -> dict[tuple[int, ...], tuple[float, int]]:
+        return {}
+
     def columns_of(self, which: Sequence[int]) -> np.ndarray:
         """Return the columns of some candidates, counted from the first candidate column."""
         spans = [np.arange(self.columns[i].start, self.columns[i].stop) for i in which]
@@ -103,6 +108,12 @@ class Criticism:
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together."""
+        key = tuple(sorted(which))
+        if key not in self._gains:
+            self._gains[key] = self._gain(key)
+        return self._gains[key]
+
+    def _gain(self, which: Sequence[int]) -> tuple[float, int]:
         S, b = self._projected
         j = self.columns_of(which)
         whole = np.diag(self.S)[self.n_model + j]
@@ -153,10 +164,9 @@ class Criticism:
         pull = np.concatenate([self.pull, np.zeros(len(self.b) - self.n_model)])[j]
         H = (self.S - S)[np.ix_(j, j)] + np.diag(precision)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
-        seen = values > 1e-12 * values[-1]
-        U = scale[:, None] * vectors[:, seen]
-        step = U @ ((U.T @ ((self.b - b)[j] - pull)) / values[seen])
+        H *= np.outer(scale, scale)
+        H[np.diag_indices_from(H)] += 1e-12
+        step = scale * cho_solve(cho_factor(H, overwrite_a=True), scale * ((self.b - b)[j] - pull))
         return float(step @ S[np.ix_(j, j)] @ step - 2.0 * step @ b[j])
 
     def estimate(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

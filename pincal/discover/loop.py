@@ -12,7 +12,7 @@ from pincal.discover.criticism import Criticism, Score, criticise
 from pincal.discover.generic import generic_candidates
 from pincal.discover.nuisance import MassError
 from pincal.discover.shapes import broken_candidates
-from pincal.identify.calibrate import Fit, refit
+from pincal.identify.calibrate import Fit, refit, without
 from pincal.model.catalogue import TransmissionError
 from pincal.model.catalogue import candidates as catalogue_candidates
 from pincal.model.effects import BearingElasticity, Effect, JointElasticity
@@ -202,10 +202,10 @@ def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: flo
 
 
 def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> Effect:
-    """Return the curve of this joint in the resolution that the data choose, the curve not being in the model."""
+    """Return the curve of this joint in the resolution that predicts blocks of poses left out best."""
     curves = _curves(fit, curve.joint, _CURVE_SIZES)
     found = _criticise(fit, curves, groups)
-    return min(curves, key=lambda c: found.score([curves.index(c)], len(curves)).ebic)
+    return max(curves, key=lambda c: found.cross_validated_gain([curves.index(c)])[0])
 
 
 def _sharpen(fit: Fit, steps: list[Step], groups: np.ndarray) -> tuple[Fit, list[Step]]:
@@ -213,11 +213,14 @@ def _sharpen(fit: Fit, steps: list[Step], groups: np.ndarray) -> tuple[Fit, list
     curves = [e for e in fit.options.effects if isinstance(e, TransmissionError)]
     if len(curves) < 2:
         return fit, steps
-    for curve in curves:
-        without = refit(fit, [e for e in fit.options.effects if e is not curve])
-        finer = _resolved(without, curve, groups)
-        fit = refit(without, [*without.options.effects, finer])
-        steps = [replace(s, effects=(finer,)) if curve in s.effects else s for s in steps]
+    finer = {curve: _resolved(without(fit, curve), curve, groups) for curve in curves}
+    if all(finer[curve] == curve for curve in curves):
+        return fit, steps
+    fit = refit(fit, [finer.get(e, e) if isinstance(e, TransmissionError) else e for e in fit.options.effects])
+    steps = [
+        replace(s, effects=tuple(finer.get(e, e) if isinstance(e, TransmissionError) else e for e in s.effects))
+        for s in steps
+    ]
     log.info("curves resolved again: residual %.4f mm", fit.solution.estimated[0] * 1e3)
     return fit, steps
 
@@ -294,12 +297,14 @@ def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> 
     for step in list(steps):
         if len(steps) == 1 or _is_sure(fit, step):
             continue
-        smaller = refit(fit, [e for e in fit.options.effects if e not in step.effects])
+        smaller = fit
+        for effect in step.effects:
+            smaller = without(smaller, effect)
         tested = _criticise(smaller, list(step.effects), groups)
         limit = _ELASTIC if isinstance(step.effects[0], JointElasticity) else alpha / 10.0
         if tested.score(range(len(step.effects)), 1).p_value > limit:
             log.info("dropped %s: what was found later explains it", _words(step.effects))
-            fit = smaller
+            fit = refit(fit, smaller.options.effects)
             steps = [s for s in steps if s is not step]
     return fit, steps
 

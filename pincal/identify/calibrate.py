@@ -186,6 +186,21 @@ def foresee(robot: Robot, measurements: Measurements, options: Options | None = 
     return Fit(problem, nominal, outlook, priors, noise, stages, options)
 
 
+def without(fit: Fit, effect: Effect) -> Fit:
+    """Return a fit as it stands with one effect taken out, nothing fitted again: the place to test the effect from."""
+    gone = {parameter.name for parameter in effect.parameters(fit.model.chain)}
+    kept = np.array([parameter.name not in gone for parameter in fit.problem.parameters])
+    model = fit.model.with_effects([e for e in fit.model.effects if e is not effect])
+    options = replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect))
+
+    def rest(solution: Solution) -> Solution:
+        return replace(solution, values=solution.values[kept], free=solution.free[kept], at_bound=solution.at_bound[kept])
+
+    priors = Priors(fit.priors.sizes[kept], fit.priors.bounds[kept])
+    problem = fit.problem.with_model(model)
+    return Fit(problem, rest(fit.nominal), rest(fit.solution), priors, fit.noise, fit.stages, options)
+
+
 def refit(fit: Fit, effects: Sequence[Effect]) -> Fit:
     """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
 
@@ -203,7 +218,12 @@ def refit(fit: Fit, effects: Sequence[Effect]) -> Fit:
     def carried(values: np.ndarray) -> np.ndarray:
         return np.array([0 if i is None else values[i] for i in places], values.dtype)
 
-    nominal = replace(fit.nominal, values=carried(fit.nominal.values), free=carried(fit.nominal.free))
+    nominal = replace(
+        fit.nominal,
+        values=carried(fit.nominal.values),
+        free=carried(fit.nominal.free),
+        at_bound=carried(fit.nominal.at_bound),
+    )
     priors = priors_of(problem, options)
     fitted, stages = _fit(problem, carried(fit.values), priors, fit.noise, options)
     return Fit(problem, nominal, fitted, priors, fit.noise, stages, options)

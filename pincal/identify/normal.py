@@ -16,11 +16,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from pincal.identify.problem import Problem
 
 # Eigenvalues below this part of the largest are rounding: the data do not see such a direction.
 NULL = 1e-13
+# Information that rounding makes up, in units of the prior's, below which it may be left in a solve.
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -157,6 +160,25 @@ def posterior(G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarr
     covariance[np.ix_(prior, frames)] = -(F @ C).T
     covariance[np.ix_(frames, frames)] = inverse + loose + F @ C @ F.T
     return Posterior(step, covariance, information, V, frame_rank, prior)
+
+
+def posterior_step(G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Return the step of :func:`posterior` alone, in a tenth of the time where rounding lets a Cholesky solve do."""
+    prior = np.isfinite(sizes)
+    D = sizes[prior]
+    floor = NULL * float(np.max(np.diag(G)[prior] * D**2, initial=0.0))
+    if floor > _ROUNDING or not prior.any():
+        return posterior(G, g, sizes, offsets).step
+    frames = ~prior
+    inverse, _, _ = _invert_frames(G[np.ix_(frames, frames)])
+    F = inverse @ G[np.ix_(frames, prior)]
+    S = (G[np.ix_(prior, prior)] - G[np.ix_(prior, frames)] @ F) * np.outer(D, D)
+    S[np.diag_indices_from(S)] += 1.0
+    reduced = (g[prior] - F.T @ g[frames]) * D - offsets[prior] / D
+    step = np.empty(len(g))
+    step[prior] = D * cho_solve(cho_factor(S, overwrite_a=True, check_finite=False), reduced, check_finite=False)
+    step[frames] = inverse @ g[frames] - F @ step[prior]
+    return step
 
 
 def _invert_frames(G: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from pincal.identify.normal import Normal, Posterior, accumulate, posterior
+from pincal.identify.normal import Normal, Posterior, accumulate, posterior, posterior_step
 from pincal.identify.problem import Problem
 
 log = logging.getLogger(__name__)
@@ -237,7 +237,7 @@ class _Fit:
         """Return the step of the free parameters, and which of them a bound holds."""
         G, g = normal.at(state.sigma)
         sizes, bounds, at = self.priors.sizes[self.free], self.priors.bounds[self.free], values[self.free]
-        step = posterior(G, g, sizes, at).step
+        step = posterior_step(G, g, sizes, at)
         held = np.zeros(len(step), bool)
         for _ in range(3):
             over = ~held & (np.abs(at + step) > bounds)
@@ -246,9 +246,9 @@ class _Fit:
             held |= over
             step = np.where(held, np.sign(at + step) * bounds - at, step)
             loose = ~held
-            step[loose] = posterior(
+            step[loose] = posterior_step(
                 G[np.ix_(loose, loose)], (g - G[:, held] @ step[held])[loose], sizes[loose], at[loose]
-            ).step
+            )
         return step, held
 
     def metric(self, normal: Normal, state: _Judgement) -> np.ndarray:

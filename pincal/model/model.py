@@ -148,8 +148,8 @@ class Model:
     def largest_basis(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
         """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.
 
-        A moment is taken as at least a tenth of the largest on the arm, so that a wrist that carries nothing is not
-        thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
+        A moment itself is taken as at least a tenth of the largest on the arm, so that a wrist that carries nothing is
+        not thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
         not excite its parameter, although a base that is not quite level would.
 
         Returns:
@@ -162,7 +162,7 @@ class Model:
             size = 1.0 if term.basis is None else float(np.abs(term.basis).max(initial=0.0))
             if term.moment is not None:
                 excited[p] |= bool(np.abs(state.moments[term.moment]).max(initial=0.0) > _UNFELT * heaviest)
-                size = max(size, 0.1 * heaviest)
+                size = size if term.slope is not None else max(size, 0.1 * heaviest)
             else:
                 excited[p] |= size > 0.0
             largest[p] = max(largest[p], size)
