@@ -27,6 +27,8 @@ from pincal.model.effects import Effect
 
 # Part of a column's square that must be left after projection for the data to see it.
 _SEEN = 1e-5
+# Keeps a scaled matrix of information definite where rounding would not.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -146,28 +148,22 @@ class Criticism:
         return self.judge(both - alone, max(rank_both - rank_alone, 0), 1)
 
     def cross_validated_gain(self, which: Sequence[int]) -> tuple[float, float]:
-        """Return the gain in squared prediction error on blocks left out, and its standard error.
+        """Return the gain in squared prediction error on blocks left out, and its standard error."""
+        gains = self.gains_by_block(which)
+        return float(gains.sum()), float(gains.std(ddof=1) * np.sqrt(len(gains)))
+
+    def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
+        """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).
 
         Both the model and the model with the candidates are refitted, to first order, without each block.
         """
-        j = np.concatenate([np.arange(self.n_model), self.n_model + self.columns_of(which)])
-        gains = []
-        for S, b in zip(self.blocks_S, self.blocks_b, strict=True):
-            without = self._error_without(S, b, np.arange(self.n_model))
-            gains.append(without - self._error_without(S, b, j))
-        found = np.array(gains)
-        return float(found.sum()), float(found.std(ddof=1) * np.sqrt(len(found)))
+        j = self.n_model + self.columns_of(which)
+        precision = self.sizes[j] ** -2.0
+        return np.array([block.gain(j, precision) for block in self._blocks])
 
-    def _error_without(self, S: np.ndarray, b: np.ndarray, j: np.ndarray) -> float:
-        """Return the change of squared error on a block, the parameters ``j`` fitted without it."""
-        precision = np.concatenate([self.precision, self.sizes[self.n_model :] ** -2.0])[j]
-        pull = np.concatenate([self.pull, np.zeros(len(self.b) - self.n_model)])[j]
-        H = (self.S - S)[np.ix_(j, j)] + np.diag(precision)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        H *= np.outer(scale, scale)
-        H[np.diag_indices_from(H)] += 1e-12
-        step = scale * cho_solve(cho_factor(H, overwrite_a=True), scale * ((self.b - b)[j] - pull))
-        return float(step @ S[np.ix_(j, j)] @ step - 2.0 * step @ b[j])
+    @cached_property
+    def _blocks(self) -> list[_LeftOut]:
+        return [_LeftOut.of(self, k) for k in range(len(self.blocks_S))]
 
     def estimate(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return values and covariance of some candidates' parameters to first order, priors included."""
@@ -175,6 +171,58 @@ class Criticism:
         j = self.columns_of(which)
         C = np.linalg.inv(S[np.ix_(j, j)] + np.diag(self.sizes[self.n_model + j] ** -2.0))
         return C @ b[j], C
+
+
+@dataclass(frozen=True)
+class _LeftOut:
+    """The model refitted to first order without one block, and what candidates would change on the block.
+
+    Attributes:
+        S, b: of the block alone.
+        rest_S, rest_b: of the others.
+        factor: Cholesky factor of the others' information about the model, scaled.
+        scale: shape (n_model,).
+        step: shape (n_model,), of the model's parameters.
+    """
+
+    S: np.ndarray
+    b: np.ndarray
+    rest_S: np.ndarray
+    rest_b: np.ndarray
+    factor: tuple[np.ndarray, bool]
+    scale: np.ndarray
+    step: np.ndarray
+
+    @classmethod
+    def of(cls, found: Criticism, k: int) -> _LeftOut:
+        """Factor once what all candidates share."""
+        S, b = found.blocks_S[k], found.blocks_b[k]
+        rest_S, rest_b = found.S - S, found.b - b
+        N = slice(0, found.n_model)
+        H = rest_S[N, N] + np.diag(found.precision)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        H *= np.outer(scale, scale)
+        H[np.diag_indices_from(H)] += _ROUNDING
+        factor = cho_factor(H, overwrite_a=True, check_finite=False)
+        step = scale * cho_solve(factor, scale * (rest_b[N] - found.pull), check_finite=False)
+        return cls(S, b, rest_S, rest_b, factor, scale, step)
+
+    def gain(self, j: np.ndarray, precision: np.ndarray) -> float:
+        """Return by how much the candidate columns ``j`` lower the squared error on the block."""
+        N = slice(0, len(self.step))
+        cross = self.rest_S[N, j]
+        carried = self.scale[:, None] * cho_solve(self.factor, self.scale[:, None] * cross, check_finite=False)
+        H = self.rest_S[np.ix_(j, j)] - cross.T @ carried + np.diag(precision)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        H *= np.outer(scale, scale)
+        H[np.diag_indices_from(H)] += _ROUNDING
+        slope = scale * (self.rest_b[j] - cross.T @ self.step)
+        step = scale * cho_solve(cho_factor(H, overwrite_a=True, check_finite=False), slope, check_finite=False)
+        change = -carried @ step
+        along = self.S[N, N] @ change + self.S[N, j] @ step
+        own = self.S[j, N] @ change + self.S[np.ix_(j, j)] @ step
+        left = self.b[N] - self.S[N, N] @ self.step, self.b[j] - self.S[j, N] @ self.step
+        return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ own)
 
 
 def criticise(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect], groups: np.ndarray) -> Criticism:

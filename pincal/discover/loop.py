@@ -146,7 +146,7 @@ def _catalogue(fit: Fit) -> Iterator[Effect]:
             yield effect
 
 
-def _curves(fit: Fit, joint: str, sizes: Sequence[int]) -> list[Effect]:
+def _curves(fit: Fit, joint: str, sizes: Sequence[int]) -> list[TransmissionError]:
     """Return drive curves of one joint, as fine as the number of poses allows."""
     conditions = fit.problem.conditions
     q = conditions.q[:, fit.model.chain.robot.joint_names.index(joint)]
@@ -201,27 +201,30 @@ def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: flo
     return _accept(fit, [chosen], scores[best], equivalent, found, (best,))
 
 
-def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> Effect:
-    """Return the curve of this joint in the resolution that predicts blocks of poses left out best."""
+def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> TransmissionError:
+    """Return the curve of this joint in the resolution that predicts blocks of poses left out best.
+
+    A resolution that the curve has already stays unless another is better by more than chance.
+    """
     curves = _curves(fit, curve.joint, _CURVE_SIZES)
     found = _criticise(fit, curves, groups)
-    return max(curves, key=lambda c: found.cross_validated_gain([curves.index(c)])[0])
+    gains = [found.gains_by_block([i]) for i in range(len(curves))]
+    best = int(np.argmax([gain.sum() for gain in gains]))
+    if curve in curves:
+        more = gains[best] - gains[curves.index(curve)]
+        return curves[best] if more.sum() > more.std() * np.sqrt(len(more)) else curve
+    return curves[best]
 
 
 def _sharpen(fit: Fit, steps: list[Step], groups: np.ndarray) -> tuple[Fit, list[Step]]:
     """Choose the resolution of every curve again, once all the others are in: what hid its detail is gone."""
-    curves = [e for e in fit.options.effects if isinstance(e, TransmissionError)]
-    if len(curves) < 2:
-        return fit, steps
-    finer = {curve: _resolved(without(fit, curve), curve, groups) for curve in curves}
-    if all(finer[curve] == curve for curve in curves):
-        return fit, steps
-    fit = refit(fit, [finer.get(e, e) if isinstance(e, TransmissionError) else e for e in fit.options.effects])
-    steps = [
-        replace(s, effects=tuple(finer.get(e, e) if isinstance(e, TransmissionError) else e for e in s.effects))
-        for s in steps
-    ]
-    log.info("curves resolved again: residual %.4f mm", fit.solution.estimated[0] * 1e3)
+    for curve in [e for e in fit.options.effects if isinstance(e, TransmissionError)]:
+        finer = _resolved(without(fit, curve), curve, groups)
+        if finer == curve:
+            continue
+        fit = refit(fit, [finer if e == curve else e for e in fit.options.effects])
+        steps = [replace(s, effects=tuple(finer if e == curve else e for e in s.effects)) for s in steps]
+        log.info("curve of %s resolved again, %d to %d", curve.joint, curve.size, finer.size)
     return fit, steps
 
 
