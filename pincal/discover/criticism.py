@@ -268,17 +268,18 @@ def _gram(
     n_blocks = int(groups.max()) + 1
     blocks_S, blocks_b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
     squares = 0.0
-    for piece, residuals, jacobian in problem.linearise(values, free):
-        weights = problem.weights[piece] * fit.solution.weights[piece]
+    for piece, residuals, jacobian in problem.linearise_shared(values, free):
+        whitening = np.empty_like(residuals)
         for rows, s in zip(block_rows(problem), sigma, strict=True):
-            jacobian[:, rows] *= weights / s
-            residuals[rows] *= weights / s
+            whitening[rows] = problem.weights[piece] * fit.solution.weights[piece] / s
+        residuals = residuals * whitening
+        jacobian = jacobian.weighted(whitening)
         squares += float(np.sum(residuals**2))
         for k in np.unique(groups[piece]):
-            here = groups[piece] == k
-            A = jacobian[:, :, here].reshape(len(kept), -1)
-            blocks_S[k] += A @ A.T
-            blocks_b[k] += A @ residuals[:, here].ravel()
+            here = np.flatnonzero(groups[piece] == k)
+            part_S, part_b = jacobian.poses(here).gram(residuals[:, here])
+            blocks_S[k] += part_S
+            blocks_b[k] += part_b
     n_model = int(np.sum(kept < columns[0].start)) if columns else len(kept)
     shift = n_model - (columns[0].start if columns else 0)
     at, priors = values[kept], sizes[kept]

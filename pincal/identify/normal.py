@@ -65,19 +65,18 @@ def accumulate(problem: Problem, values: np.ndarray, free: np.ndarray, robust: n
     n_free = int(free.sum())
     G, g = np.zeros((len(blocks), n_free, n_free)), np.zeros((len(blocks), n_free))
     squares, row_squares = np.zeros(len(blocks)), np.empty((len(blocks), len(problem)))
-    for piece, residuals, jacobian in problem.linearise(values, free):
+    for piece, residuals, jacobian in problem.linearise_shared(values, free):
         weights, outlying = problem.weights[piece], robust[piece]
         uniform = bool(np.all(weights == 1.0) and np.all(outlying == 1.0))
         for b, rows in enumerate(block_rows(problem)):
-            r = residuals[rows]
-            A = jacobian[:, rows]
+            r, A = residuals[rows], jacobian.readings(rows)
             row_squares[b, piece] = np.einsum("in,in->n", r, r) * weights**2
             if not uniform:
-                A, r = A * (weights * outlying), r * (weights * outlying)
-            A = np.ascontiguousarray(A).reshape(n_free, r.size)
-            G[b] += A @ A.T
-            g[b] += A @ r.ravel()
-            squares[b] += r.ravel() @ r.ravel()
+                A, r = A.weighted(weights * outlying), r * (weights * outlying)
+            part_G, part_g = A.gram(r)
+            G[b] += part_G
+            g[b] += part_g
+            squares[b] += np.vdot(r, r)
     return Normal(G, g, squares, row_squares)
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.identify.jacobian import Family, Jacobian, split_by_density
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensors import Sensor, sensor_of
 from pincal.model.effects import Conditions, Parameter
@@ -81,6 +82,31 @@ class Problem:
             if not own_free.all():
                 jacobian = jacobian[np.concatenate([np.ones(len(motion), bool), own_free])]
             yield piece, part.sensor.residuals(poses, own), jacobian
+
+    def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
+        """Yield what :meth:`linearise` does, with the structure of curves kept, for Gram matrices."""
+        n = self.model.n_parameters
+        own_free = free[n:]
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses, motion, shared = part.model.linearise_shared(
+                values[:n], part.conditions, free=free[:n], rows=self.sensor.twist_rows
+            )
+            apart = free.copy()
+            for group in shared:
+                apart[group.parameters] = False
+            columns = part.sensor.jacobian(poses, motion, values[n:])
+            n_apart = int(apart[:n].sum())
+            own = columns[len(motion) :][own_free]
+            dense = columns[:n_apart] if not shared and not len(own) else np.concatenate([columns[:n_apart], own])
+            column_of = np.cumsum(free) - 1
+            families = (
+                Family(column_of[group.parameters[rows]], basis, columns[n_apart + i])
+                for i, group in enumerate(shared)
+                for rows, basis in split_by_density(group.basis)
+            )
+            jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
+            yield piece, part.sensor.residuals(poses, values[n:]), jacobian
 
     def _pieces(self) -> Iterator[slice]:
         for start in range(0, len(self), _PIECE):

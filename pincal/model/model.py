@@ -20,6 +20,23 @@ _SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 # A moment below this part of the largest is there only because the base is not quite level.
 _UNFELT = 1e-3
+# Parameters that act on one coordinate by a basis function from which their column is shared.
+_WORTH_SHARING = 6
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Parameters that each are a basis function on the same coordinate.
+
+    Attributes:
+        coordinate: index in the chain.
+        parameters: shape (S,), their places among the parameters.
+        basis: shape (S, N).
+    """
+
+    coordinate: int
+    parameters: np.ndarray
+    basis: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -106,19 +123,44 @@ class Model:
         """
         state = _State.at(self, values, conditions)
         columns = np.arange(self.n_parameters) if free is None else np.where(free, np.cumsum(free) - 1, -1)
-        poses, jacobian = kernels.tip_jacobian(
+        poses, jacobian = self._linearise(state, values, columns, [], rows)
+        return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
+
+    def linearise_shared(
+        self, values: np.ndarray, conditions: Conditions, *, free: np.ndarray, rows: int = 3
+    ) -> tuple[np.ndarray, np.ndarray, list[Shared]]:
+        """Return what :meth:`linearise` does, the columns of curves on one coordinate kept as basis and coordinate.
+
+        Returns:
+            Poses, shape (N, 3, 4); Jacobian, shape (D + L, rows, N), of the D free parameters that share nothing, in
+            order, and of the coordinates that the L groups of the others act on; these groups.
+        """
+        state = _State.at(self, values, conditions)
+        shared = state.shared(free)
+        apart = free.copy()
+        for group in shared:
+            apart[group.parameters] = False
+        columns = np.where(apart, np.cumsum(apart) - 1, -1)
+        poses, jacobian = self._linearise(state, values, columns, [group.coordinate for group in shared], rows)
+        return np.moveaxis(poses, -1, 0), jacobian, shared
+
+    def _linearise(
+        self, state: _State, values: np.ndarray, columns: np.ndarray, coordinates: list[int], rows: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
+        n_columns = int(columns.max(initial=-1)) + 1
+        return kernels.tip_jacobian(  # type: ignore[no-any-return]
             self.chain.layout,
             state.deformed,
             state.rigid,
             state.target,
             state.payload,
-            state.kernel_terms(columns),
+            state.kernel_terms(columns, coordinates, n_columns),
             state.compliances(values),
-            int(columns.max(initial=-1)) + 1,
+            n_columns + len(coordinates),
             rows,
             _SWEEPS if self.equilibrium else 0,
         )
-        return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
 
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
@@ -211,9 +253,10 @@ class _State:
             payload,
         )
 
-    def kernel_terms(self, columns: np.ndarray) -> Terms:
-        """Return the terms of the parameters that have a column."""
+    def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
+        """Return the terms of the parameters that have a column, and of coordinates, from column ``first`` on."""
         used = [(int(columns[p]), term) for p, term in self.terms if columns[p] >= 0]
+        used += [(first + i, Term(0, k)) for i, k in enumerate(coordinates)]
         bases = [term.basis for _, term in used if term.basis is not None]
         slot = np.cumsum([term.basis is not None for _, term in used], dtype=np.int64) - 1
         return Terms(
@@ -223,6 +266,19 @@ class _State:
             elastic=np.array([term.moment is not None for _, term in used], bool),
             basis=_stack(bases, len(self.target)),
         )
+
+    def shared(self, free: np.ndarray) -> list[Shared]:
+        """Return the free parameters that are a basis function on one coordinate and nothing else, by coordinate."""
+        count = np.bincount([p for p, _ in self.terms], minlength=len(free))
+        found: dict[int, list[tuple[int, np.ndarray]]] = {}
+        for p, term in self.terms:
+            if free[p] and count[p] == 1 and term.basis is not None and term.moment is None:
+                found.setdefault(term.coordinate, []).append((p, term.basis))
+        return [
+            Shared(k, np.array([p for p, _ in group]), _stack([basis for _, basis in group], len(self.target)))
+            for k, group in found.items()
+            if len(group) >= _WORTH_SHARING
+        ]
 
     def compliances(self, values: np.ndarray) -> Compliances:
         """Return how the coordinates follow the moments at these values."""
@@ -258,7 +314,8 @@ def _coordinates(model: Model, values: np.ndarray, conditions: Conditions, terms
     for i, k in enumerate(model.chain.drives):
         varying[int(k)] = constant[k] + conditions.q[:, i]
     for p, term in terms:
-        if term.basis is not None:
+        # Candidates of a discovery stand at zero, hundreds of them.
+        if term.basis is not None and values[p]:
             k = term.coordinate
             varying[k] = (varying[k] if k in varying else constant[k]) + values[p] * term.basis
     slot = np.full(len(constant), -1)
