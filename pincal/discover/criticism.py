@@ -266,17 +266,19 @@ def _gram(
     kept = np.flatnonzero(free)
     sigma = fit.solution.estimated
     n_blocks = int(groups.max()) + 1
+    order = np.argsort(groups, kind="stable")
+    problem, robust, groups = problem.select(order), fit.solution.weights[order], groups[order]
     blocks_S, blocks_b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
     squares = 0.0
     for piece, residuals, jacobian in problem.linearise_shared(values, free):
         whitening = np.empty_like(residuals)
         for rows, s in zip(block_rows(problem), sigma, strict=True):
-            whitening[rows] = problem.weights[piece] * fit.solution.weights[piece] / s
+            whitening[rows] = problem.weights[piece] * robust[piece] / s
         residuals = residuals * whitening
         jacobian = jacobian.weighted(whitening)
         squares += float(np.sum(residuals**2))
         for k in np.unique(groups[piece]):
-            here = np.flatnonzero(groups[piece] == k)
+            here = slice(*np.searchsorted(groups[piece], [k, k + 1]))
             part_S, part_b = jacobian.poses(here).gram(residuals[:, here])
             blocks_S[k] += part_S
             blocks_b[k] += part_b

@@ -60,8 +60,8 @@ class Jacobian:
         families = tuple(replace(f, column=f.column[rows]) for f in self.families)
         return replace(self, dense=self.dense[:, rows], families=families)
 
-    def poses(self, rows: np.ndarray) -> Jacobian:
-        """Return the part of some poses, shape of ``rows`` (k,), indices."""
+    def poses(self, rows: slice) -> Jacobian:
+        """Return the part of some poses."""
         families = tuple(replace(f, column=f.column[:, rows], basis=f.basis[:, rows]) for f in self.families)
         return replace(self, dense=self.dense[:, :, rows], families=families)
 
