@@ -257,7 +257,7 @@ def test_wrong_usage_exits_with_two(arguments):
     assert run(*arguments) == 2
 
 
-@pytest.mark.parametrize("verb", ["demo", "check", "calibrate", "validate", "predict", "export"])
+@pytest.mark.parametrize("verb", ["demo", "check", "calibrate", "validate", "predict", "export", "discover", "simulate"])
 def test_every_verb_shows_an_example(verb, capsys):
     """``--help`` ends with a line to copy."""
     assert run(verb, "--help") == 0
@@ -265,12 +265,17 @@ def test_every_verb_shows_an_example(verb, capsys):
 
 
 def test_demo_tells_the_story(tmp_path, capsys):
-    """Nothing to prepare: from some mm to hundredths, and files to open."""
+    """Nothing to prepare: from some mm to hundredths; then a hidden effect is found; and files to open."""
     assert run("demo", "--out", tmp_path / "demo", "--quiet") == 0
     text = capsys.readouterr().out
     assert "standard DH" in text
     assert "report.html" in text
     assert (tmp_path / "demo" / "deviations.png").stat().st_size > 10_000
+    report = json.loads((tmp_path / "demo" / "hidden_effect" / "discovery.json").read_text())
+    assert [(e["effect"], e["joint"], e["order"]) for e in report["effects"]] == [("gear_eccentricity", "joint_1", 2)]
+    assert report["gap"]["before"]["rms_mm"] > 2.0 * report["noise_floor_mm"] > 1.8 * report["gap"]["after"]["rms_mm"]
+    assert "Found: 0.19" in text or "Found: 0.20" in text
+    assert {file.name for file in (tmp_path / "demo").iterdir()} > {"model.json", "hidden_effect", "measurements.csv"}
 
 
 def test_a_broken_model_file_is_refused(results, tmp_path, capsys):

@@ -20,6 +20,7 @@ _COMMANDS = {
     "discover": "pincal.cli.discover",
     "validate": "pincal.cli.use",
     "predict": "pincal.cli.use",
+    "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.use",
 }
 
