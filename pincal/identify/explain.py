@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -183,14 +184,14 @@ class _Nominal:
         alike = [j for j in inner if self.names[j].endswith("." + symbol)]
         yield base, "the unknown base frame absorbs it"
         yield tool, "the unknown tool frame absorbs it"
-        for j in alike:
+        for j in self._same(self.G, i, alike):
             yield [j], "only {0} is determined (the axes are parallel)" if symbol == "d" else "only {0} is determined"
-        for j in inner:
+        for j in self._same(self.G, i, inner):
             yield [j], "only {0} is determined"
         yield base + tool, "the unknown base and tool frames absorb it"
-        for j in inner:
+        for j in self._same(self._beside_frames, i, inner):
             yield [j, *base, *tool], "{1}"
-        near = [j for j in inner if self._joint_distance(i, j) <= 1]
+        near = [j for j in inner if abs(self._element[i] - self._element[j]) <= 1]
         yield near, "{1}"
         yield [*near, *base, *tool], "{1}"
         yield [*inner, *base, *tool], "{1}"
@@ -204,9 +205,26 @@ class _Nominal:
         base = self._frame("base")
         return [j for j, n in enumerate(self.names) if n.rsplit(".", 1)[1] in FRAME_SYMBOLS and j not in base]
 
-    def _joint_distance(self, i: int, j: int) -> int:
-        elements = list(dict.fromkeys(name.rsplit(".", 1)[0] for name in self.names))
-        return abs(elements.index(self.names[i].rsplit(".", 1)[0]) - elements.index(self.names[j].rsplit(".", 1)[0]))
+    @cached_property
+    def _element(self) -> list[int]:
+        """Which joint, counted from the base, each parameter belongs to."""
+        owners = [name.rsplit(".", 1)[0] for name in self.names]
+        place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
+        return [place[owner] for owner in owners]
+
+    @cached_property
+    def _beside_frames(self) -> np.ndarray:
+        """G with what base and tool absorb taken out."""
+        frames = [*self._frame("base"), *self._tools()]
+        inverse = np.linalg.pinv(self.G[np.ix_(frames, frames)], rcond=1e-10, hermitian=True)
+        return np.asarray(self.G - self.G[:, frames] @ inverse @ self.G[frames])
+
+    @staticmethod
+    def _same(G: np.ndarray, i: int, others: list[int]) -> list[int]:
+        """Return those of the others that may do by themselves what parameter i does; a quick sieve."""
+        j = np.array(others, int)
+        own = np.maximum(np.diag(G)[j], 1e-300)
+        return [int(k) for k in j[G[i, i] - G[i, j] ** 2 / own < 10.0 * _SAME]]
 
     def _shares(self, i: int, others: Iterable[int]) -> np.ndarray | None:
         """Return the coefficients by which ``others`` reproduce column i, scaled columns; None if they can't."""
