@@ -74,8 +74,8 @@ def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max
     return verdict(calibration.result, max_error)
 
 
-def write_results(folder: Path, calibration: Any, origin: dict[str, Any]) -> tuple[str, ...]:
-    """Write all files of a calibration to a folder; return what the URDF could not carry, in words."""
+def write_results(folder: Path, calibration: Any, origin: dict[str, Any], discovery: Any = None) -> tuple[str, ...]:
+    """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
     from pincal.report.html import write_report
     from pincal.report.model_file import calibrated_model_of, save_model
     from pincal.report.urdf_export import calibrated_urdf
@@ -86,7 +86,7 @@ def write_results(folder: Path, calibration: Any, origin: dict[str, Any]) -> tup
     export = calibrated_urdf(fit.model, fit.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
     write_residuals(folder / "residuals.csv", calibration)
-    write_report(folder / "report.html", calibration, origin, export.notes)
+    write_report(folder / "report.html", calibration, origin, export.notes, discovery)
     return tuple(export.notes)
 
 

@@ -18,7 +18,7 @@ _EPILOG = "\b\nExample:\n  pincal check robot.urdf tracker.csv --noise 0.05mm\n"
 @model_options
 @output_options
 def check(robot: str, data: Path, as_json: bool, quiet: bool, **chosen: Any) -> int:
-    """Check units, ranges and coverage of a table, and say what it can and can't identify, and why."""
+    """Check units, ranges and coverage of a table; say what it can and can't tell, why, and which effects it would show."""
     show_progress(quiet)
     from pincal.cli.inputs import load_robot, load_table, options_of
     from pincal.report.survey import survey

@@ -25,6 +25,8 @@ _EPILOG = """\b
 Example:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
 
+Unless given, the model is geometric, 20 % of the rows are held out by regions of joint
+space, and the moment frame is the one that fits best.
 DIR then holds what calibrate writes, for the model with all that was found, and discovery.json.
 """
 
@@ -41,6 +43,7 @@ def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_
     show_progress(quiet)
     from pincal.cli.calibrate import verdict, write_results
     from pincal.cli.inputs import load_robot, load_table, options_of
+    from pincal.model.chain import MOMENT_FRAMES
     from pincal.model.effects import GEOMETRIC
     from pincal.report.discovery import run_discovery
 
@@ -61,15 +64,16 @@ def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_
             split=chosen["split"] if given["split"] else "blocked",
             seed=chosen["seed"],
             holdout=held,
+            moment_frames=() if given["moment_frame"] else MOMENT_FRAMES,
         )
         files = [data, *([chosen["holdout"]] if chosen["holdout"] else []), Path(arm.source)]
-        write_results(draft, found.calibration, provenance(files, seed=chosen["seed"]))
+        write_results(draft, found.calibration, provenance(files, seed=chosen["seed"]), found)
         (draft / "discovery.json").write_text(json.dumps(found.report, indent=1, allow_nan=False))
     if as_json:
         print_json(found.report)
     else:
         from pincal.cli.tables import console, print_discovery
 
-        print_discovery(found.report, console())
+        print_discovery(found.report, console(), found.gaps)
         click.echo(f"written to {out}: discovery.json model.json result.json calibrated.urdf residuals.csv report.html")
     return verdict(found.calibration.result, max_error)

@@ -9,8 +9,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from pincal.cli.sights import print_outlook
 from pincal.report.result import ParameterRow, Result
+from pincal.report.shrink import Gap, gap_names
 from pincal.report.survey import Survey
+from pincal.report.words import effect_words
 
 _WIDTH = 100
 _STATISTICS = ("mean", "median", "rms", "p95", "max")
@@ -122,6 +125,7 @@ def print_survey(survey: Survey, out: Console) -> None:
     rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason) for p in survey.parameters]
     out.print(expectation_table(rows))
     print_reasons(rows, out)
+    print_outlook(survey.detectable, [joint.joint for joint in survey.joints], out)
     for note in survey.warnings:
         out.print(f"note: {note}", style="yellow", markup=False)
 
@@ -140,46 +144,64 @@ def expectation_table(rows: list[ParameterRow]) -> Table:
     return table
 
 
-def print_discovery(report: dict[str, Any], out: Console) -> None:
-    """Print what was found, step by step, down to the noise floor."""
-    before, after = report["gap"]["before"], report["gap"]["after"]
-    out.print(
-        f"Held-out error: mean {before['mean_mm']:.4f} -> {after['mean_mm']:.4f} mm, "
-        f"rms {before['rms_mm']:.4f} -> {after['rms_mm']:.4f} mm; noise alone {report['noise_floor_mm']:.4f} mm rms\n"
-        f"Verdict: {report['verdict']}, unexplained {report['unexplained_mm']:.4f} mm"
-    )
-    table = Table(title="Effects found", title_justify="left")
-    for name in ("effect", "joint", "p", "mean before", "after", "could also be"):
-        table.add_column(name, justify="right" if name in ("p", "mean before", "after") else "left")
-    for entry in report["effects"]:
-        also = "; ".join(_effect_words(other) for other in entry["equivalent"])
-        numbers = (f"{entry['p_value']:.0e}", f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}")
-        table.add_row(_effect_words(entry, joint=False), entry["joint"] or "whole arm", *numbers, also)
-    out.print(table if report["effects"] else "No effect is missing that these data could show.")
+def print_discovery(report: dict[str, Any], out: Console, gaps: tuple[Gap, ...] = ()) -> None:
+    """Print where the disagreement sat, what made it, and how the gap shrank down to the noise.
+
+    Args:
+        report: contents of ``discovery.json``.
+        out: where to.
+        gaps: errors on held-out rows step by step; only first and last without them.
+    """
+    out.print(f"Verdict: {report['verdict']}, {report['unexplained_mm']:.4f} mm rms unexplained")
+    if report["where"]:
+        out.print("Where model and data disagreed, before anything was named (shares of what is beyond the noise):")
     for place in report["where"]:
-        out.print(f"where: {place['statement']} ({100 * place['share']:.0f} % of what was left)", markup=False)
+        out.print(f"  {100 * place['share']:3.0f} %  {place['statement']}", markup=False)
+    out.print(_effect_table(report["effects"]) if report["effects"] else "No effect is missing that these data could show.")
+    out.print(gap_table(report, gaps))
     for entry in report["effects"]:
         if entry["tell_apart"]:
-            out.print(f"to tell {_effect_words(entry)} from its rivals: {entry['tell_apart']}", markup=False)
+            out.print(f"to tell {effect_words(entry)} from its rivals: {entry['tell_apart']}", markup=False)
+        if "period" in entry:
+            out.print(f"{effect_words(entry)} repeats every {entry['period']:.4g} {_period_unit(entry)}", markup=False)
     for entry in report["scatter"]:
         out.print(
             f"{entry['joint']} scatters by {entry['sigma_rad'] * 1e3:.3f} mrad; record {entry['missing']}", markup=False
         )
     reasons: dict[str, list[str]] = {}
     for entry in report["not_testable"]:
-        reasons.setdefault(entry["reason"], []).append(entry["effect"])
+        reason = entry["reason"].replace(entry["joint"], "this joint") if entry["joint"] else entry["reason"]
+        reasons.setdefault(reason, []).append(entry["effect"])
     for reason, names in reasons.items():
         out.print(f"not testable: {', '.join(dict.fromkeys(names))}: {reason}", markup=False)
 
 
-def _effect_words(entry: dict[str, Any], *, joint: bool = True) -> str:
-    words = [entry["effect"]]
-    if joint and entry["joint"]:
-        words.append(f"of {entry['joint']}")
-    if "source" in entry:
-        words.append(f"by {entry['source']}")
-    if entry.get("order", 1) != 1:
-        words.append(f"order {entry['order']}")
-    if "depends_on" in entry:
-        words.append(f"({entry.get('shape', 'curve')} of {entry['depends_on']})")
-    return " ".join(words)
+def _period_unit(entry: dict[str, Any]) -> str:
+    return {"time": "s", "temperature": "K", "payload": "kg"}.get(entry["depends_on"], "rad")
+
+
+def _effect_table(effects: list[dict[str, Any]]) -> Table:
+    table = Table(title="Effects found", title_justify="left")
+    for name in ("effect", "joint", "p", "mean before", "after", "could also be"):
+        table.add_column(name, justify="right" if name in ("p", "mean before", "after") else "left")
+    for entry in effects:
+        also = "; ".join(effect_words(other) for other in entry["equivalent"])
+        chance = f"{entry['p_value']:.0e}" if entry["p_value"] > 0.0 else "<1e-300"
+        numbers = (chance, f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}")
+        table.add_row(effect_words(entry, joint=False), entry["joint"] or "whole arm", *numbers, also)
+    return table
+
+
+def gap_table(report: dict[str, Any], gaps: tuple[Gap, ...] = ()) -> Table:
+    """Return the errors on held-out rows, step by step where known, beside the noise."""
+    table = Table(title="How the gap shrank: errors on held-out rows in mm", title_justify="left")
+    table.add_column("model")
+    for name in ("mean", "rms", "max", "rms over noise"):
+        table.add_column(name, justify="right", no_wrap=True)
+    floor = report["noise_floor_mm"]
+    rows = [(name, gap.to_dict()) for name, gap in zip(gap_names(gaps), gaps, strict=True)] if gaps else []
+    for name, gap in rows or [("at the start", report["gap"]["before"]), ("all together", report["gap"]["after"])]:
+        numbers = [f"{gap[key]:.4f}" for key in ("mean_mm", "rms_mm", "max_mm")]
+        table.add_row(name, *numbers, f"{gap['rms_mm'] / floor:.2f}" if floor > 0.0 else "-")
+    table.add_row("noise alone", "", f"{floor:.4f}", "", "1.00", style="dim")
+    return table

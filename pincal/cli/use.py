@@ -41,14 +41,18 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
     problem = problem_of(calibrated.model, table, np.array(calibrated.payload_centre))
     error = {"calibrated": {"test": error_table(problem, calibrated.values)}}
     outside = calibrated.outside(problem.conditions)
+    curves = [found._asdict() for found in calibrated.outside_curves(problem.conditions)]
     if as_json:
-        print_json({"rows": {"test": len(table)}, "error": error, "outside": len({row for row, *_ in outside})})
+        print_json(
+            {"rows": {"test": len(table)}, "error": error, "outside": len({row for row, *_ in outside}), "curves": curves}
+        )
     else:
         from pincal.cli.tables import console  # fmt: skip
         from pincal.cli.tables import error_table as as_table
 
         console().print(as_table(error))
     _warn_outside(outside, table.rows)
+    _warn_outside_curves(curves, robot)
     mean = error["calibrated"]["test"]["mean_mm"]
     if max_error is not None and mean > max_error * 1e3:
         gate = AccuracyGateError(f"mean error {mean:.4f} mm; --max-error allows {max_error * 1e3:g} mm")
@@ -85,11 +89,13 @@ def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> 
     columns |= {f"sigma_{axis}": column for axis, column in zip("xyz", calibrated.position_sigma(conditions).T, strict=True)}
     write_table(out, columns)
     outside = calibrated.outside(conditions)
+    curves = [found._asdict() for found in calibrated.outside_curves(conditions)]
     if as_json:
-        print_json({"rows": len(table), "out": str(out), "outside": len({row for row, *_ in outside})})
+        print_json({"rows": len(table), "out": str(out), "outside": len({row for row, *_ in outside}), "curves": curves})
     else:
         click.echo(f"{len(table)} poses predicted, written to {out}")
     _warn_outside(outside, table.rows)
+    _warn_outside_curves(curves, calibrated.model.chain.robot)
     return 0
 
 
@@ -142,3 +148,17 @@ def _warn_outside(outside: list[Any], lines: np.ndarray) -> None:
     click.echo(f"pincal: note: {len(rows)} rows lie outside the poses that the calibration covered", err=True)
     for row, name, value, low, high in outside[:_SHOWN]:
         click.echo(f"pincal: note: line {lines[row]}: {name} = {value:.4g}, covered {low:.4g} to {high:.4g}", err=True)
+
+
+def _warn_outside_curves(curves: list[dict[str, Any]], robot: Any) -> None:
+    """Say which curves of joints are asked for where they were never seen."""
+    for curve in curves:
+        unit = {"time": "s", "temperature": "deg C", "payload": "kg"}.get(curve["variable"])
+        if unit is None:
+            unit = "m" if robot.joint_types[robot.joint_names.index(curve["variable"])] == "prismatic" else "rad"
+        click.echo(
+            f"pincal: note: {curve['rows']} rows ask for the {curve['effect']} of {curve['joint']} at {curve['variable']} "
+            f"{curve['lowest']:.4g} to {curve['highest']:.4g} {unit}; it was seen from {curve['lower']:.4g} to "
+            f"{curve['upper']:.4g} only and keeps its end value there",
+            err=True,
+        )

@@ -1,83 +1,57 @@
-"""Terms without a physical name: smooth functions of one variable acting in one place."""
+"""Candidates without a physical name: what depends on one variable and acts in one place."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.interpolate import BSpline
 
+from pincal.model.catalogue.unnamed import ActsOn, Unnamed, spline_basis, variable
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.effects import Conditions
 
-# Typical size of what has no name [rad].
-_SIZE = 3e-4
-_DEGREE = 3
+__all__ = ["Unnamed", "generic_candidates", "spline_basis", "variable"]
+
+_SIZE = 8
+_ORDERS = (1, 2, 3)
+# Places where a curve may break, as fractions of the rows below them.
+_PLACES = np.linspace(0.08, 0.92, 22)
+_ACROSS: tuple[ActsOn, ...] = ("gamma_x", "gamma_y")
+_BEFORE: tuple[ActsOn, ...] = ("s_x", "s_y")
+_DRIVE: tuple[ActsOn, ...] = ("drive",)
+# A variable that changes by less than this is a constant.
+_CONSTANT = 1e-6
 
 
-@dataclass(frozen=True)
-class Unnamed(Effect):
-    """A joint moves by a curve of one variable, for no reason that the catalogue knows.
+def generic_candidates(chain: Chain, conditions: Conditions, joints: Sequence[str]) -> Iterator[Unnamed]:
+    """Return what no entry of the catalogue describes: of some joints, what follows a variable.
 
-    Attributes:
-        joint: where it acts.
-        acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it).
-        depends_on: name of a joint whose position it follows, or "time", "temperature", "payload".
-        lower, upper: the range that was seen; outside it the curve keeps its end value.
-        size: number of basis functions.
+    A smooth curve of the joint's own position is the catalogue's transmission error, and its waves of order 1 and 2 are
+    there too. Waves and products say in few parameters what a curve says in many.
     """
-
-    joint: str
-    acts_on: str
-    depends_on: str
-    lower: float
-    upper: float
-    size: int = 8
-    name: ClassVar[str] = "unnamed"
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Heights of the basis functions [rad]."""
-        stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}"
-        return tuple(Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, _SIZE) for i in range(self.size))
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add a cubic B-spline of the variable."""
-        i = chain.robot.joint_names.index(self.joint)
-        k = int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
-        basis = spline_basis(variable(chain, conditions, self.depends_on), self.lower, self.upper, self.size)
-        return tuple(Term(p, k, basis[p]) for p in range(self.size))
-
-
-def variable(chain: Chain, conditions: Conditions, name: str) -> np.ndarray:
-    """Return a variable of the conditions by name, shape (N,)."""
-    if name in chain.robot.joint_names:
-        return np.asarray(conditions.q[:, chain.robot.joint_names.index(name)])
-    found = {"time": conditions.time, "temperature": conditions.temperature, "payload": conditions.payload}[name]
-    assert found is not None
-    return np.asarray(found)
-
-
-def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.ndarray:
-    """Return uniform cubic B-splines over [lower, upper], constant beyond, shape (size, N)."""
-    inner = np.linspace(lower, upper, size - _DEGREE + 1)
-    knots = np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
-    clipped = np.clip(x, lower, upper)
-    return np.ascontiguousarray(BSpline.design_matrix(clipped, knots, _DEGREE).toarray().T)
-
-
-def generic_candidates(chain: Chain, conditions: Conditions, *, size: int = 8) -> Iterator[Unnamed]:
-    """Return curves of every joint's position at every joint, along and across its axis, and of time and temperature."""
     names = chain.robot.joint_names
-    ranges = {name: conditions.q[:, i] for i, name in enumerate(names)}
-    for name, column in (("time", conditions.time), ("temperature", conditions.temperature)):
-        if column is not None:
-            ranges[name] = column
-    for source, column in ranges.items():
-        lower, upper = float(column.min()), float(column.max())
-        if upper - lower < 1e-6:
-            continue
-        for joint in names:
-            for acts_on in ("drive", "gamma_x", "gamma_y"):
-                yield Unnamed(joint, acts_on, source, lower, upper, size)
+    columns = {name: conditions.q[:, i] for i, name in enumerate(names)}
+    columns |= {n: c for n, c in (("time", conditions.time), ("temperature", conditions.temperature)) if c is not None}
+    moving = {name: column for name, column in columns.items() if np.ptp(column) > _CONSTANT}
+    for joint in joints:
+        for source, column in moving.items():
+            lower, upper = float(column.min()), float(column.max())
+            own = source == joint
+            for acts_on in (*_ACROSS, *_BEFORE) if own else _DRIVE:
+                yield Unnamed(joint, acts_on, source, lower=lower, upper=upper, size=_SIZE)
+            if source in names:
+                yield from _of_two_joints(joint, source) if not own else _of_one_joint(joint, column)
+
+
+def _of_two_joints(joint: str, source: str) -> Iterator[Unnamed]:
+    for acts_on in (*_DRIVE, *_ACROSS):
+        yield from (Unnamed(joint, acts_on, source, "waves", order=order) for order in _ORDERS)
+    yield Unnamed(joint, "drive", source, "product")
+
+
+def _of_one_joint(joint: str, column: np.ndarray) -> Iterator[Unnamed]:
+    for acts_on in (*_DRIVE, *_ACROSS, *_BEFORE):
+        yield Unnamed(joint, acts_on, joint, "waves", order=3)
+    for place in np.quantile(column, _PLACES):
+        yield Unnamed(joint, "drive", joint, "step", place=float(place))
+        yield Unnamed(joint, "drive", joint, "kink", place=float(place))

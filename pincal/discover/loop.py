@@ -3,40 +3,67 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pincal.discover.criticism import Criticism, Score, criticise
 from pincal.discover.generic import generic_candidates
-from pincal.discover.nuisance import MassError
-from pincal.discover.shapes import broken_candidates
+from pincal.discover.nuisance import MassError, compliances_of
 from pincal.identify.calibrate import Fit, refit, without
-from pincal.model.catalogue import TransmissionError
+from pincal.model.catalogue import (
+    AxisWobble,
+    BaseDrift,
+    GearEccentricity,
+    GearRatio,
+    GravityCompensator,
+    JointCoupling,
+    LinkBending,
+    LoadBacklash,
+    NonlinearElasticity,
+    PayloadError,
+    TransmissionError,
+)
 from pincal.model.catalogue import candidates as catalogue_candidates
+from pincal.model.catalogue.places import nominal_moments
+from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.effects import BearingElasticity, Effect, JointElasticity
 
 log = logging.getLogger(__name__)
 
 # Chance, per step, that sound data bring in any name at all.
-ALPHA = 0.01
+ALPHA = 0.005
 # Elasticity is what every arm has, so little evidence brings it in; it is judged again at the end.
 _ELASTIC = 1e-4
 # Differences of the information criterion below this do not tell effects apart (odds of 20 to 1).
 _TIE = 6.0
 # A term without a name has to be better than a name by this much to take its place.
-_BETTER = 10.0
+_BETTER = 6.0
+# What acts across a joint's axis has to be better than what acts about one by this much.
+_PLAINER = 2.0
+# Chance below which a simple curve of a joint's position may well be part of a finer one.
+_HINT = 0.3
+# Names that take part when the nameless are tried.
+_CLOSE = 12
+# Widths of the transition of load backlash that are tried, over the usual one.
+_WIDTHS = (0.3, 1.0, 3.0)
+# Torques at which a drive stiffens that are tried, over the largest.
+_STIFF = (0.1, 0.3)
 # Chance above which an effect adds nothing to another.
 _ADDS_NOTHING = 1e-3
+# Chance below which an effect adds something even to another that is as cheap.
+_TOLD_APART = 1e-5
 # Wald statistic a parameter above which an effect need not be judged again.
 _SURE = 12.0
 _MOST_STEPS = 14
-_CURVE_SIZE = 8
+_MOST_RIVALS = 6
 _FIRST_SIZES = (8, 12, 18, 26, 44, 80)
 _CURVE_SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180)
 # An effect that takes less off the squares than this share, and less than this many, matters to nobody.
 _SHARE, _GAIN = 0.01, 100.0
+# Effects that follow the position of one joint.
+_OF_POSITION = (AxisWobble, GearEccentricity, GearRatio, GravityCompensator, JointCoupling)
 
 
 @dataclass(frozen=True)
@@ -98,8 +125,10 @@ def discover_effects(
         log.info("found %s: residual %.4f -> %.4f mm", _words(step.effects), *_noise_of(step))
         steps.append(step)
         fit = step.after
+    fit, steps = _revised(fit, steps, groups, lambda f: _choose(f, groups, extra, alpha, elastic))
     fit, steps = _sharpen(fit, steps, groups)
     fit, steps = _backward(fit, steps, groups, alpha)
+    steps = _with_whole_curves(fit, _merged(fit, steps))
     last = _criticise(fit, _candidates(fit, extra, elastic), groups)
     return Trail(first, tuple(steps), fit, last)
 
@@ -124,26 +153,47 @@ def _criticise(fit: Fit, effects: Sequence[Effect], groups: np.ndarray) -> Criti
 
 
 def _candidates(fit: Fit, extra: Sequence[Effect], elastic: bool) -> list[Effect]:
-    """Return what may be added: what the data can test and the model does not have yet, elasticity first."""
+    """Return what may be added: what the data can test and the model does not have yet."""
     present = fit.model.effects
     found: list[Effect] = []
-    if elastic and not any(isinstance(e, JointElasticity) for e in present):
-        found += [JointElasticity(), BearingElasticity()]
-    needs_moments = any(isinstance(e, JointElasticity) for e in present)
+    has_elasticity = any(isinstance(e, JointElasticity) for e in present)
     for effect in [*_catalogue(fit), *extra]:
-        if effect in present or _same(effect, present) or (effect.uses_moments and not (elastic and needs_moments)):
+        if effect in present or _same(effect, present) or (is_of_loads(effect) and not (elastic and has_elasticity)):
             continue
         found.append(effect)
     return found
 
 
+def is_of_loads(effect: Effect) -> bool:
+    """Return whether an effect comes beside elasticity, which every arm has."""
+    elastic = isinstance(effect, JointElasticity | BearingElasticity)
+    return (effect.uses_moments and not elastic) or isinstance(effect, LinkBending | PayloadError)
+
+
 def _catalogue(fit: Fit) -> Iterator[Effect]:
-    """Return the catalogue's candidates, drive curves coarse and fine."""
+    """Return the catalogue's candidates, each in the variants that are worth telling apart."""
     for effect in catalogue_candidates(fit.model.chain, fit.problem.conditions):
-        if isinstance(effect, TransmissionError):
-            yield from _curves(fit, effect.joint, _FIRST_SIZES)
-        else:
-            yield effect
+        yield from _variants(fit, effect)
+
+
+def _variants(fit: Fit, effect: Effect) -> Iterator[Effect]:
+    """Return an effect as it is or, of what data show in different detail, from a few parameters to many."""
+    if isinstance(effect, TransmissionError):
+        yield from _curves(fit, effect.joint, _FIRST_SIZES)
+    elif isinstance(effect, BaseDrift):
+        yield from (replace(effect, turns=False), effect)
+    elif isinstance(effect, LoadBacklash):
+        yield from (replace(effect, transition=width * effect.transition) for width in _WIDTHS)
+    elif isinstance(effect, NonlinearElasticity):
+        yield effect
+        i = fit.model.chain.robot.joint_names.index(effect.joint)
+        largest = float(np.abs(nominal_moments(fit.model.chain, fit.problem.conditions)[:, 3 * i + 2]).max())
+        yield from (replace(effect, stiffening=part * largest) for part in _STIFF if largest > 0.0)
+    elif isinstance(effect, PayloadError):
+        k = tuple(compliances_of(fit.model, fit.values).tolist())
+        yield from (PayloadError(compliances=k, shifted=shifted) for shifted in (False, True)) if any(k) else ()
+    else:
+        yield effect
 
 
 def _curves(fit: Fit, joint: str, sizes: Sequence[int]) -> list[TransmissionError]:
@@ -159,46 +209,126 @@ def _same(effect: Effect, present: Sequence[Effect]) -> bool:
 
 
 def _key(effect: Effect) -> tuple[object, ...]:
-    return effect.name, *place_of(effect), vars(effect).get("order")
+    fields = vars(effect)
+    return _name(effect) + tuple(fields.get(name) for name in ("order", "frame", "depends_on", "acts_on", "shape"))
+
+
+def _name(effect: Effect) -> tuple[object, ...]:
+    """Return by what an effect is called in a report."""
+    return effect.name, *place_of(effect)
 
 
 def _generics(fit: Fit, near: str | None) -> list[Effect]:
-    """Return terms without a name, those that a name of the catalogue covers left out; near one joint or everywhere."""
-    chain, conditions = fit.model.chain, fit.problem.conditions
-    names = chain.robot.joint_names
+    """Return terms without a name that the model does not have; near one joint or everywhere."""
+    names = fit.model.chain.robot.joint_names
     at = names.index(near) if near in names else None
-    places = names if at is None else names[max(at - 1, 0) : at + 2]
-    curves = [
-        e
-        for e in generic_candidates(chain, conditions, size=_CURVE_SIZE)
-        if e.joint in places and not (e.acts_on == "drive" and e.depends_on == e.joint)
-    ]
-    breaks = [b for joint in places for b in broken_candidates(chain, conditions, joint)]
-    return [*curves, *(b for b in breaks if b.depends_on == b.joint)]
+    joints = names if at is None else names[max(at - 1, 0) : at + 2]
+    present = fit.model.effects
+    every = generic_candidates(fit.model.chain, fit.problem.conditions, joints)
+    return [e for e in every if not _same(e, present)]
 
 
 def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> Step | None:
-    effects = _candidates(fit, extra, elastic)
-    found = _criticise(fit, effects, groups)
-    block = [i for i, e in enumerate(effects) if isinstance(e, JointElasticity | BearingElasticity)]
-    if block:
-        score = found.score(block, 1)
+    if elastic and not any(isinstance(e, JointElasticity) for e in fit.model.effects):
+        block: list[Effect] = [JointElasticity(), BearingElasticity()]
+        found = _criticise(fit, block, groups)
+        score = found.score((0, 1), 1)
         if score.p_value < _ELASTIC:
-            return _accept(fit, [effects[i] for i in block], score, (), found, tuple(block))
-    singles = [i for i in range(len(effects)) if i not in block]
-    scores = {i: found.score([i], len(singles)) for i in singles}
-    n_groups = len({_key(effects[i]) for i in singles})
-    best = _best(found, scores, alpha / max(n_groups, 1))
-    generic = _generic_step(fit, groups, alpha, None if best is None else (effects[best], scores[best]))
-    if generic is not None:
-        return generic
+            return _accept(fit, block, _Choice(block[0], score, (), found, (0, 1)))
+    choice = _choose(fit, groups, extra, alpha, elastic)
+    if choice is None:
+        return None
+    effect = choice.effect
+    return _accept(fit, [_resolved(fit, effect, groups) if isinstance(effect, TransmissionError) else effect], choice)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """The effect that explains most for what it costs, and what can't be told from it; see :class:`Step`."""
+
+    effect: Effect
+    score: Score
+    equivalent: tuple[Effect, ...]
+    criticism: Criticism
+    index: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Contest:
+    """Candidates against one fit, each with its test and what it costs to believe it.
+
+    Attributes:
+        found: tests of all candidates.
+        scores: of each.
+        costs: of each; the information criterion, more for what has no name.
+        limits: the p-value that each has to stay below.
+    """
+
+    found: Criticism
+    scores: list[Score]
+    costs: np.ndarray
+    limits: np.ndarray
+
+    @classmethod
+    def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _Contest:
+        """Test candidates, named and nameless ones; each kind shares the chance of a false name."""
+        found = _criticise(fit, effects, groups)
+        nameless = np.array([isinstance(e, Unnamed) for e in effects], bool)
+        n = {kind: len({_key(e) for e, no in zip(effects, nameless, strict=True) if no == kind}) for kind in (False, True)}
+        scores = [found.score([i], n[bool(no)]) for i, no in enumerate(nameless)]
+        return cls(
+            found,
+            scores,
+            np.array([score.ebic + _surcharge(e) for score, e in zip(scores, effects, strict=True)]),
+            np.array([alpha / n[bool(no)] for no in nameless]),
+        )
+
+    def passed(self) -> list[int]:
+        """Return the candidates that chance does not explain, the cheapest first."""
+        order = np.argsort(self.costs)
+        return [int(i) for i in order if self.scores[i].p_value < self.limits[i] and self._matters(self.scores[i])]
+
+    def _matters(self, score: Score) -> bool:
+        return score.gain >= min(_GAIN, _SHARE * self.found.squares)
+
+    def rivals(self, best: int) -> list[int]:
+        """Return the candidates that explain the data as well: little is left for the best once one of them is in."""
+        worse = self.costs - self.costs[best]
+        close = [int(i) for i in np.argsort(worse) if i != best and self.scores[i].rank and worse[i] < 2.5 * _TIE]
+        return [
+            i for i in close if self.found.gain_given(best, i).p_value > (_TOLD_APART if worse[i] < _TIE else _ADDS_NOTHING)
+        ]
+
+
+def _surcharge(effect: Effect) -> float:
+    """Return by how much an effect has to be better than a name of the catalogue."""
+    if not isinstance(effect, Unnamed):
+        return 0.0
+    # What turns a joint across its axis often turns a neighbour about its own, which is the plainer of the two.
+    return _BETTER if effect.acts_on == "drive" else _BETTER + _PLAINER
+
+
+def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> _Choice | None:
+    """Return the best explanation of what a fit leaves, if it is more than chance."""
+    names = _Contest.of(fit, _candidates(fit, extra, elastic), groups, alpha)
+    best = next((i for i in names.passed()[:5] if _predicts(names.found, i)), None)
+    curve = None if best is None else _promoted(names, best)
+    near = None if best is None else place_of(names.found.effects[best])[0]
+    close = [] if best is None else [best, *(i for i in np.argsort(names.costs)[:_CLOSE] if i != best)]
+    together = [*(names.found.effects[i] for i in close), *_generics(fit, near)]
+    both = _Contest.of(fit, together, np.zeros_like(groups), alpha)
+    # Names are as costly as among all names.
+    both.costs[: len(close)] = names.costs[close]
+    nameless = next((i for i in both.passed() if i >= len(close)), None)
+    better = nameless is not None and (best is None or both.costs[nameless] < both.costs[0])
+    if nameless is not None and better and _predicts(_criticise(fit, [together[nameless]], groups), 0):
+        return _chosen(both, nameless, _also_curve(together[nameless], names))
     if best is None:
         return None
-    equivalent = _equivalents(found, scores, best)
-    chosen = effects[best]
-    if isinstance(chosen, TransmissionError):
-        chosen = _resolved(fit, chosen, groups)
-    return _accept(fit, [chosen], scores[best], equivalent, found, (best,))
+    if curve is not None:
+        return _chosen(names, curve, ())
+    others = [together[i] for i in both.rivals(0) if i >= len(close)]
+    return _chosen(names, best, (*others, *_also_curve(names.found.effects[best], names, best)))
 
 
 def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> TransmissionError:
@@ -218,81 +348,166 @@ def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> Transmi
 
 def _sharpen(fit: Fit, steps: list[Step], groups: np.ndarray) -> tuple[Fit, list[Step]]:
     """Choose the resolution of every curve again, once all the others are in: what hid its detail is gone."""
-    for curve in [e for e in fit.options.effects if isinstance(e, TransmissionError)]:
-        finer = _resolved(without(fit, curve), curve, groups)
-        if finer == curve:
-            continue
-        fit = refit(fit, [finer if e == curve else e for e in fit.options.effects])
-        steps = [replace(s, effects=tuple(finer if e == curve else e for e in s.effects)) for s in steps]
-        log.info("curve of %s resolved again, %d to %d", curve.joint, curve.size, finer.size)
+    curves = [e for e in fit.options.effects if isinstance(e, TransmissionError)]
+    chosen = {curve: _resolved(without(fit, curve), curve, groups) for curve in curves}
+    finer = {curve: other for curve, other in chosen.items() if other != curve}
+    if not finer:
+        return fit, steps
+    log.info("resolved again: %s", ", ".join(f"{c.joint} {c.size} to {other.size}" for c, other in finer.items()))
+    bare = fit
+    for curve in finer:
+        bare = without(bare, curve)
+    # The heights of other splines are no start for these.
+    fit = refit(bare, [finer.get(e, e) if isinstance(e, TransmissionError) else e for e in fit.options.effects])
+    steps = [
+        replace(s, effects=tuple(finer.get(e, e) if isinstance(e, TransmissionError) else e for e in s.effects))
+        for s in steps
+    ]
     return fit, steps
 
 
-def _best(found: Criticism, scores: dict[int, Score], alpha: float) -> int | None:
-    """Return the best candidate that passes both gates; of near equals the one with fewest parameters."""
-    passed = [i for i, s in scores.items() if s.p_value < alpha and s.ebic < 0.0]
-    passed.sort(key=lambda i: scores[i].ebic)
-    for i in passed[:5]:
-        if scores[i].gain < min(_GAIN, _SHARE * found.squares):
-            continue
-        gain, error = found.cross_validated_gain([i])
-        if gain <= error:
-            continue
-        smaller = [
-            j
-            for j in passed
-            if scores[j].rank < scores[i].rank
-            and scores[j].ebic - scores[i].ebic < _TIE
-            and found.gain_given(i, j).p_value > _ADDS_NOTHING
-        ]
-        return min(smaller, key=lambda j: (scores[j].rank, scores[j].ebic), default=i)
-    return None
+def _predicts(found: Criticism, i: int) -> bool:
+    """Return whether a candidate improves the prediction of blocks left out by more than chance."""
+    gain, error = found.cross_validated_gain([i])
+    return gain > error
 
 
-def _equivalents(found: Criticism, scores: dict[int, Score], best: int) -> tuple[Effect, ...]:
-    """Return the candidates that explain the data as well: nothing is left for the best once one of them is in."""
-    rivals = []
-    for i, score in scores.items():
-        if i == best or score.rank == 0 or _key(found.effects[i]) == _key(found.effects[best]):
-            continue
-        worse = score.ebic - scores[best].ebic
-        if worse < _TIE or (worse < 2.5 * _TIE and found.gain_given(best, i).p_value > _ADDS_NOTHING):
-            rivals.append((worse, i))
-    unique: dict[tuple[object, ...], Effect] = {}
-    for _, i in sorted(rivals):
-        unique.setdefault(_key(found.effects[i]), found.effects[i])
-    return tuple(unique.values())[:6]
+def _chosen(contest: _Contest, best: int, others: Sequence[Effect]) -> _Choice:
+    """Return a choice with its rivals, each name once."""
+    effects = contest.found.effects
+    rivals = _each_name_once([*(effects[i] for i in contest.rivals(best)), *others], effects[best])
+    return _Choice(effects[best], contest.scores[best], rivals, contest.found, (best,))
 
 
-def _generic_step(fit: Fit, groups: np.ndarray, alpha: float, named: tuple[Effect, Score] | None) -> Step | None:
-    """Return a step by a term without a name where no name does as well."""
-    generics = _generics(fit, None if named is None else place_of(named[0])[0])
-    together = [*generics, *([named[0]] if named else [])]
-    found = _criticise(fit, together, groups)
-    scores = {i: found.score([i], len(generics)) for i in range(len(generics))}
-    best = min(scores, key=lambda i: scores[i].ebic)
-    if scores[best].p_value > alpha / len(generics) or scores[best].ebic > 0.0:
+def _each_name_once(effects: Sequence[Effect], best: Effect) -> tuple[Effect, ...]:
+    """Return effects without those that a report would call the same as an earlier one or as the best."""
+    names: dict[tuple[object, ...], Effect] = {}
+    for effect in effects:
+        names.setdefault(_name(effect), effect)
+    names.pop(_name(best), None)
+    return tuple(names.values())[:_MOST_RIVALS]
+
+
+def _is_own_curve(effect: Effect) -> bool:
+    """Return whether an effect is a simple curve of the joint's own position, about its own axis."""
+    if isinstance(effect, Unnamed):
+        return effect.acts_on == "drive" and effect.depends_on == effect.joint
+    return isinstance(effect, GearEccentricity | GearRatio | GravityCompensator)
+
+
+def _curves_like(effect: Effect, names: _Contest) -> list[int]:
+    """Return the drive curves of the same joint as a simple one."""
+    joint, effects = place_of(effect)[0], names.found.effects
+    return [i for i, e in enumerate(effects) if isinstance(e, TransmissionError) and e.joint == joint]
+
+
+def _beyond(names: _Contest, best: int) -> tuple[float, int]:
+    """Return the chance that some simple curve of the joint's position is all of the curve, and the drive curve."""
+    effect = names.found.effects[best]
+    if not _is_own_curve(effect):
+        return 1.0, -1
+    simple = [best] + [
+        i
+        for i, e in enumerate(names.found.effects)
+        if _is_own_curve(e) and place_of(e) == place_of(effect) and names.costs[i] < names.costs[best] + 2.5 * _TIE
+    ]
+    curves = _curves_like(effect, names)
+    chances = [(max(names.found.gain_given(i, j).p_value for j in simple) * len(curves), i) for i in curves]
+    return min(chances, default=(1.0, -1))
+
+
+def _promoted(names: _Contest, best: int) -> int | None:
+    """Return the drive curve of which the simple names are only a part, unless a second name explains the rest as well."""
+    chance, curve = _beyond(names, best)
+    if chance > _ADDS_NOTHING:
         return None
-    gain, error = found.cross_validated_gain([best])
-    if gain <= error:
-        return None
-    if named is not None:
-        last = len(generics)
-        if scores[best].ebic > named[1].ebic - _BETTER or found.gain_given(last, best).p_value < _ADDS_NOTHING:
-            return None
-    return _accept(fit, [generics[best]], scores[best], (), found, (best,))
+    n = len(names.scores)
+    pairs = [
+        names.found.judge(*names.found.gain([best, i]), n).ebic
+        for i in range(n)
+        if i != best and not isinstance(names.found.effects[i], TransmissionError)
+    ]
+    return curve if names.costs[curve] < min(pairs, default=np.inf) else None
 
 
-def _accept(
-    fit: Fit,
-    effects: Sequence[Effect],
-    score: Score,
-    equivalent: tuple[Effect, ...],
-    found: Criticism,
-    index: tuple[int, ...],
-) -> Step:
+def _also_curve(effect: Effect, names: _Contest, best: int | None = None) -> tuple[Effect, ...]:
+    """Return the drive curve that a simple curve of the joint's position may be a part of."""
+    if best is not None:
+        chance, curve = _beyond(names, best)
+        return (names.found.effects[curve],) if chance < _HINT else ()
+    curves = _curves_like(effect, names) if _is_own_curve(effect) else []
+    return (names.found.effects[curves[0]],) if curves else ()
+
+
+def _accept(fit: Fit, effects: Sequence[Effect], choice: _Choice) -> Step:
     after = refit(fit, [*fit.options.effects, *effects])
-    return Step(tuple(effects), score, equivalent, fit, after, found, index)
+    return Step(tuple(effects), choice.score, choice.equivalent, fit, after, choice.criticism, choice.index)
+
+
+def _revised(
+    fit: Fit, steps: list[Step], groups: np.ndarray, choose: Callable[[Fit], _Choice | None]
+) -> tuple[Fit, list[Step]]:
+    """Name each effect once more beside all the others, which were not there when it was named."""
+    named = [s for s in steps if not isinstance(s.effects[0], JointElasticity)]
+    for step in named if len(named) > 1 else []:
+        (effect,) = step.effects
+        rest = without(fit, effect)
+        choice = choose(rest)
+        if choice is None:
+            continue
+        if _key(choice.effect) == _key(effect):
+            new = replace(step, equivalent=choice.equivalent)
+        else:
+            log.info("%s is %s beside what was found later", _words([effect]), _words([choice.effect]))
+            other = choice.effect
+            other = _resolved(rest, other, groups) if isinstance(other, TransmissionError) else other
+            new = replace(_accept(rest, [other], choice), before=step.before)
+            fit = new.after
+        steps = [new if s is step else s for s in steps]
+    return fit, steps
+
+
+def _merged(fit: Fit, steps: list[Step]) -> list[Step]:
+    """Take a name and a term without one that follow the same variable in the same place as one effect without a name.
+
+    A name that leaves something of its own variable unexplained where it acts is only the nearest that the catalogue has.
+    """
+    for rest in [s for s in steps if isinstance(s.effects[0], Unnamed)]:
+        part = next((s for s in steps if s is not rest and _is_part(s.effects[0], rest, fit)), None)
+        if part is None:
+            continue
+        before, after = sorted((part, rest), key=steps.index)
+        whole = replace(
+            before,
+            effects=(rest.effects[0], *part.effects),
+            equivalent=_each_name_once([*rest.equivalent, part.effects[0], *part.equivalent], rest.effects[0]),
+            after=after.after,
+        )
+        steps = [whole if s is before else s for s in steps if s is not after]
+    return steps
+
+
+def _with_whole_curves(fit: Fit, steps: list[Step]) -> list[Step]:
+    """Add, to two simple curves of one joint's position, that together they may be one irregular one."""
+    simple = [place_of(s.effects[0]) for s in steps if _is_own_curve(s.effects[0])]
+    out = []
+    for step in steps:
+        effect = step.effects[0]
+        if _is_own_curve(effect) and simple.count(place_of(effect)) > 1:
+            curves = _curves(fit, str(place_of(effect)[0]), _FIRST_SIZES[:1])
+            step = replace(step, equivalent=_each_name_once([*curves, *step.equivalent], effect))
+        out.append(step)
+    return out
+
+
+def _is_part(effect: Effect, rest: Step, fit: Fit) -> bool:
+    """Return whether an effect follows the same variable, on the same joint or a neighbour, as a term without a name."""
+    (term, *_), fields = rest.effects, vars(effect)
+    if isinstance(effect, Unnamed) or not isinstance(term, Unnamed) or not isinstance(effect, _OF_POSITION):
+        return False
+    names = fit.model.chain.robot.joint_names
+    apart = abs(names.index(term.joint) - names.index(effect.joint))
+    return bool(apart <= 1 and term.depends_on == fields.get("source", effect.joint))
 
 
 def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> tuple[Fit, list[Step]]:

@@ -37,15 +37,7 @@ class MassError(Effect):
     @classmethod
     def of(cls, model: Model, values: np.ndarray) -> MassError | None:
         """Return the effect for a model's present compliances, None for a rigid model."""
-        n = model.chain.robot.n_joints
-        k = np.zeros(3 * n)
-        joints = model.chain.robot.joint_names
-        for effect in model.effects:
-            if not isinstance(effect, Compliance):
-                continue
-            for parameter in effect.parameters(model.chain):
-                joint, symbol = parameter.name.rsplit(".", 1)
-                k[3 * joints.index(joint) + "xyz".index(symbol[-1])] = values[model.index(parameter.name)]
+        k = compliances_of(model, values)
         return cls(k, model.rigid_coordinates(values)) if k.any() else None
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -90,3 +82,16 @@ def _values(chain: Chain, conditions: Conditions, coordinates: np.ndarray) -> Va
     slot[chain.drives] = np.arange(len(chain.drives))
     varying = np.ascontiguousarray((conditions.q + coordinates[chain.drives]).T)
     return Values(coordinates.copy(), slot, varying)
+
+
+def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
+    """Return the linear compliances that a model has, k of each joint's x, y, z in turn, shape (3 n,) [rad/(N m)]."""
+    joints = model.chain.robot.joint_names
+    k = np.zeros(3 * len(joints))
+    for effect in model.effects:
+        if not isinstance(effect, Compliance):
+            continue
+        for parameter in effect.parameters(model.chain):
+            joint, symbol = parameter.name.rsplit(".", 1)
+            k[3 * joints.index(joint) + "xyz".index(symbol[-1])] = values[model.index(parameter.name)]
+    return k

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import fdtri, ncfdtr
 
 from pincal.discover.criticism import Criticism, criticise
+from pincal.discover.loop import ALPHA, place_of
+from pincal.discover.nuisance import MassError, compliances_of
 from pincal.identify.calibrate import Fit
-from pincal.identify.normal import block_rows
+from pincal.model.catalogue import PayloadError, TransmissionError
 from pincal.model.effects import Conditions, Effect
+from pincal.model.model import Model
 
-# Non-centrality at which a test at 1 % family-wise over some hundred candidates has 90 % power, by degrees of freedom
-# (DISCOVERY 2.2).
-_DETECTABLE = {1: 26.0, 2: 30.0, 3: 32.0, 4: 34.0, 6: 38.0}
+# Chance with which an effect of the size that is called detectable is found.
+POWER = 0.9
+# An effect has to take this share off the squares, or this many, to be let in (see the loop).
+_SHARE, _GAIN = 0.01, 100.0
+# Below this many degrees of freedom nothing is left to judge an effect by.
+_FEWEST = 10.0
+# Non-centrality beyond which a test is given up: the readings are too few for it.
+_HOPELESS = 1e7
+# Shapes of an effect of several parameters that are tried, all directions alike.
+_SHAPES = 400
+# Pieces of the drive curve whose size is foretold: as smooth as the loop tries.
+_CURVE_SIZE = 8
 # Non-centrality above which two effects count as told apart.
 TOLD_APART = 30.0
 # A design has to do better than the same poses once more, by this factor.
@@ -29,31 +44,167 @@ class Detectable:
 
     Attributes:
         effect: what.
-        parameter: its first parameter's name.
-        size: of this parameter, in its unit; None where no size would show.
-        unit: the unit.
+        measure: what the size is the size of: the name of the effect's one parameter, "amplitude" (the length of the
+            vector of its parameters), "rms of the curve" or, of compliances, "largest rotation in these poses".
+        unit: the unit of the sizes.
+        size: at which it is found with the chance ``POWER``, all directions of its parameters alike; None where no size
+            would show.
+        best: the same in the direction that shows best.
+        absorbed: part of the squared signal that a refitted model takes up (the mean over the directions).
+        reason: why no size would show; empty otherwise.
     """
 
     effect: Effect
-    parameter: str
-    size: float | None
+    measure: str
     unit: str
+    size: float | None
+    best: float | None
+    absorbed: float | None
+    reason: str
 
 
-def minimum_detectable(fit: Fit, effects: Sequence[Effect]) -> list[Detectable]:
-    """Return, for each effect, how large its parameters would have to be to be found with these poses and this noise."""
-    found = criticise(fit, effects, [], np.zeros(len(fit.problem), int))
-    S, _ = found._projected
-    out = []
-    for i, effect in enumerate(effects):
-        j = found.columns_of([i])
-        parameter = effect.parameters(fit.model.chain)[0]
-        _, rank = found.gain([i])
-        threshold = _DETECTABLE[min((k for k in _DETECTABLE if k >= rank), default=6)] if rank else None
-        strength = float(np.max(np.diag(S)[j])) if rank else 0.0
-        size = float(np.sqrt(threshold / strength)) if threshold and strength > 0 else None
-        out.append(Detectable(effect, parameter.name, size, parameter.unit))
-    return out
+def minimum_detectable(
+    fit: Fit, effects: Sequence[Effect], *, sigma: np.ndarray | None = None, alpha: float = ALPHA
+) -> list[Detectable]:
+    """Return, for each effect, how large it would have to be to be found with these poses and this noise.
+
+    An effect of parameters beta leaves the non-centrality beta^T S' beta once everything else, uncertain masses included,
+    is refitted. It is found if its gain passes what the loop asks: the F test at ``alpha`` over the number of groups
+    tested, and the share of the squares. The power follows from the non-central F distribution.
+
+    Args:
+        fit: the model that every effect would be added to.
+        effects: which.
+        sigma: shape (blocks,), standard deviation of one component of each block of readings; that of the residuals
+            unless given.
+        alpha: chance of a false name.
+    """
+    tested = [_foretold(effect, fit) for effect in effects]
+    noise = fit.solution.estimated if sigma is None else sigma
+    quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
+    masses = MassError.of(fit.model, fit.values)
+    found = criticise(quiet, tested, [masses] if masses else [], np.zeros(len(fit.problem), int))
+    if found.dof < _FEWEST:
+        return [Detectable(e, "", "", None, None, None, _too_few(found)) for e in effects]
+    groups = len({(e.name, *place_of(e), vars(e).get("order"), vars(e).get("frame")) for e in effects})
+    return [row for i in range(len(tested)) for row in _sizes(fit, found, i, alpha, groups)]
+
+
+def _too_few(found: Criticism) -> str:
+    return f"{found.readings} readings leave {found.dof:.0f} degrees of freedom to judge by; measure more poses"
+
+
+def _foretold(effect: Effect, fit: Fit) -> Effect:
+    """Return a drive curve with few pieces, a payload's error by its mass, anything else as it is."""
+    if isinstance(effect, TransmissionError):
+        q = fit.problem.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
+        return TransmissionError.over(effect.joint, q, _CURVE_SIZE)
+    if isinstance(effect, PayloadError) and np.any(k := compliances_of(fit.model, fit.values)):
+        return PayloadError(compliances=tuple(k.tolist()))
+    return effect
+
+
+def _sizes(fit: Fit, found: Criticism, i: int, alpha: float, groups: int) -> Iterator[Detectable]:
+    """Yield the detectable size of an effect, one a unit of its parameters."""
+    effect = found.effects[i]
+    parameters = effect.parameters(fit.model.chain)
+    left, _ = found._projected
+    j = found.columns_of([i])
+    rank = found.gain([i])[1]
+    for unit in dict.fromkeys(p.unit for p in parameters):
+        own = np.array([k for k, p in enumerate(parameters) if p.unit == unit])
+        measure, shown, scale = _measure(effect, fit, own, unit)
+        if rank == 0:
+            reason = "the fitted model absorbs all of it in these poses (rank zero)"
+            yield Detectable(effect, measure, shown, None, None, 1.0, reason)
+            continue
+        test = (round(found.dof, 3), rank, groups, alpha)
+        if not np.isfinite(detectable_noncentrality(test)):
+            yield Detectable(effect, measure, shown, None, None, None, _too_few(found))
+            continue
+        at = j[own]
+        whole = found.S[np.ix_(found.n_model + at, found.n_model + at)]
+        signal = scale.T @ left[np.ix_(at, at)] @ scale
+        strengths = np.maximum(np.linalg.eigvalsh(signal), 0.0)
+        size, best = _size_at(strengths, test)
+        absorbed = 1.0 - float(np.trace(signal) / np.trace(scale.T @ whole @ scale))
+        yield Detectable(effect, measure, shown, size, best, min(max(absorbed, 0.0), 1.0), "")
+
+
+def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str, str, np.ndarray]:
+    """Return what the size of some parameters means, its unit, and the parameters of vectors of size 1, shape (p, k)."""
+    if isinstance(effect, TransmissionError):
+        return "rms of the curve", unit, _unit_curves(effect, fit)
+    if "N m" in unit:
+        # Micro-radians say more than compliances.
+        largest, felt = Model(fit.model.chain, (effect,)).largest_basis(fit.problem.conditions)
+        return "largest rotation in these poses", "rad", np.diag(1.0 / largest[own])[:, felt[own]]
+    one = len(own) == 1
+    return effect.parameters(fit.model.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))
+
+
+def _unit_curves(effect: TransmissionError, fit: Fit) -> np.ndarray:
+    """Return coefficients, shape (size, k), of orthogonal curves whose rms about their mean over the poses is 1."""
+    q = fit.problem.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
+    basis = effect.basis(q)
+    basis = basis - basis.mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(basis @ basis.T / len(q))
+    seen = values > 1e-6 * values[-1]
+    return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
+
+
+Test = tuple[float, int, int, float]  # degrees of freedom that the model leaves, rank, groups tested, alpha
+
+
+def _size_at(strengths: np.ndarray, test: Test) -> tuple[float, float]:
+    """Return the size that is found with the chance POWER in a random direction, and in the best one.
+
+    Args:
+        strengths: shape (k,), non-centrality of an effect of size 1 along the principal directions.
+        test: what the loop asks.
+    """
+    best = float(np.sqrt(detectable_noncentrality(test) / strengths.max()))
+    if len(strengths) == 1:
+        return best, best
+    z = np.random.default_rng(0).standard_normal((_SHAPES, len(strengths)))
+    along = (z**2 / np.sum(z**2, axis=1, keepdims=True)) @ strengths
+    grid, powers = _power_curve(test)
+    missing = lambda log_size: float(np.mean(np.interp(np.exp(2.0 * log_size) * along, grid, powers))) - POWER  # noqa: E731
+    return float(np.exp(brentq(missing, np.log(0.1 * best), np.log(1e6 * best)))), best
+
+
+def critical_gain(test: Test) -> float:
+    """Return what an effect has to take off the sum of squares to be let in, in units of the noise."""
+    dof, rank, groups, alpha = test
+    rest = max(dof - rank, 1.0)
+    ratio = rank * float(fdtri(rank, rest, 1.0 - alpha / max(groups, 1))) / rest
+    return max(ratio / (1.0 + ratio) * dof, min(_GAIN, _SHARE * dof))
+
+
+def power_of(noncentrality: float, test: Test) -> float:
+    """Return the chance that an effect of a non-centrality passes the loop's test."""
+    dof, rank, *_ = test
+    gain, rest = critical_gain(test), max(dof - rank, 1.0)
+    F = (gain / rank) / (max(dof - gain, 1e-9) / rest)
+    return 1.0 - float(ncfdtr(rank, rest, noncentrality, F))
+
+
+@lru_cache(maxsize=256)
+def detectable_noncentrality(test: Test) -> float:
+    """Return the non-centrality at which the chance to be found is POWER; inf where no effect passes the test."""
+    upper = 10.0 * critical_gain(test) + 100.0
+    while power_of(upper, test) < POWER:
+        upper *= 4.0
+        if upper > _HOPELESS:
+            return np.inf
+    return float(brentq(lambda value: power_of(value, test) - POWER, 1e-3, upper))
+
+
+@lru_cache(maxsize=256)
+def _power_curve(test: Test) -> tuple[np.ndarray, np.ndarray]:
+    """Return non-centralities and the chances that belong to them."""
+    grid = np.linspace(0.0, 3.0 * detectable_noncentrality(test), 60)
+    return grid, np.array([power_of(value, test) for value in np.maximum(grid, 1e-9)])
 
 
 def deciding_measurement(fit: Fit, found: Criticism, best: int, rival: Effect) -> str:
@@ -123,11 +274,3 @@ def _criticised_at(fit: Fit, pair: list[Effect], conditions: Conditions, here: C
     problem = replace(fit.problem, conditions=conditions)
     there = criticise(replace(fit, problem=problem), pair, [], np.zeros(len(problem), int))
     return replace(here, S=here.S + there.S)
-
-
-def drive_errors(fit: Fit, lever: Callable[[Fit, str], np.ndarray], joint: str) -> np.ndarray:
-    """Return the error of a joint's position that would explain each row's residual best, shape (N,) [rad or m]."""
-    rows = block_rows(fit.problem)[0]
-    a = lever(fit, joint)[rows]
-    r = fit.problem.residuals(fit.values)[rows]
-    return np.asarray(np.sum(a * r, axis=0) / np.maximum(np.sum(a**2, axis=0), 1e-300))

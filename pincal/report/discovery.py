@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
 
-from pincal.discover.loop import Step, Trail, discover_effects, place_of
+from pincal.discover.loop import Step, Trail, discover_effects, is_of_loads, place_of
 from pincal.discover.power import deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
-from pincal.identify.calibrate import Fit, Options
+from pincal.identify.calibrate import Fit, Options, calibrate
 from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import untestable
-from pincal.model.effects import GEOMETRIC, Compliance, Effect, JointElasticity
-from pincal.report.result import parameter_rows, result_of
+from pincal.model.chain import MomentFrame
+from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
+from pincal.report.result import result_of
 from pincal.report.run import Calibration, run_calibration
-from pincal.report.validation import error_table
+from pincal.report.shrink import Gap, Trace, gap_of, gaps_of, period_of, traces_of
+from pincal.report.where import elastic_entries, noise_floor, where_of
 from pincal.robot.robot import Robot
 
-# Standard deviations that a compliance has to be away from zero to be named by itself.
-_SIGNIFICANT = 4.0
 _MISFIT = 1e-3
 _CV_BLOCKS = 8
-_MOST_PLACES = 3
+# Difference of -2 log likelihood from which another convention of moments counts as better (odds of 150 to 1).
+_FRAME_BETTER = 10.0
 
 
 @dataclass(frozen=True)
@@ -36,11 +40,15 @@ class Discovery:
         calibration: the calibration with all that was found.
         trail: how it was found.
         report: the contents of ``discovery.json``.
+        gaps: errors on held-out rows at the start, after each step and with everything fitted together.
+        traces: what each effect explains, pose by pose.
     """
 
     calibration: Calibration
     trail: Trail
     report: dict[str, Any]
+    gaps: tuple[Gap, ...]
+    traces: tuple[Trace, ...]
 
 
 def run_discovery(
@@ -53,6 +61,7 @@ def run_discovery(
     split: Split = "blocked",
     seed: int = 0,
     holdout: Measurements | None = None,
+    moment_frames: Sequence[MomentFrame] = (),
 ) -> Discovery:
     """Calibrate, find what the model misses, name it, add it and show the gap shrink on rows that criticism never saw.
 
@@ -65,39 +74,98 @@ def run_discovery(
         split: how rows are chosen; whole regions of joint space unless given.
         seed: of the choice.
         holdout: other measurements to hold out instead.
+        moment_frames: conventions of where moments bend the arm to choose from by the data; that of the options unless
+            given. The first stays unless another fits better beyond chance.
 
     Raises:
         BadInputError: as :func:`run_calibration`.
     """
     options = Options(effects=GEOMETRIC) if options is None else options
-    first = run_calibration(
-        robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout
-    )
-    blocks = row_groups(first.train, split="blocked", seed=seed) % _CV_BLOCKS
-    trail = discover_effects(first.fit, blocks, extra=extra, elastic=not robot.massless)
+    begun = time.perf_counter()
+    frames = list(moment_frames) or [options.moment_frame]
+    calibration = partial(run_calibration, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
+    found = {frames[0]: _discover(calibration, robot, measurements, replace(options, moment_frame=frames[0]), extra)}
+    for frame in _other_frames(*found[frames[0]], frames):
+        found[frame] = _discover(calibration, robot, measurements, replace(options, moment_frame=frame), extra)
+    costs = {frame: _cost(trail) + _FRAME_BETTER * (frame != frames[0]) for frame, (_, trail) in found.items()}
+    frame = min(costs, key=lambda f: costs[f])
+    first, trail = found[frame]
+    notes = first.notes
+    if frame != frames[0]:
+        notes = (*notes, f"moments bend the arm as with --moment-frame {frame}: it fits better than {frames[0]}")
     held = trail.final.readings(first.test) if len(first.test) else None
-    result = result_of(
-        trail.final, held, seconds=first.result.seconds, train_rows=first.train.rows, notes=first.result.warnings[:0]
-    )
-    calibration = replace(first, fit=trail.final, result=result)
-    return Discovery(calibration, trail, discovery_report(calibration, trail))
+    seconds = time.perf_counter() - begun
+    result = result_of(trail.final, held, seconds=seconds, train_rows=first.train.rows, notes=notes)
+    final = replace(first, fit=trail.final, result=result, notes=notes)
+    gaps, traces = gaps_of(trail, final.test), traces_of(trail)
+    return Discovery(final, trail, discovery_report(final, trail, traces), gaps, traces)
 
 
-def discovery_report(calibration: Calibration, trail: Trail) -> dict[str, Any]:
-    """Return the contents of ``discovery.json`` (contract)."""
+def _discover(
+    calibration: Callable[..., Calibration],
+    robot: Robot,
+    measurements: Measurements,
+    options: Options,
+    extra: tuple[Effect, ...],
+) -> tuple[Calibration, Trail]:
+    first = calibration(robot, measurements, options)
+    blocks = row_groups(first.train, split="blocked", seed=0) % _CV_BLOCKS
+    return first, discover_effects(first.fit, blocks, extra=extra, elastic=not robot.massless)
+
+
+def _other_frames(first: Calibration, trail: Trail, frames: Sequence[MomentFrame]) -> list[MomentFrame]:
+    """Return the conventions worth a discovery of their own.
+
+    All of them if an effect of loads was named, which a wrong convention brings about; otherwise those that fit better
+    what was found.
+    """
+    fit = trail.final
+    if not any(effect.uses_moments for effect in fit.options.effects):
+        return []
+    if any(is_of_loads(step.effects[0]) for step in trail.steps):
+        return list(frames[1:])
+    others = {f: calibrate(first.robot, first.train, replace(fit.options, moment_frame=f)) for f in frames[1:]}
+    return [frame for frame, other in others.items() if _misfit(other) < _misfit(fit) - _FRAME_BETTER]
+
+
+def _misfit(fit: Fit) -> float:
+    """Return -2 log likelihood, up to a constant."""
+    counted = int(np.sum(fit.solution.weights > 0.0))
+    sizes = [block.size for block in fit.problem.sensor.blocks]
+    return 2.0 * counted * float(np.dot(sizes, np.log(fit.solution.estimated)))
+
+
+def _cost(trail: Trail) -> float:
+    """Return the extended Bayesian information criterion of all that was found."""
+    fit = trail.final
+    readings = len(fit.problem) * sum(block.size for block in fit.problem.sensor.blocks)
+    named = sum(not isinstance(step.effects[0], JointElasticity) for step in trail.steps)
+    spent = fit.solution.posterior.effective
+    return _misfit(fit) + spent * float(np.log(readings)) + 2.0 * named * float(np.log(max(len(trail.last.effects), 2)))
+
+
+def discovery_report(calibration: Calibration, trail: Trail, traces: tuple[Trace, ...]) -> dict[str, Any]:
+    """Return the contents of ``discovery.json`` (contract).
+
+    Args:
+        calibration: the calibration with all that was found.
+        trail: how it was found.
+        traces: what each effect explains.
+    """
     final = trail.final
     scatter = find_scatter(final)
-    sigma = final.noise.declared[0] or float(final.solution.estimated[0])
+    sigma = float(noise_floor(final)[0])
     size = final.problem.sensor.blocks[0].size
     floor = float(sigma * np.sqrt(size) * 1e3)
     after = _gap(calibration, final)
     misfit = _is_misfit(final)
     unexplained = float(np.sqrt(max(final.solution.estimated[0] ** 2 - sigma**2, 0.0) * size) * 1e3)
-    effects = [entry for step in trail.steps for entry in _entries(calibration, trail, step)]
+    periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.name == "unnamed"}
+    effects = [entry for step in trail.steps for entry in _entries(calibration, trail, step, periods)]
     return {
         "noise_floor_mm": floor,
         "gap": {"before": _gap(calibration, trail.first), "after": after},
-        "where": _where(trail, scatter),
+        "where": where_of(trail, scatter, is_misfit=misfit),
         "effects": effects,
         "scatter": [_scatter_entry(scatter, final)] if scatter else [],
         "not_testable": _not_testable(trail),
@@ -107,9 +175,7 @@ def discovery_report(calibration: Calibration, trail: Trail) -> dict[str, Any]:
 
 
 def _gap(calibration: Calibration, fit: Fit) -> dict[str, float]:
-    problem = fit.readings(calibration.test) if len(calibration.test) else fit.problem
-    errors = error_table(problem, fit.values)
-    return {name: errors[name] for name in ("mean_mm", "rms_mm", "max_mm")}
+    return gap_of(fit, calibration.test).to_dict()
 
 
 def _is_misfit(fit: Fit) -> bool:
@@ -119,19 +185,23 @@ def _is_misfit(fit: Fit) -> bool:
     return bool(chdtrc(fit.solution.degrees, fit.solution.chi2) < _MISFIT)
 
 
-def _entries(calibration: Calibration, trail: Trail, step: Step) -> list[dict[str, Any]]:
+def _entries(
+    calibration: Calibration, trail: Trail, step: Step, periods: dict[Effect, float | None]
+) -> list[dict[str, Any]]:
     """Return the entries of one step: one an effect, elasticity one a joint."""
     gap = {
         "gap_before_mm": _gap(calibration, step.before)["mean_mm"],
         "gap_after_mm": _gap(calibration, step.after)["mean_mm"],
     }
     if isinstance(step.effects[0], JointElasticity):
-        return [entry | gap | {"equivalent": [], "tell_apart": ""} for entry in _elastic_entries(trail.final)]
+        return [entry | gap | {"equivalent": [], "tell_apart": ""} for entry in elastic_entries(trail.final)]
     effect = step.effects[0]
+    period = periods.get(effect)
     rival = step.equivalent[0] if step.equivalent else None
     decide = "" if rival is None else deciding_measurement(step.before, step.criticism, step.index[0], rival)
     return [
         _identity(effect)
+        | ({} if period is None else {"period": period})
         | {"parameters": _parameters(trail.final, effect), "p_value": step.score.p_value}
         | gap
         | {"equivalent": [_identity(e) for e in step.equivalent], "tell_apart": decide}
@@ -152,73 +222,18 @@ def _identity(effect: Effect) -> dict[str, Any]:
 
 
 def _parameters(fit: Fit, effect: Effect) -> dict[str, dict[str, Any]]:
-    names = {parameter.name for parameter in effect.parameters(fit.model.chain)}
-    return {
-        row.name: {"value": row.value, "sigma": row.sigma, "unit": row.unit}
-        for row in parameter_rows(fit)
-        if row.name in names
-    }
-
-
-def _elastic_entries(fit: Fit) -> list[dict[str, Any]]:
-    """Return the joints and bearings whose compliance is far from zero, the surest first."""
-    sigma = np.full(len(fit.values), np.inf)
+    """Return value, standard deviation (that of the prior where it was not fitted) and unit of an effect's parameters."""
+    sigma = fit.priors.sizes.copy()
     sigma[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
-    found = []
-    for effect in fit.model.effects:
-        if not isinstance(effect, Compliance):
-            continue
-        by_joint: dict[str, list[int]] = {}
-        for parameter in effect.parameters(fit.model.chain):
-            by_joint.setdefault(parameter.name.rsplit(".", 1)[0], []).append(fit.model.index(parameter.name))
-        for joint, places in by_joint.items():
-            z2 = float(np.sum((fit.values[places] / sigma[places]) ** 2))
-            found.append((z2, len(places), effect.name, joint, places))
-    found.sort(key=lambda item: -item[0])
-    sure = [item for item in found if item[0] > _SIGNIFICANT**2 * item[1]] or found[:1]
-    return [
-        {
-            "effect": name,
-            "joint": joint,
-            "parameters": {
-                fit.model.names[i]: {
-                    "value": float(fit.values[i]),
-                    "sigma": float(sigma[i]) if np.isfinite(sigma[i]) else None,
-                    "unit": fit.model.parameters[i].unit,
-                }
-                for i in places
-            },
-            "p_value": float(chdtrc(size, z2)),
+    places = [(parameter, fit.model.index(parameter.name)) for parameter in effect.parameters(fit.model.chain)]
+    return {
+        parameter.name: {
+            "value": parameter.nominal + float(fit.values[i]),
+            "sigma": float(sigma[i]),
+            "unit": parameter.unit,
         }
-        for z2, size, name, joint, places in sure
-    ]
-
-
-def _where(trail: Trail, scatter: Scatter | None) -> list[dict[str, Any]]:
-    """Say where the disagreement sat, step by step, before anything was named."""
-    found = []
-    for step in trail.steps:
-        share = min(max(step.score.gain / step.criticism.squares, 0.0), 1.0)
-        joint, _ = place_of(step.effects[0])
-        if isinstance(step.effects[0], JointElasticity):
-            statement = "what the geometric model leaves follows the static moments on the joints"
-            joint = _elastic_entries(step.after)[0]["joint"]
-        elif joint is None:
-            statement = "what was left shows on the whole arm"
-        else:
-            statement = f"what was left acts at {joint}{_variable(step.effects[0])}"
-        found.append({"joint": joint, "statement": statement, "share": share})
-    if scatter:
-        found.append({"joint": scatter.joint, "statement": f"{scatter.joint} scatters from pose to pose", "share": 1.0})
-    return found
-
-
-def _variable(effect: Effect) -> str:
-    depends = vars(effect).get("depends_on") or place_of(effect)[1]
-    own = effect.name in ("gear_eccentricity", "transmission_error", "gear_ratio", "axis_wobble", "gravity_compensator")
-    if depends and depends != place_of(effect)[0]:
-        return f" and follows {depends}"
-    return " and follows its own angle" if own or depends else ""
+        for parameter, i in places
+    }
 
 
 def _scatter_entry(scatter: Scatter, fit: Fit) -> dict[str, Any]:

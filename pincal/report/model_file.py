@@ -14,6 +14,8 @@ import numpy as np
 
 from pincal.errors import ModelFileError, OutputError
 from pincal.identify.calibrate import Fit
+from pincal.model.catalogue import TransmissionError
+from pincal.model.catalogue.unnamed import Unnamed, variable
 from pincal.model.effects import Conditions, Parameter
 from pincal.model.model import Model
 from pincal.report.json_section import Section
@@ -32,6 +34,27 @@ class Outside(NamedTuple):
     row: int
     name: str
     value: float
+    lower: float
+    upper: float
+
+
+class OutsideCurve(NamedTuple):
+    """Rows beyond the range in which a curve of the model was seen; there it keeps its end value.
+
+    Attributes:
+        effect, joint: the curve.
+        variable: what it follows: a joint's name, "time", "temperature" or "payload".
+        rows: how many rows lie beyond.
+        lowest, highest: of the variable over all rows.
+        lower, upper: the range that was seen.
+    """
+
+    effect: str
+    joint: str
+    variable: str
+    rows: int
+    lowest: float
+    highest: float
     lower: float
     upper: float
 
@@ -114,6 +137,27 @@ class CalibratedModel:
         return [
             Outside(int(i), names[j], float(values[i, j]), float(lower[j]), float(upper[j])) for i, j in np.argwhere(beyond)
         ]
+
+    def outside_curves(self, conditions: Conditions) -> list[OutsideCurve]:
+        """Return the curves that some rows ask for beyond the range in which they were seen.
+
+        A curve found in one range says nothing of another (it may even do harm there), so it keeps its end value.
+        """
+        found = []
+        for effect in self.model.effects:
+            if isinstance(effect, TransmissionError):
+                name = effect.joint
+            elif isinstance(effect, Unnamed) and effect.shape == "curve":
+                name = effect.depends_on
+            else:
+                continue
+            x = variable(self.model.chain, conditions, name)
+            margin = _MARGIN_PART * (effect.upper - effect.lower) + _MARGIN
+            beyond = int(np.sum((x < effect.lower - margin) | (x > effect.upper + margin)))
+            if beyond:
+                asked = float(x.min()), float(x.max())
+                found.append(OutsideCurve(effect.name, effect.joint, name, beyond, *asked, effect.lower, effect.upper))
+        return found
 
 
 def calibrated_model_of(fit: Fit, provenance: dict[str, Any]) -> CalibratedModel:

@@ -29,6 +29,7 @@ class Calibration:
         test: rows that it did not see; may be empty.
         fit: the calibrated model.
         result: parameters, errors, warnings.
+        notes: the warnings among them that are on robot and table, not on the fit.
     """
 
     robot: Robot
@@ -36,6 +37,7 @@ class Calibration:
     test: Measurements
     fit: Fit
     result: Result
+    notes: tuple[str, ...] = ()
 
     def test_problem(self) -> Problem | None:
         """Return the held-out rows under the calibrated model, None without any."""
@@ -99,7 +101,7 @@ def run_calibration(
     notes = (*robot.notes, *notes, *_few_rows(fit))
     held = fit.readings(test) if len(test) else None
     result = result_of(fit, held, seconds=time.perf_counter() - begun, train_rows=train.rows, notes=notes)
-    return Calibration(robot, train, test, fit, result)
+    return Calibration(robot, train, test, fit, result, notes)
 
 
 def check_count(robot: Robot, measurements: Measurements) -> None:

@@ -8,14 +8,23 @@ from typing import Any
 
 import numpy as np
 
+from pincal.discover.loop import ALPHA, place_of
+from pincal.discover.power import POWER, minimum_detectable
 from pincal.errors import PincalWarning
 from pincal.identify.agreement import check_agreement
-from pincal.identify.calibrate import Fit, Options, foresee
+from pincal.identify.calibrate import Fit, Options, foresee, refit
 from pincal.identify.explain import explain
 from pincal.measure.measurements import Measurements
+from pincal.model.catalogue import candidates, untestable
+from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
 from pincal.report.run import check_count, check_table
 from pincal.report.validation import error_table
 from pincal.robot.robot import Robot
+
+# Noise of a good laser tracker in a hall, where nothing else is known of it [m or rad].
+_ASSUMED = 5e-5
+# Degrees of freedom below which residuals say nothing of the noise.
+_FEWEST = 10.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,55 @@ class Expectation:
 
 
 @dataclass(frozen=True)
+class Sight:
+    """How large an effect would have to be to be found.
+
+    Attributes:
+        effect: its name.
+        joint, source, order, frame: which of its likes; None where it has none.
+        measure: what the size is the size of (see :class:`pincal.discover.power.Detectable`).
+        unit: unit of the sizes.
+        size: found nine times of ten, whatever the directions of its parameters; None if no size is.
+        best: the same in the direction that shows best.
+        absorbed: part of the squared signal that the refitted model takes up.
+        reason: why it can't be tested, empty if it can.
+    """
+
+    effect: str
+    joint: str | None
+    source: str | None
+    order: int | None
+    frame: str | None
+    measure: str
+    unit: str
+    size: float | None
+    best: float | None
+    absorbed: float | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a discovery could find with these poses and this noise.
+
+    Attributes:
+        model: "elastic" or "geometric": what is fitted along with every effect.
+        sigma_m: the noise that it rests on [m].
+        source: "declared", "estimated" or "assumed".
+        alpha: chance of any false name.
+        power: chance with which an effect of the size told is found.
+        effects: each effect of the catalogue.
+    """
+
+    model: str
+    sigma_m: float
+    source: str
+    alpha: float
+    power: float
+    effects: tuple[Sight, ...]
+
+
+@dataclass(frozen=True)
 class Survey:
     """What a table can tell.
 
@@ -54,6 +112,7 @@ class Survey:
         released: parameters that a fit would release.
         condition: of the determined directions.
         parameters: what to expect of each.
+        detectable: how large each effect beyond the model would have to be to be found.
         warnings: in words.
     """
 
@@ -66,6 +125,7 @@ class Survey:
     released: int
     condition: float
     parameters: tuple[Expectation, ...]
+    detectable: Outlook
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -103,8 +163,38 @@ def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
         parameters=_expectations(fit),
+        detectable=_outlook(robot, fit),
         warnings=tuple(dict.fromkeys([*robot.notes, *notes])),
     )
+
+
+def _outlook(robot: Robot, fit: Fit) -> Outlook:
+    """Return what could be found beyond the elastic model, or the geometric one of an arm without masses."""
+    base = refit(fit, GEOMETRIC if robot.massless else ELASTIC)
+    declared = fit.noise.declared
+    degrees = base.solution.degrees
+    estimated = base.solution.estimated if degrees >= _FEWEST else np.full(len(declared), _ASSUMED)
+    sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])
+    source = "declared" if declared[0] is not None else ("estimated" if degrees >= _FEWEST else "assumed")
+    conditions = fit.problem.conditions
+    tested = candidates(base.model.chain, conditions)
+    if robot.massless:
+        tested = tuple(effect for effect in tested if not effect.uses_moments)
+    sights = [
+        Sight(*_which(d.effect), d.measure, d.unit, d.size, d.best, d.absorbed, d.reason)
+        for d in minimum_detectable(base, tested, sigma=sigma)
+    ]
+    sights += [
+        Sight(*_which(effect), "", "", None, None, None, reason)
+        for effect, reason in untestable(base.model.chain, conditions)
+    ]
+    return Outlook("geometric" if robot.massless else "elastic", float(sigma[0]), source, ALPHA, POWER, tuple(sights))
+
+
+def _which(effect: Effect) -> tuple[str, str | None, str | None, int | None, str | None]:
+    """Return name, joint, source, order and frame of an effect."""
+    joint, source = place_of(effect)
+    return effect.name, joint, source, vars(effect).get("order"), vars(effect).get("frame")
 
 
 def _ranges(robot: Robot, measurements: Measurements) -> tuple[JointRange, ...]:

@@ -8,6 +8,8 @@ Example:
     ['elbow_joint.eccentric_sin1', 'elbow_joint.eccentric_cos1']
 """
 
+# Imported so that model files which hold terms without a name can be read.
+import pincal.model.catalogue.unnamed  # noqa: F401
 from pincal.model.catalogue.candidates import candidates, untestable
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import (

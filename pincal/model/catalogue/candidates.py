@@ -34,8 +34,8 @@ from pincal.model.model import Model
 CURVE_SIZE = 24
 # A basis that changes by less than this part of its size is a constant.
 _CONSTANT = 1e-9
-# Part of the largest moment on the arm below which an axis does not feel gravity: the base is never quite level.
-_UNFELT = 1e-3
+# Part of the largest moment on the arm below which nobody builds a compensator.
+_WORTH_A_SPRING = 0.1
 
 
 def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
@@ -97,7 +97,7 @@ def _reason(effect: Effect, chain: Chain, conditions: Conditions, moments: np.nd
         assert conditions.approach is not None
         if not np.ptp(conditions.approach[:, joint_index(chain, effect.joint)]):
             return f"column approach_{effect.joint} is missing or the same in all rows"
-    if isinstance(effect, GravityCompensator) and not _is_felt(moments, joint_index(chain, effect.joint)):
+    if isinstance(effect, GravityCompensator) and not _is_loaded(moments, joint_index(chain, effect.joint)):
         return f"gravity exerts no moment about the axis of {effect.joint} that could be compensated"
     if effect.uses_moments:
         excited = bool(Model(chain, (effect,)).largest_basis(conditions)[1].any())
@@ -112,12 +112,12 @@ def _lacking(column: str, conditions: Conditions) -> str:
     return f"column {name} is {'missing' if absent else 'the same in all rows'}"
 
 
-def _is_felt(moments: np.ndarray, i: int) -> bool:
-    return bool(np.abs(moments[:, 3 * i + 2]).max() > _UNFELT * np.abs(moments).max())
+def _is_loaded(moments: np.ndarray, i: int) -> bool:
+    return bool(np.abs(moments[:, 3 * i + 2]).max() > _WORTH_A_SPRING * np.abs(moments).max())
 
 
 def _standing_still(effect: Effect, chain: Chain, conditions: Conditions) -> str:
-    bases = [term.basis for term in effect.terms(chain, conditions, None) if term.basis is not None]
+    bases = [t.basis for t in effect.terms(chain, conditions, None) if t.basis is not None and t.basis.any()]
     if any(np.ptp(basis) > _CONSTANT * np.abs(basis).max() for basis in bases):
         return ""
     if not bases:

@@ -8,12 +8,13 @@ arXiv 1311.6810) for the compensator, Tuttle (1992) for the stiffening drive.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.model.catalogue.links import end_terms, link_span, loads_at_end
 from pincal.model.catalogue.places import (
     PLAY,
     WAVE,
@@ -31,37 +32,61 @@ from pincal.model.effects import BENDING_SIZE, Conditions, Effect, Parameter, Te
 
 # Part of the largest moment of an axis that friction holds before its play goes to one side.
 _TRANSITION = 0.02
+# A link shorter than this does not bend [m].
+_SHORT = 1e-3
 # Part of the payload's largest moment on the arm below which an axis does not feel it.
 _UNFELT = 1e-3
 
 
 @dataclass(frozen=True)
 class NonlinearElasticity(Effect):
-    """Drive whose compliance depends on its torque: gamma_z = k3_z n_z |n_z|, beside the linear k_z n_z."""
+    r"""Drive whose compliance depends on its torque, beside the linear k_z n_z.
+
+    By default it changes in proportion to the torque, gamma_z = k3_z n_z |n_z|. A drive that gives way at low torque and
+    stiffens has an extra compliance k0_z near torque 0 that falls to :math:`1/\sqrt{2}` of it at the torque t, and so the
+    wind-up :math:`\gamma_z = k_0 \; t \operatorname{arsinh}(n_z / t)`.
+
+    Attributes:
+        joint: the joint.
+        stiffening: t [N m], or None.
+    """
 
     joint: str
+    stiffening: float | None = None
     name: ClassVar[str] = "nonlinear_elasticity"
     uses_moments: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        """Refuse a torque that is none."""
+        if self.stiffening is not None and not self.stiffening > 0.0:
+            raise BadInputError(f"{self.name} of {self.joint}: stiffening {self.stiffening} N m; expected more than 0")
+
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Quadratic compliance [rad/(N m)^2]."""
-        return parameters_of(self, self.joint, ("k3_z",), unit="rad/(N m)^2", size=BENDING_SIZE)
+        """Quadratic compliance [rad/(N m)^2], or extra compliance near torque 0 [rad/(N m)]."""
+        symbol, unit = ("k3_z", "rad/(N m)^2") if self.stiffening is None else ("k0_z", "rad/(N m)")
+        return parameters_of(self, self.joint, (symbol,), unit=unit, size=BENDING_SIZE)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add n |n|, whose slope is 2 |n|, to gamma_z."""
+        """Add the wind-up, and its slope by the moment, to gamma_z."""
         assert moments is not None
         i = joint_index(chain, self.joint)
-        moment, size = 3 * i + 2, np.abs(moments[:, 3 * i + 2])
-        return (Term(0, chain.joint(i, "gamma_z"), moments[:, moment] * size, moment, 2.0 * size),)
+        moment = 3 * i + 2
+        n, t = moments[:, moment], self.stiffening
+        if t is None:
+            return (Term(0, chain.joint(i, "gamma_z"), n * np.abs(n), moment, 2.0 * np.abs(n)),)
+        return (Term(0, chain.joint(i, "gamma_z"), t * np.arcsinh(n / t), moment, 1.0 / np.hypot(1.0, n / t)),)
 
 
 @dataclass(frozen=True)
 class LinkBending(Effect):
-    """Link that bends: its far end turns by k_x n_x, k_y n_y, the moments at the next joint, before that joint's q.
+    r"""Link that bends like a cantilever from its joint to the next, under the weight of all that is beyond it.
 
-    The turn about the next joint's own axis is that joint's elasticity. A cantilever's end also turns and moves under the
-    weight beyond it, which this leaves out: of a long link with its load near its end, that is the larger part. With
-    moments and bending "before" q this is the bearing elasticity of the next joint.
+    Of length L along u, with force F and moment M at its end, across u (Euler, Bernoulli): the end turns by
+
+    .. math:: b (L M + L^2/2 \; u \times F), \quad \text{and moves by} \quad b (L^2/2 \; M \times u + L^3/3 \; F).
+
+    The link's own weight and the difference between its two planes are left out. Force and moment are those of the nominal
+    arm, since errors of some mm change them by a thousandth.
 
     Attributes:
         joint: the joint that moves the link; not the last.
@@ -69,28 +94,32 @@ class LinkBending(Effect):
 
     joint: str
     name: ClassVar[str] = "link_bending"
-    uses_moments: ClassVar[bool] = True
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Compliances about x and y of the next joint's frame before q [rad/(N m)].
+        """Flexibility b = 1 / (E I) [1/(N m^2)].
 
         Raises:
             BadInputError: if no joint follows.
         """
-        self._next(chain)
-        return parameters_of(self, self.joint, ("bend_x", "bend_y"), unit="rad/(N m)", size=BENDING_SIZE)
+        self._index(chain)
+        return parameters_of(self, self.joint, ("bend",), unit="1/(N m^2)", size=BENDING_SIZE)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the next joint's moments to its s_x and s_y."""
-        assert moments is not None
-        i = self._next(chain)
-        axes = moment_axes(chain, conditions, i)
-        x = moment_terms(0, chain.joint(i, "s_x"), i, axis=axes[:, 0], moments=moments)
-        return x + moment_terms(1, chain.joint(i, "s_y"), i, axis=axes[:, 1], moments=moments)
+        """Turn and move the far end of the link."""
+        i = self._index(chain)
+        span = link_span(chain, i)
+        length = float(np.linalg.norm(span))
+        if length < _SHORT:
+            return ()
+        u = span / length
+        force, moment = (load - np.outer(load @ u, u) for load in loads_at_end(chain, conditions, i))
+        turn = length * moment + length**2 / 2.0 * np.cross(u, force)
+        shift = length**2 / 2.0 * np.cross(moment, u) + length**3 / 3.0 * force
+        return end_terms(chain, i, shift=shift, turn=turn)
 
-    def _next(self, chain: Chain) -> int:
-        i = joint_index(chain, self.joint) + 1
-        if i == chain.robot.n_joints:
+    def _index(self, chain: Chain) -> int:
+        i = joint_index(chain, self.joint)
+        if i + 1 == chain.robot.n_joints:
             others = ", ".join(chain.robot.joint_names[:-1])
             raise BadInputError(f"{self.name} of {self.joint}: no joint follows its link; expected one of {others}")
         return i
@@ -150,16 +179,23 @@ class GravityCompensator(Effect):
 
 @dataclass(frozen=True)
 class PayloadError(Effect):
-    """Payload that differs from the table: gamma_z of each joint grows by p_z times the payload's own moment there.
+    """Payload that differs from the table, in mass or in place.
 
-    p_z is compliance times relative error of the payload's moment. The moment is taken on the nominal arm, as given: it
-    does not follow the geometry. Only where the payload varies can p_z be told from k_z.
+    Each elastic rotation grows by compliance times the moment that is missing. With the compliances as they are known so
+    far that is one parameter for the mass, relative to the table's, and three more for the centre of mass. Without them
+    gamma_z of each joint grows by p_z times the payload's own moment there, p_z being compliance times relative error.
+    The moment is taken on the nominal arm, as given: it does not follow the geometry. Only where the payload varies can it
+    be told from the compliance.
 
     Attributes:
-        joints: the joints that feel the payload; all unless given.
+        joints: the joints that feel the payload, unless compliances are given; all unless given.
+        compliances: k of each joint's x, y, z in turn [rad/(N m)].
+        shifted: whether the centre of mass may be elsewhere too; only with compliances.
     """
 
     joints: tuple[str, ...] | None = None
+    compliances: tuple[float, ...] | None = None
+    shifted: bool = False
     name: ClassVar[str] = "payload_error"
     needs: ClassVar[tuple[str, ...]] = ("payload",)
 
@@ -172,15 +208,26 @@ class PayloadError(Effect):
         return cls(tuple(name for name, kind, moment in names if kind != "prismatic" and moment > threshold))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One p_z a joint [rad/(N m)]."""
+        """One p_z a joint [rad/(N m)], or the relative error of the mass [1] and the shift of its centre [m]."""
+        if self.compliances is not None:
+            mass = parameters_of(self, "arm", ("payload_mass",), unit="1", size=WAVE)
+            centre = parameters_of(self, "arm", [f"payload_{axis}" for axis in "xyz"], unit="m", size=WAVE)
+            return mass + centre if self.shifted else mass
         names = self._names(chain)
         return tuple(p for n in names for p in parameters_of(self, n, ("p_z",), unit="rad/(N m)", size=WAVE))
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the payload's moment to gamma_z."""
+        """Add the payload's moment, or its change, to the elastic rotations."""
         own = nominal_moments(chain, conditions, payload_only=True)
-        places = [joint_index(chain, name) for name in self._names(chain)]
-        return tuple(Term(p, chain.joint(i, "gamma_z"), own[:, 3 * i + 2]) for p, i in enumerate(places))
+        if self.compliances is None:
+            places = [joint_index(chain, name) for name in self._names(chain)]
+            return tuple(Term(p, chain.joint(i, "gamma_z"), own[:, 3 * i + 2]) for p, i in enumerate(places))
+        changes = [own]
+        for shift in np.eye(3) if self.shifted else ():
+            there = replace(conditions, payload_centre=conditions.payload_centre + shift)
+            changes.append(nominal_moments(chain, there, payload_only=True) - own)
+        bent = [(m, chain.joint(m // 3, f"gamma_{'xyz'[m % 3]}"), k) for m, k in enumerate(self.compliances) if k]
+        return tuple(Term(p, at, k * change[:, m]) for p, change in enumerate(changes) for m, at, k in bent)
 
     def _names(self, chain: Chain) -> Sequence[str]:
         return chain.robot.joint_names if self.joints is None else self.joints

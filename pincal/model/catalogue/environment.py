@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.model.catalogue.places import GROWTH, TILT, joint_index, parameters_of, recorded
+from pincal.model.catalogue.places import GROWTH, TILT, height_on_axis, joint_index, parameters_of, recorded
 from pincal.model.chain import FRAME_SYMBOLS, Chain
 from pincal.model.effects import Conditions, Effect, Parameter, Term
 
@@ -44,30 +44,34 @@ class ThermalExpansion(Effect):
 
 @dataclass(frozen=True)
 class BaseDrift(Effect):
-    """Base, or instrument, that creeps: its six coordinates change by rate times (time - reference).
+    """Base, or instrument, that creeps: its coordinates change by rate times (time - reference).
 
     Attributes:
         reference: time without drift [s]; the mean is well conditioned, another one only changes the base.
+        turns: whether it also turns.
     """
 
     reference: float = 0.0
+    turns: bool = True
     name: ClassVar[str] = "base_drift"
     needs: ClassVar[tuple[str, ...]] = ("time",)
 
     @classmethod
-    def over(cls, time: np.ndarray) -> BaseDrift:
+    def over(cls, time: np.ndarray, *, turns: bool = True) -> BaseDrift:
         """Return the drift about the mean of the times [s]."""
-        return cls(float(np.mean(time)))
+        return cls(float(np.mean(time)), turns)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Rates along the instrument's axes [m/s] and about the base's [rad/s]."""
         shift = parameters_of(self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[:3]], unit="m/s", size=GROWTH)
+        if not self.turns:
+            return shift
         return shift + parameters_of(self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[3:]], unit="rad/s", size=GROWTH)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add the time to the base's coordinates."""
         since = recorded(self, "time", conditions.time) - self.reference
-        return tuple(Term(p, chain.base(symbol), since) for p, symbol in enumerate(FRAME_SYMBOLS))
+        return tuple(Term(p, chain.base(symbol), since) for p, symbol in enumerate(FRAME_SYMBOLS[: 6 if self.turns else 3]))
 
 
 @dataclass(frozen=True)
@@ -118,14 +122,7 @@ def _link(chain: Chain, i: int) -> dict[int, float]:
     With u_i the height of the URDF's joint i on its axis:  p_(i+1) - p_i = (d_i - u_i) z_i + a_i x_i + u_(i+1) z_(i+1).
     """
     d, a = chain.joint(i, "d"), chain.joint(i, "a")
-    way = {d: float(chain.nominal[d]) - _height(chain, i), a: float(chain.nominal[a])}
+    way = {d: float(chain.nominal[d]) - height_on_axis(chain, i), a: float(chain.nominal[a])}
     if i + 1 == chain.robot.n_joints:
         return way | _flange(chain)
-    return way | {chain.joint(i + 1, "d"): _height(chain, i + 1)}
-
-
-def _height(chain: Chain, i: int) -> float:
-    """Return where on its axis, from the frame before it, the URDF has joint i [m]."""
-    d, alpha = (chain.nominal[chain.joint(i, symbol)] for symbol in ("d", "alpha"))
-    _, y, z = chain.robot.T_link_joint[i, :3, 3]
-    return float(d + np.sin(alpha) * y + np.cos(alpha) * z)
+    return way | {chain.joint(i + 1, "d"): height_on_axis(chain, i + 1)}

@@ -118,6 +118,13 @@ def moment_terms(parameter: int, coordinate: int, i: int, *, axis: np.ndarray, m
     )
 
 
+def height_on_axis(chain: Chain, i: int) -> float:
+    """Return where on its axis, from the frame before it, the URDF has joint i [m]."""
+    d, alpha = (chain.nominal[chain.joint(i, symbol)] for symbol in ("d", "alpha"))
+    _, y, z = chain.robot.T_link_joint[i, :3, 3]
+    return float(d + np.sin(alpha) * y + np.cos(alpha) * z)
+
+
 def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
     """Return the static moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload alone."""
     constant, n = chain.nominal, chain.robot.n_joints

@@ -1,0 +1,233 @@
+"""How the disagreement shrinks: held-out errors step by step, and what each effect explains, pose by pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.discover.locate import levers
+from pincal.discover.loop import Trail, place_of
+from pincal.identify.calibrate import Fit
+from pincal.identify.normal import block_rows
+from pincal.measure.measurements import Measurements
+from pincal.model.catalogue import Backlash, GravityCompensator
+from pincal.model.effects import Effect, JointElasticity
+from pincal.report.validation import error_table
+
+# Periods that have to be seen, and the part of the excess that one tone has to explain, before a curve is called periodic.
+_PERIODS, _TONE = 1.8, 0.7
+# Chance that noise makes any tone of this strength.
+_CHANCE = 1e-3
+_FINEST = 0.25  # periods a row
+_OVERSAMPLED = 8
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Errors on held-out rows (on the fitted ones where none were held out) under one model [mm]."""
+
+    effects: tuple[Effect, ...]
+    mean_mm: float
+    rms_mm: float
+    max_mm: float
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the numbers by name."""
+        return {"mean_mm": self.mean_mm, "rms_mm": self.rms_mm, "max_mm": self.max_mm}
+
+
+def gap_of(fit: Fit, held: Measurements, effects: tuple[Effect, ...] = ()) -> Gap:
+    """Return the errors of a fit on held-out rows, ``effects`` what entered it last."""
+    problem = fit.readings(held) if len(held) else fit.problem
+    errors = error_table(problem, fit.values)
+    return Gap(effects, *(errors[name] for name in ("mean_mm", "rms_mm", "max_mm")))
+
+
+def gaps_of(trail: Trail, held: Measurements) -> tuple[Gap, ...]:
+    """Return the errors at the start, after each step, and with everything fitted together."""
+    gaps = [gap_of(trail.first, held), *(gap_of(step.after, held, step.effects) for step in trail.steps)]
+    last = trail.steps[-1].after if trail.steps else trail.first
+    return tuple(gaps) if last is trail.final else (*gaps, gap_of(trail.final, held))
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What one effect explains at each of N rows.
+
+    Attributes:
+        effect: the effect.
+        joint: where it acts; of elasticity the joint that it shows most at; None for the whole arm.
+        variable: what explains it: a joint's name, "approach", "moment", "payload", "temperature" or "time".
+        unit: of the variable: "rad", "m", "N m", "kg", "deg C", "s" or "".
+        x: shape (N,), the variable.
+        before: shape (N,), error of the coordinate that would explain each row's residual, the effect left out of the
+            final model and nothing else changed [``error_unit``].
+        after: the same with the effect.
+        fitted: shape (N,), the effect.
+        weights: shape (N,), inverse variance of ``before`` and ``after`` [1 / ``error_unit``^2].
+        error_unit: "rad" or "m".
+    """
+
+    effect: Effect
+    joint: str | None
+    variable: str
+    unit: str
+    x: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    fitted: np.ndarray
+    weights: np.ndarray
+    error_unit: str
+
+
+def traces_of(trail: Trail) -> tuple[Trace, ...]:
+    """Return what each step's effect explains in the final model."""
+    found = []
+    for step in trail.steps:
+        effect = next((e for e in step.effects if e in trail.final.model.effects), None)
+        if effect is not None:
+            found.append(trace_of(trail.final, effect))
+    return tuple(found)
+
+
+def trace_of(fit: Fit, effect: Effect) -> Trace:
+    """Return what an effect of a fit explains at the rows that count.
+
+    An effect on one coordinate of the chain is seen through this coordinate's lever, any other along the way by which it
+    moves the target.
+    """
+    joint, _ = place_of(effect)
+    names = [parameter.name for parameter in effect.parameters(fit.model.chain)]
+    if isinstance(effect, JointElasticity):
+        joint = _stiffest(fit, effect)
+        names = [f"{joint}.k_z"]
+    idle = fit.values.copy()
+    idle[[fit.model.index(name) for name in names]] = 0.0
+    rows = fit.solution.weights > 0.0
+    scale = _scale(fit)[:, rows]
+    without, left = (fit.problem.residuals(values)[:, rows] * scale for values in (idle, fit.values))
+    change = without - left
+    coordinate = _coordinate(fit, effect, joint)
+    if coordinate is None:
+        length = np.linalg.norm(change, axis=0)
+        direction = change / np.maximum(length, 1e-300)
+        sigma = float(fit.solution.estimated[0])
+        parts = [np.sum(direction * r, axis=0) * sigma for r in (without, left)]
+        fitted, weights, unit = length * sigma, np.full(int(rows.sum()), sigma**-2.0), "m"
+    else:
+        lever = levers(fit, (coordinate,))[0][:, rows] * scale
+        weights = np.sum(lever**2, axis=0)
+        parts = [np.sum(lever * r, axis=0) / np.maximum(weights, 1e-300) for r in (without, left)]
+        fitted = np.sum(lever * change, axis=0) / np.maximum(weights, 1e-300)
+        unit = "m" if joint is not None and _is_prismatic(fit, joint) else "rad"
+    variable, x_unit, x = _explaining(fit, effect, joint)
+    return Trace(effect, joint, variable, x_unit, x[rows], parts[0], parts[1], fitted, weights, unit)
+
+
+def _scale(fit: Fit) -> np.ndarray:
+    """Return 1 / standard deviation of each component of each reading, shape (m, N)."""
+    out = np.empty((sum(block.size for block in fit.problem.sensor.blocks), len(fit.problem)))
+    for rows, sigma in zip(block_rows(fit.problem), fit.solution.estimated, strict=True):
+        out[rows] = fit.problem.weights / sigma
+    return out
+
+
+def _stiffest(fit: Fit, effect: JointElasticity) -> str:
+    """Return the joint whose compliance is furthest from zero, in units of its standard deviation."""
+    spread = np.full(len(fit.values), np.inf)
+    spread[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
+    places = [fit.model.index(parameter.name) for parameter in effect.parameters(fit.model.chain)]
+    best = places[int(np.argmax(np.abs(fit.values[places]) / spread[places]))]
+    return fit.model.names[best].rsplit(".", 1)[0]
+
+
+def _is_prismatic(fit: Fit, joint: str) -> bool:
+    robot = fit.model.chain.robot
+    return robot.joint_types[robot.joint_names.index(joint)] == "prismatic"
+
+
+def _coordinate(fit: Fit, effect: Effect, joint: str | None) -> int | None:
+    """Return the one coordinate that an effect moves, None if there are several."""
+    chain = fit.model.chain
+    if isinstance(effect, JointElasticity):
+        assert joint is not None
+        return chain.joint(chain.robot.joint_names.index(joint), "gamma_z")
+    first = np.zeros(1, int)
+    moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], fit.problem.conditions.select(first))
+    moved = {term.coordinate for term in effect.terms(chain, fit.problem.conditions.select(first), moments)}
+    return moved.pop() if len(moved) == 1 else None
+
+
+def _explaining(fit: Fit, effect: Effect, joint: str | None) -> tuple[str, str, np.ndarray]:
+    """Return the name, the unit and the values of the variable that an effect follows, shape (N,)."""
+    conditions, names = fit.problem.conditions, fit.model.chain.robot.joint_names
+    depends = vars(effect).get("depends_on") or vars(effect).get("source")
+    if isinstance(effect, Backlash) and conditions.approach is not None:
+        return "approach", "", conditions.approach[:, names.index(effect.joint)]
+    for name, unit in (("temperature", "deg C"), ("time", "s"), ("payload", "kg")):
+        column = getattr(conditions, name)
+        if column is not None and (depends == name or (depends is None and name in effect.needs)):
+            return name, unit, np.asarray(column)
+    if effect.uses_moments and depends is None and not isinstance(effect, GravityCompensator):
+        i = 0 if joint is None else names.index(joint)
+        moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], conditions)
+        # Of the whole arm the moment on joint 1 that tilts it.
+        both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
+        return "moment", "N m", both if joint is None else moments[:, 3 * i + 2]
+    source = depends or joint or names[0]
+    return source, "m" if _is_prismatic(fit, source) else "rad", conditions.q[:, names.index(source)]
+
+
+def period_of(trace: Trace) -> float | None:
+    """Return the period of what an effect explains, in units of its variable; None if it is not periodic.
+
+    It is called periodic if one tone explains most of what the noise does not, and about two periods of it are seen: a
+    weighted periodogram of the error at the joint (Lomb and Scargle).
+    """
+    x, y, w = trace.x, trace.before, trace.weights
+    width = float(np.ptp(x))
+    if width <= 0.0 or len(x) < 20:
+        return None
+    if (order := vars(trace.effect).get("order")) is not None:
+        period = 2.0 * np.pi / order
+        return float(period) if width >= _PERIODS * period else None
+    y = y - np.sum(w * y) / np.sum(w)
+    cycles = np.arange(_PERIODS, _FINEST * len(x), 1.0 / _OVERSAMPLED)
+    gains = np.array([_tone_gain(2.0 * np.pi * c * (x - x.min()) / width, y, w) for c in cycles])
+    if not len(gains):
+        return None
+    # Whitened, each row of noise adds 1 to the weighted squares, a tone of noise alone 2.
+    excess = float(np.sum(w * y**2)) - len(y)
+    best = int(np.argmax(gains))
+    sure = gains[best] > 2.0 * np.log(len(cycles) / _CHANCE)
+    return width / float(cycles[best]) if sure and gains[best] - 2.0 > _TONE * max(excess, 1e-9) else None
+
+
+def _tone_gain(phase: np.ndarray, y: np.ndarray, w: np.ndarray) -> float:
+    """Return what a sine and a cosine beside a constant take off the weighted squares."""
+    A = np.stack([np.cos(phase), np.sin(phase)])
+    A = A - (A @ w / w.sum())[:, None]
+    G, b = (A * w) @ A.T, (A * w) @ y
+    return float(b @ np.linalg.pinv(G, rcond=1e-9, hermitian=True) @ b)
+
+
+def gap_names(gaps: tuple[Gap, ...]) -> list[str]:
+    """Return what each gap's model is called."""
+    names = ["at the start"]
+    for gap in gaps[1:]:
+        added = ", ".join(_title(effect, place_of(effect)[0]) for effect in gap.effects)
+        names.append(f"+ {added}" if added else "all together")
+    return names
+
+
+def trace_title(trace: Trace) -> str:
+    """Return the name of an effect and where it acts."""
+    return _title(trace.effect, trace.joint)
+
+
+def _title(effect: Effect, joint: str | None) -> str:
+    of = "" if joint is None else f" of {joint}"
+    source = vars(effect).get("source") or vars(effect).get("depends_on")
+    by = f" by {source}" if source and source != joint else ""
+    return f"{effect.name}{of}{by}"

@@ -1,0 +1,178 @@
+"""How often discovery is right: on random arms, with hidden effects of known strength, and with none.
+
+The strength lambda is the squared signal that a refitted elastic model can't absorb, over the noise variance. Two further
+things take their part of it before a discovery can see it: a fifth of the poses, held out in whole regions, and masses,
+which no URDF knows better than to some per cent (``Case.seen`` is what they leave). Bounds are rates that are reached,
+tested so that chance alone fails them once in a thousand sets of draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import combinations
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+import pytest
+from discovery_cases import FOREIGN, NAMED, Verdict, discover, draw_case, gap_over_oracle, judge, summary
+from scipy.stats import binom
+
+pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+
+# What of lambda has to be left for 99 of 100 to be found: 26 for one parameter at this chance of a false name.
+VISIBLE = 40.0
+# Effects that uncertain masses can imitate: a spring has the first harmonic of a link's weight, and a payload
+# that is 5 % too heavy is all links 5 % too light and all compliances to match. Their median share of lambda that is left
+# beside masses known to 5 % is 0.33 and 0.26, against 0.76 for the others.
+IMITATED = ("gravity_compensator", "payload_error")
+# sin^3 is (3 sin q - sin 3q) / 4. Of the first order half is geometry; of the rest an axis wobble of order 2, seen from
+# the link, takes all but one of four circles: 9 % of the signal. And a tilt across joint 5 along y is the turn of joint 4.
+LIKE_A_NAME = "cubed_tilt"
+PAIRS = [
+    "+".join(pair)
+    for pair in combinations(
+        ("gear_eccentricity", "backlash", "joint_coupling", "base_elasticity", "thermal_offset", "link_bending"), 2
+    )
+]
+
+
+def verdict_of(task: tuple[str, int, dict[str, Any]]) -> tuple[Verdict, float]:
+    """Return what a discovery makes of one case, and its gap over that of a fit that knows what is hidden."""
+    kind, seed, options = task
+    options = {"n": int(np.random.default_rng(seed).integers(150, 301))} | options
+    case = draw_case(kind, seed, **options)
+    trail = discover(case)
+    named = kind in NAMED and case.seen >= VISIBLE
+    return judge(case, trail), gap_over_oracle(case, trail) if named else np.nan
+
+
+def verdicts_of(kinds: Sequence[str], seeds: Sequence[int], **options: Any) -> tuple[list[Verdict], np.ndarray]:
+    """Return verdicts and gaps on all kinds and seeds."""
+    return verdicts_on([(kind, seed, options) for kind in kinds for seed in seeds])
+
+
+def verdicts_on(tasks: list[tuple[str, int, dict[str, Any]]]) -> tuple[list[Verdict], np.ndarray]:
+    """Return verdicts and gaps of some cases, and print them as a table, with those that went wrong."""
+    with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
+        found = list(pool.map(verdict_of, tasks, chunksize=4))
+    verdicts = [verdict for verdict, _ in found]
+    wrong = [v for v in verdicts if v.false_names or not v.sound or not (v.right or v.kind == "measurement_scale")]
+    print("\n".join(["", summary(verdicts), *map(str, wrong)]))
+    return verdicts, np.array([gap for _, gap in found])
+
+
+def is_at_least(rate: float, hits: Sequence[bool]) -> bool:
+    """Return whether so few hits are no surprise at a rate."""
+    return bool(binom.cdf(sum(hits), len(hits), rate) > 1e-3)
+
+
+def is_at_most(rate: float, hits: Sequence[bool]) -> bool:
+    """Return whether so many hits are no surprise at a rate."""
+    return bool(binom.sf(sum(hits) - 1, len(hits), rate) > 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        ("gear_eccentricity", 1),
+        ("link_bending", 2),
+        ("thermal_expansion", 0),
+        ("load_backlash", 1),
+        ("axis_wobble", 3),
+        ("gear_ratio+backlash", 2),
+    ],
+)
+def test_a_hidden_effect_is_named_with_its_joint(kind: str, seed: int) -> None:
+    """One of each class of arms; the held-out gap is that of a fit that knows the truth."""
+    case = draw_case(kind, seed, n=200, strength=150.0)
+    trail = discover(case)
+    verdict = judge(case, trail)
+
+    assert verdict.right and verdict.sound and not verdict.false_names, str(verdict)
+    assert gap_over_oracle(case, trail) < 1.1
+
+
+@pytest.mark.parametrize("kind", ["step", "product"])
+def test_what_has_no_name_gets_none(kind: str) -> None:
+    """A jump of a drive and the product of two joints' sines are found at their joint, without a name."""
+    verdict = judge(draw_case(kind, 2, n=200, strength=150.0))
+
+    assert verdict.right and not verdict.false_names, str(verdict)
+
+
+@pytest.mark.parametrize("kind", ["null", "measurement_scale"])
+def test_nothing_is_named_where_nothing_can_be_seen(kind: str) -> None:
+    """Sound data with masses 3 % off, and an instrument's scale, which free lengths absorb: no name."""
+    assert not judge(draw_case(kind, 4, n=200)).named
+
+
+@pytest.mark.long
+def test_hidden_effects_are_found_and_named() -> None:
+    """Of 15 kinds; the class has the right effect at the right joint."""
+    verdicts, gaps = verdicts_of(NAMED, range(8000, 8009))
+    visible = [v for v in verdicts if v.seen >= VISIBLE]
+    plain = [v for v in verdicts if v.kind not in IMITATED]
+    known = gaps[np.isfinite(gaps)]
+    print(f"seen >= {VISIBLE:.0f}: {len(visible)}; gap over oracle {np.quantile(known, [0.5, 0.95])}")
+
+    assert is_at_least(0.99, [v.detected for v in visible])
+    assert is_at_least(0.97, [v.right for v in visible])
+    assert is_at_least(0.97, [v.detected for v in plain])
+    assert is_at_least(0.95, [v.right for v in plain])
+    assert is_at_most(0.02, [bool(v.false_names) for v in visible])
+    assert np.median([v.class_size for v in verdicts if v.class_size]) <= 2
+    assert is_at_least(0.99, [v.sound for v in verdicts])
+    assert np.median(known) <= 1.05 and np.quantile(known, 0.95) <= 1.15
+
+
+@pytest.mark.long
+def test_two_hidden_effects_are_both_named() -> None:
+    """All pairs of six kinds."""
+    verdicts, _ = verdicts_of(PAIRS, range(8100, 8102))
+
+    assert is_at_least(0.95, [v.right for v in verdicts if v.seen >= VISIBLE])
+    assert is_at_most(0.05, [bool(v.false_names) for v in verdicts])
+
+
+@pytest.mark.long
+def test_effects_outside_the_catalogue_get_no_name() -> None:
+    """An alarm at the right joint; the one that the catalogue nearly describes is told apart by half."""
+    verdicts, _ = verdicts_of(FOREIGN, range(8200, 8208))
+    visible = [v for v in verdicts if v.seen >= VISIBLE]
+    unlike = [v for v in visible if v.kind != LIKE_A_NAME]
+    like = [v for v in verdicts if v.kind == LIKE_A_NAME]
+
+    assert is_at_least(0.98, [v.detected for v in visible])
+    assert is_at_most(0.05, [bool(v.false_names) for v in unlike])
+    assert is_at_least(0.95, [v.joint_known for v in unlike])
+    assert is_at_most(0.6, [bool(v.false_names) for v in like])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("options", "rate", "count"),
+    [
+        ({"masses": 0.03}, 0.02, 40),
+        ({"masses": 0.1}, 0.05, 25),
+        ({"noise": "outliers"}, 0.03, 25),
+        ({"noise": "heavy"}, 0.03, 25),
+        ({"elastic": False}, 0.02, 15),
+    ],
+)
+def test_sound_data_bring_in_no_name(options: dict[str, Any], rate: float, count: int) -> None:
+    """From 100 to 500 poses; elasticity is found where it is and not where it isn't."""
+    sizes = np.linspace(100, 500, count)
+    verdicts, _ = verdicts_on([("null", 8300 + i, {"n": int(n)} | options) for i, n in enumerate(sizes)])
+
+    assert is_at_most(rate, [v.detected for v in verdicts])
+    assert is_at_least(0.98, [v.sound for v in verdicts])
+
+
+@pytest.mark.long
+def test_what_can_not_be_seen_is_never_named() -> None:
+    """Free lengths absorb the scale of an instrument: on no arm is a name given."""
+    verdicts, _ = verdicts_of(["measurement_scale"], range(8400, 8410))
+
+    assert not any(v.named for v in verdicts)

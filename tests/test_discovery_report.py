@@ -1,0 +1,434 @@
+"""What a discovery reports: discovery.json, where it disagrees, how large effects must be, how the gap shrinks."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from discovery_cases import SIGMA, Case, draw_case
+
+from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
+from pincal.cli import main
+from pincal.discover.criticism import criticise
+from pincal.discover.locate import _window, levers, locate
+from pincal.discover.loop import ALPHA
+from pincal.discover.power import critical_gain, detectable_noncentrality, minimum_detectable, power_of
+from pincal.measure.measurements import Measurements
+from pincal.measure.table import read_measurements, write_table
+from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
+from pincal.model.catalogue.unnamed import Unnamed
+from pincal.report.discovery import Discovery, run_discovery
+from pincal.report.model_file import calibrated_model_of, load_model, save_model
+from pincal.report.plots import effect_figure, shrinking_figure
+from pincal.report.shrink import Trace, period_of
+from pincal.report.survey import survey
+
+HIDDEN = (
+    "backlash_cobot",
+    "coupling_heavy",
+    "curve_cobot",
+    "eccentricity_heavy",
+    "null_cobot",
+    "null_heavy",
+    "pair_heavy",
+    "rigid_cobot",
+    "step_cobot",
+    "thermal_heavy",
+)
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    return draw_case("backlash", 3, n=160, arm="kuka", strength=200.0)
+
+
+@pytest.fixture(scope="module")
+def found(case: Case) -> Discovery:
+    return run_discovery(case.robot, case.rows, case.options)
+
+
+@pytest.fixture(scope="module")
+def elastic_fit(case: Case) -> Any:
+    return calibrate(case.robot, case.rows, replace(case.options, effects=ELASTIC, loss="none"))
+
+
+def test_discovery_json_has_the_fields_of_the_contract(found: Discovery) -> None:
+    """Every field is there with its type, and the whole is JSON without NaN."""
+    report = json.loads(json.dumps(found.report, allow_nan=False))
+
+    assert set(report) == {
+        "noise_floor_mm",
+        "gap",
+        "where",
+        "effects",
+        "scatter",
+        "not_testable",
+        "verdict",
+        "unexplained_mm",
+    }
+    assert report["noise_floor_mm"] == pytest.approx(1e3 * SIGMA * np.sqrt(3.0))
+    for gap in report["gap"].values():
+        assert set(gap) == {"mean_mm", "rms_mm", "max_mm"} and all(isinstance(v, float) for v in gap.values())
+    for place in report["where"]:
+        assert ("joint" in place) != ("region" in place)
+        assert place["statement"] and 0.0 <= place["share"] <= 1.0
+    for entry in report["effects"]:
+        assert {"effect", "joint", "parameters", "p_value", "gap_before_mm", "gap_after_mm"} <= set(entry)
+        assert 0.0 <= entry["p_value"] < 1.0
+        for parameter in entry["parameters"].values():
+            assert set(parameter) == {"value", "sigma", "unit"} and isinstance(parameter["value"], float)
+    assert all(entry["effect"] and entry["reason"] for entry in report["not_testable"])
+    assert report["verdict"] in ("adequate", "not adequate")
+
+
+def test_tell_apart_stands_exactly_where_there_are_equivalents(found: Discovery) -> None:
+    """What could also be something else says which measurement decides, anything else says nothing."""
+    for entry in found.report["effects"]:
+        assert bool(entry["equivalent"]) == bool(entry["tell_apart"])
+
+
+def test_the_hidden_effect_is_named_and_was_located_before(case: Case, found: Discovery) -> None:
+    """The place that the elastic fit's residuals point to is that of the hidden effect, and so is what it follows."""
+    joint = case.hidden[0].joint
+    names = [(entry["effect"], entry["joint"]) for entry in found.report["effects"]]
+    places = [place for place in found.report["where"] if "depends_on" in place]
+
+    assert ("backlash", joint) in names
+    assert [(p["joint"], p["acts_on"], p["depends_on"]) for p in places[:1]] == [(joint, "drive", "approach")]
+    assert places[0]["share"] > 0.5
+    assert joint in places[0]["statement"]
+
+
+def test_gap_is_the_error_on_rows_that_nobody_saw(found: Discovery) -> None:
+    """The numbers of the gap equal those of the model evaluated by hand on the held-out rows."""
+    held, fit = found.calibration.test, found.calibration.fit
+    conditions = fit.readings(held).conditions
+    for when, used in (("before", found.trail.first), ("after", fit)):
+        predicted = used.model.predict(used.values[: used.model.n_parameters], conditions)[:, :, 3]
+        errors = 1e3 * np.linalg.norm(predicted - held.position, axis=1)
+
+        gap = found.report["gap"][when]
+        assert gap == {
+            "mean_mm": pytest.approx(errors.mean()),
+            "rms_mm": pytest.approx(np.sqrt(np.mean(errors**2))),
+            "max_mm": pytest.approx(errors.max()),
+        }
+    assert not set(held.rows) & set(found.calibration.train.rows)
+    assert [g.mean_mm for g in found.gaps[:1]] == [found.report["gap"]["before"]["mean_mm"]]
+    assert found.gaps[-1].mean_mm == pytest.approx(found.report["gap"]["after"]["mean_mm"])
+
+
+def test_model_file_predicts_with_the_new_effect(tmp_path: Path, found: Discovery) -> None:
+    """A model read back predicts what the fit predicts, the effect that was found included."""
+    fit = found.calibration.fit
+    save_model(tmp_path / "model.json", calibrated_model_of(fit, {}))
+    back = load_model(tmp_path / "model.json")
+    conditions = fit.problem.conditions
+
+    assert "backlash" in [effect.name for effect in back.model.effects]
+    expected = fit.model.predict(fit.values[: fit.model.n_parameters], conditions)
+    np.testing.assert_array_equal(back.predict(conditions), expected)
+    turned = replace(conditions, approach=-conditions.approach)
+    assert np.abs(back.predict(turned) - expected)[:, :, 3].max() > 1e-5
+
+
+def test_nothing_is_located_where_there_is_only_noise() -> None:
+    """An elastic arm with nothing hidden has no place but that of its elasticity."""
+    null = draw_case("null", 4, n=150, arm="kuka")
+    fit = calibrate(null.robot, null.rows, replace(null.options, effects=ELASTIC))
+
+    location = locate(fit, np.array([SIGMA]))
+
+    assert location.places == () and location.regions == ()
+    assert location.p_value > 1e-3
+
+
+def test_levers_are_how_readings_move(elastic_fit: Any) -> None:
+    """The lever of a joint's drive is the derivative of the prediction by the joint's position."""
+    chain, problem, h = elastic_fit.model.chain, elastic_fit.problem, 1e-5
+    values = elastic_fit.values[: elastic_fit.model.n_parameters]
+    moved = [replace(problem.conditions, q=problem.conditions.q + h * sign * np.eye(6)[2]) for sign in (1.0, -1.0)]
+    plus, minus = (elastic_fit.model.predict(values, c)[:, :, 3] for c in moved)
+
+    lever = levers(elastic_fit, (int(chain.drives[2]),))[0]
+
+    # What the load bends more or less at the new position is no part of a lever.
+    np.testing.assert_allclose(lever, ((plus - minus) / (2.0 * h)).T, atol=5e-3)
+
+
+def test_a_range_is_named_only_if_most_sits_in_it() -> None:
+    """The narrowest range with 60 % of the energy is found; spread energy has none."""
+    x = np.linspace(0.0, 100.0, 401)
+
+    window, inside = _window(x, np.exp(-0.5 * ((x - 30.0) / 5.0) ** 2))
+
+    assert window is not None and 24.0 < window[0] < 27.0 and 33.0 < window[1] < 36.0
+    assert 0.6 <= inside < 0.62
+    assert _window(x, np.ones(401)) == (None, 0.0)
+
+
+# How large an effect has to be.
+
+
+def test_power_is_that_of_simulated_tests() -> None:
+    """At the detectable non-centrality nine of ten simulated F tests pass the critical gain."""
+    rng = np.random.default_rng(1)
+    for rank in (1, 2, 8):
+        test = (550.0, rank, 75, 0.01)
+        noncentrality = detectable_noncentrality(test)
+        gain = rng.noncentral_chisquare(rank, noncentrality, 20000)
+        left = rng.chisquare(550.0 - rank, 20000)
+        passed = gain / (gain + left) * 550.0 > critical_gain(test)
+
+        assert power_of(noncentrality, test) == pytest.approx(0.9, abs=1e-6)
+        assert passed.mean() == pytest.approx(0.9, abs=0.01)
+        # Without effect the test is at most as often wrong as it promises.
+        assert power_of(1e-9, test) <= 1.001 * 0.01 / 75
+
+
+def test_detectable_size_follows_noise_and_curves_are_measured_by_rms(elastic_fit: Any, case: Case) -> None:
+    """Twice the noise needs twice the effect; each has a size, or a reason why it has none."""
+    effects = candidates(elastic_fit.model.chain, elastic_fit.problem.conditions)
+    once, twice = (minimum_detectable(elastic_fit, effects, sigma=np.array([s])) for s in (SIGMA, 2.0 * SIGMA))
+
+    for a, b in zip(once, twice, strict=True):
+        assert (a.size is None) == bool(a.reason)
+        if a.size is not None and b.size is not None:
+            # Priors do not grow with the noise: where it is loud the model takes up less, along more directions.
+            assert 1.4 * a.size < b.size < (2.01 if a.size == a.best else 3.0) * a.size
+            assert a.best is not None and 0.0 < a.best <= a.size * (1.0 + 1e-9)
+    assert {a.measure for a in once if isinstance(a.effect, TransmissionError)} == {"rms of the curve"}
+    joint = case.hidden[0].joint
+    play = next(a for a in once if a.effect.name == "backlash" and vars(a.effect)["joint"] == joint)
+    # The case is drawn at a non-centrality of 200, the threshold of one parameter is about 28; half the play counts.
+    assert play.size == pytest.approx(0.5 * case.hidden[0].size * np.sqrt(28.0 / 200.0), rel=0.25)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["backlash", "gear_eccentricity"])
+def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elastic_fit: Any, case: Case) -> None:
+    """Tables simulated with an effect of that size, random in phase, pass the test about that often."""
+    fit, rng = elastic_fit, np.random.default_rng(3)
+    conditions = fit.problem.conditions
+    effects = candidates(fit.model.chain, conditions)
+    sights = minimum_detectable(fit, effects, sigma=np.array([SIGMA]))
+    sight = next(s for s in sights if s.effect.name == name and vars(s.effect)["joint"] == "joint_3")
+    assert sight.size is not None
+    model = fit.model.with_effects([*fit.model.effects, sight.effect])
+    groups = len(
+        {(e.name, vars(e).get("joint"), vars(e).get("source"), vars(e).get("order"), vars(e).get("frame")) for e in effects}
+    )
+    hits = []
+    for _ in range(60):
+        beta = rng.standard_normal(len(sight.effect.parameters(fit.model.chain)))
+        values = np.concatenate([fit.values, sight.size * beta / np.linalg.norm(beta)])
+        position = model.predict(values, conditions)[:, :, 3] + SIGMA * rng.standard_normal((len(conditions), 3))
+        again = calibrate(case.robot, replace(case.rows, position=position), fit.options)
+        tested = criticise(again, [sight.effect], [], np.zeros(len(conditions), int))
+        score = tested.score([0], len(effects))
+        hits.append(score.p_value < ALPHA / groups)
+
+    assert 0.78 <= np.mean(hits) <= 0.99
+
+
+def test_survey_tells_what_could_be_found(case: Case) -> None:
+    """A survey lists every effect with a size or a reason, and the noise that this rests on."""
+    declared = survey(case.robot, case.rows, replace(case.options, effects=GEOMETRIC)).detectable
+    estimated = survey(case.robot, case.rows, replace(case.options, sigma=None)).detectable
+
+    assert (declared.model, declared.source, declared.sigma_m) == ("elastic", "declared", SIGMA)
+    # The hidden effect, which is not in the model, makes the noise seem larger.
+    assert estimated.source == "estimated" and SIGMA * 0.9 < estimated.sigma_m < SIGMA * 1.5
+    assert all((sight.size is None) == bool(sight.reason) for sight in declared.effects)
+    assert {"backlash", "gear_eccentricity", "transmission_error"} <= {s.effect for s in declared.effects if s.size}
+    assert any(s.effect == "measurement_scale" and "rank zero" in s.reason for s in declared.effects)
+
+
+def test_survey_assumes_noise_where_rows_are_too_few_to_tell(case: Case) -> None:
+    """With as many readings as parameters nothing is promised, and the noise is said to be assumed."""
+    few = survey(case.robot, case.rows.select(np.arange(8)), replace(case.options, sigma=None)).detectable
+
+    assert few.source == "assumed"
+    assert all(sight.size is None and sight.reason for sight in few.effects)
+
+
+# Periods and pictures.
+
+
+def _trace(y: np.ndarray, x: np.ndarray, sigma: float) -> Trace:
+    noise = sigma * np.random.default_rng(0).standard_normal(len(x))
+    effect = Unnamed("a", "gamma_x", "b", lower=float(x.min()), upper=float(x.max()))
+    return Trace(effect, "a", "b", "rad", x, y + noise, noise, y, np.full(len(x), sigma**-2.0), "rad")
+
+
+def test_period_is_that_of_a_tone_and_none_of_anything_else() -> None:
+    """A tone of which two periods are seen has a period; a step, a bump, half a wave and noise have none."""
+    x = np.random.default_rng(2).uniform(-2.5, 2.5, 300)
+
+    assert period_of(_trace(1e-4 * np.sin(7.3 * x + 1.0), x, 5e-5)) == pytest.approx(2.0 * np.pi / 7.3, rel=0.02)
+    assert period_of(_trace(1e-4 * (x > 0.4), x, 3e-5)) is None
+    assert period_of(_trace(1e-4 * np.exp(-0.5 * ((x - 0.5) / 0.3) ** 2), x, 3e-5)) is None
+    assert period_of(_trace(1e-4 * np.sin(0.8 * x), x, 3e-5)) is None
+    assert period_of(_trace(0.0 * x, x, 3e-5)) is None
+
+
+def test_traces_show_noise_after_and_the_effect_before(found: Discovery) -> None:
+    """With the effect left out the rows follow it, with it they scatter about zero as the noise lets them."""
+    trace = next(t for t in found.traces if t.effect.name == "backlash")
+
+    assert (trace.variable, trace.error_unit) == ("approach", "rad")
+    np.testing.assert_allclose(trace.before - trace.after, trace.fitted, atol=1e-9)
+    assert np.mean(trace.after**2 * trace.weights) == pytest.approx(1.0, abs=0.4)
+    mean = np.average(trace.before * np.sign(trace.fitted), weights=trace.weights)
+    assert mean == pytest.approx(np.abs(trace.fitted).mean(), rel=0.3)
+
+
+def test_figures_are_drawn_from_results(found: Discovery) -> None:
+    """Each trace and the gaps make a figure; nothing to draw is refused."""
+    for trace in found.traces:
+        figure = effect_figure(trace, "title")
+        assert [axes.get_title().split(":")[0] for axes in figure.axes] == ["without it", "with it"]
+    names = [str(k) for k in range(len(found.gaps))]
+    shrinking_figure(names, {"rms": [gap.rms_mm for gap in found.gaps]}, 0.1)
+    trace = found.traces[0]
+    empty = replace(trace, x=trace.x[:0])
+    with pytest.raises(ValueError, match="no rows"):
+        effect_figure(empty, "title")
+
+
+# Commands.
+
+
+def _columns(rows: Measurements) -> dict[str, np.ndarray]:
+    assert rows.position is not None and rows.payload is not None and rows.approach is not None
+    columns = {name: rows.q[:, i] for i, name in enumerate(rows.joint_names)}
+    columns |= {axis: rows.position[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"approach_{name}": rows.approach[:, i] for i, name in enumerate(rows.joint_names)}
+    return columns | {"payload": rows.payload}
+
+
+def _run(*arguments: object) -> object:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
+def test_check_prints_what_could_be_found(tmp_path: Path, case: Case, capsys: pytest.CaptureFixture[str]) -> None:
+    """The table of sizes is printed and stands in the JSON; no line of a table is wider than a page."""
+    write_table(tmp_path / "data.csv", _columns(case.rows))
+    (tmp_path / "robot.urdf").write_bytes(case.robot.urdf)
+    common = (tmp_path / "robot.urdf", tmp_path / "data.csv", "--noise", "0.05mm", "--tip", case.robot.tip)
+    assert _run("check", *common, "--quiet") == 0
+    printed = capsys.readouterr().out
+
+    assert "Smallest effects that would be found" in printed
+    assert "backlash" in printed and "µrad" in printed
+    assert max(len(line) for line in printed.splitlines() if line.startswith(("│", "┃"))) <= 100
+    assert _run("check", *common, "--json", "--quiet") == 0
+    detectable = json.loads(capsys.readouterr().out)["detectable"]
+    assert detectable["source"] == "declared" and detectable["power"] == 0.9
+    assert {"effect", "joint", "size", "unit", "reason"} <= set(detectable["effects"][0])
+
+
+def test_discover_shows_the_gap_shrink(tmp_path: Path, case: Case, capsys: pytest.CaptureFixture[str]) -> None:
+    """The terminal has a line a step down to the noise, and report.html the figures, without any network."""
+    write_table(tmp_path / "data.csv", _columns(case.rows))
+    (tmp_path / "robot.urdf").write_bytes(case.robot.urdf)
+    files = (tmp_path / "robot.urdf", tmp_path / "data.csv", "--out", tmp_path / "out", "--tip", case.robot.tip)
+    options = ("--noise", "0.05mm", "--payload-com", *case.options.payload_centre, "--moment-frame", "after", "--quiet")
+    assert _run("discover", *files, *options) == 0
+    printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+    assert f"+ backlash of {case.hidden[0].joint}" in printed and "noise alone" in printed
+    assert page.count("data:image/png;base64,") == 3
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert json.loads((tmp_path / "out" / "discovery.json").read_text())["effects"]
+
+
+# Curves outside the range in which they were seen.
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_a_curve_keeps_its_end_value(periodic: bool, kuka: Robot) -> None:
+    """Outside the positions that were seen a drive curve neither swings nor repeats."""
+    curve = TransmissionError("joint_1", -1.0, 2.0, 12, periodic)
+    height = np.random.default_rng(0).standard_normal(12)
+    ends = height @ curve.basis(np.array([-1.0, 2.0]))
+
+    np.testing.assert_allclose(height @ curve.basis(np.array([-3.0, -1.2])), ends[0])
+    np.testing.assert_allclose(height @ curve.basis(np.array([2.01, 6.0])), ends[1])
+
+
+def _model_with(fit: Any, effect: Any) -> Any:
+    model = fit.model.with_effects([*fit.model.effects, effect])
+    bare = calibrated_model_of(fit, {})
+    more = model.n_parameters - fit.model.n_parameters
+    padded = np.zeros((model.n_parameters, model.n_parameters))
+    padded[: len(bare.values), : len(bare.values)] = bare.covariance
+    return replace(
+        bare, model=model, values=np.append(bare.values, np.full(more, 1e-4)), covariance=padded, parameters=model.parameters
+    )
+
+
+def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Predictions beyond a curve's range, of its own joint or of another variable, name the joint and both ranges."""
+    q = np.zeros((3, 6))
+    q[:, 1], q[2, 2] = -1.5, 0.9
+    calibrated = _model_with(elastic_fit, TransmissionError("joint_3", -0.5, 0.5))
+    save_model(tmp_path / "model.json", calibrated)
+    write_table(tmp_path / "poses.csv", {name: q[:, i] for i, name in enumerate(calibrated.model.chain.robot.joint_names)})
+    conditions = elastic_fit.problem.conditions.select(np.arange(3))
+
+    (beyond,) = calibrated.outside_curves(replace(conditions, q=q))
+
+    assert (beyond.effect, beyond.joint, beyond.variable, beyond.rows) == ("transmission_error", "joint_3", "joint_3", 1)
+    assert (beyond.lower, beyond.upper, beyond.highest) == (-0.5, 0.5, 0.9)
+    assert calibrated.outside_curves(replace(conditions, q=np.zeros((3, 6)))) == []
+    other = _model_with(elastic_fit, Unnamed("joint_2", "drive", "joint_3", lower=-0.5, upper=0.5))
+    assert [(o.joint, o.variable) for o in other.outside_curves(replace(conditions, q=q))] == [("joint_2", "joint_3")]
+    assert _model_with(elastic_fit, GearEccentricity("joint_3")).outside_curves(replace(conditions, q=q)) == []
+    assert _run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "predicted.csv") == 0
+    noted = capsys.readouterr().err
+    assert "transmission_error of joint_3" in noted and "-0.5 to 0.5" in noted and "0.9" in noted
+
+
+# The examples with answers.
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", HIDDEN)
+def test_hidden_examples_come_out_right(name: str, hidden_examples: Path) -> None:
+    """What is hidden stands among the names of discovery.json, elastic only if the machine is, and nothing else."""
+    folder = hidden_examples / "cases" / name
+    given = json.loads((folder / "case.json").read_text())
+    answer = json.loads((hidden_examples / "answers" / f"{name}.json").read_text())
+    robot = Robot.from_urdf(folder / "robot.urdf", tip=given["tip"])
+    rows = read_measurements(folder / "data.csv", robot.joint_names)
+    options = Options(effects=GEOMETRIC, sigma=given["sigma"], payload_centre=tuple(given["payload_com"]))
+
+    report = run_discovery(robot, rows, options).report
+
+    elastic = {"joint_elasticity", "bearing_elasticity"}
+    named = [entry for entry in report["effects"] if entry["effect"] not in elastic]
+    assert any(entry["effect"] in elastic for entry in report["effects"]) == (answer["elastic"] is not None)
+    assert len(named) + len(report["scatter"]) == len(answer["hidden"])
+    for hidden in answer["hidden"]:
+        classes = [[entry, *entry["equivalent"]] for entry in [*named, *_as_effects(report["scatter"])]]
+        assert any(_is(hidden, other) for others in classes for other in others), hidden
+    assert report["verdict"] == ("not adequate" if report["scatter"] else "adequate")
+    assert all(bool(entry["equivalent"]) == bool(entry["tell_apart"]) for entry in report["effects"])
+    # The places that were found before anything was named are those of what is hidden.
+    located = [place.get("joint") for place in report["where"] if "depends_on" in place]
+    assert sorted(map(str, located)) == sorted(str(hidden["joint"]) for hidden in answer["hidden"])
+
+
+def _as_effects(scatter: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{"effect": "joint_scatter", "joint": entry["joint"], "equivalent": []} for entry in scatter]
+
+
+def _is(hidden: dict[str, Any], named: dict[str, Any]) -> bool:
+    """Return whether a name is the hidden one, and at its joint; of a nameless one the joint alone."""
+    keys = [key for key in ("effect", "joint", "source") if key in hidden]
+    return all(hidden[key] == named.get(key) for key in keys)
