@@ -243,7 +243,6 @@ def _tell(robot: str, out: Path, truth: Path | None, table: Any, found: dict[str
     words += [f"--{name} {chosen[name]}" for name in ("tip", "base") if chosen[name]]
     words += [f"--noise {chosen['noise'] * 1e3:g}mm"] if chosen["noise"] else []
     words += [f"--noise-angle {chosen['noise_angle'] * 1e3:g}mrad"] if found["noise"]["sigma_rad"] else []
-    words += [f"--moment-frame {chosen['moment_frame']}"] if chosen["moment_frame"] != "paper" else []
     for name in ("payload_com", "gravity"):
         if chosen[name] not in (None, (0.0, 0.0, 0.0)):
             words.append(f"--{name.replace('_', '-')} {' '.join(f'{value:g}' for value in chosen[name])}")
