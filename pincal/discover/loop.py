@@ -230,7 +230,7 @@ def _generics(fit: Fit, near: str | None) -> list[Effect]:
 
 def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> Step | None:
     if elastic and not any(isinstance(e, JointElasticity) for e in fit.model.effects):
-        block: list[Effect] = [JointElasticity(), BearingElasticity()]
+        block = _elasticity(fit)
         found = _criticise(fit, block, groups)
         score = found.score((0, 1), 1)
         if score.p_value < _ELASTIC:
@@ -240,6 +240,18 @@ def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: flo
         return None
     effect = choice.effect
     return _accept(fit, [_resolved(fit, effect, groups) if isinstance(effect, TransmissionError) else effect], choice)
+
+
+def _elasticity(fit: Fit) -> list[Effect]:
+    """Return the elasticity that these poses excite.
+
+    About a vertical axis gravity has a moment only as far as the base is not level. Any tilt goes, since the base's own
+    makes up for it, so that such a compliance could take the place of a true effect of that joint's position.
+    """
+    names = fit.model.chain.robot.joint_names
+    felt = fit.model.with_effects([JointElasticity()]).largest_basis(fit.problem.conditions)[1]
+    joints = tuple(name for name, here in zip(names, felt, strict=True) if here)
+    return [JointElasticity() if len(joints) == len(names) else JointElasticity(joints), BearingElasticity()]
 
 
 @dataclass(frozen=True)
@@ -262,12 +274,14 @@ class _Contest:
         scores: of each.
         costs: of each; the information criterion, more for what has no name.
         limits: the p-value that each has to stay below.
+        least: the gain below which an effect matters to nobody.
     """
 
     found: Criticism
     scores: list[Score]
     costs: np.ndarray
     limits: np.ndarray
+    least: float
 
     @classmethod
     def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _Contest:
@@ -281,15 +295,14 @@ class _Contest:
             scores,
             np.array([score.ebic + _surcharge(e) for score, e in zip(scores, effects, strict=True)]),
             np.array([alpha / n[bool(no)] for no in nameless]),
+            least_gain(found.squares, declared=fit.noise.declared[0] is not None),
         )
 
     def passed(self) -> list[int]:
         """Return the candidates that chance does not explain, the cheapest first."""
         order = np.argsort(self.costs)
-        return [int(i) for i in order if self.scores[i].p_value < self.limits[i] and self._matters(self.scores[i])]
-
-    def _matters(self, score: Score) -> bool:
-        return score.gain >= min(_GAIN, _SHARE * self.found.squares)
+        scores = self.scores
+        return [int(i) for i in order if scores[i].p_value < self.limits[i] and scores[i].gain >= self.least]
 
     def rivals(self, best: int) -> list[int]:
         """Return the candidates that explain the data as well: little is left for the best once one of them is in."""
@@ -298,6 +311,14 @@ class _Contest:
         return [
             i for i in close if self.found.gain_given(best, i).p_value > (_TOLD_APART if worse[i] < _TIE else _ADDS_NOTHING)
         ]
+
+
+def least_gain(squares: float, *, declared: bool) -> float:
+    """Return what an effect has to take off a sum of squares to matter, both in units of the noise.
+
+    Where the noise is not declared, what is left may be other than noise, and anything takes a little off it.
+    """
+    return min(_GAIN, (1.0 if declared else 2.0) * _SHARE * squares)
 
 
 def _surcharge(effect: Effect) -> float:
@@ -322,7 +343,8 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
     nameless = next((i for i in both.passed() if i >= len(close)), None)
     better = nameless is not None and (best is None or both.costs[nameless] < both.costs[0])
     if nameless is not None and better and _predicts(_criticise(fit, [together[nameless]], groups), 0):
-        return _chosen(both, nameless, _also_curve(together[nameless], names))
+        whole = _also_curve(together[nameless], names)
+        return _chosen(both, nameless, whole if best is None else (*whole, *_also_curve(together[0], names, best)))
     if best is None:
         return None
     if curve is not None:

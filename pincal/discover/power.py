@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import fdtri, ncfdtr
 
 from pincal.discover.criticism import Criticism, criticise
-from pincal.discover.loop import ALPHA, place_of
+from pincal.discover.loop import ALPHA, least_gain, place_of
 from pincal.discover.nuisance import MassError, compliances_of
 from pincal.identify.calibrate import Fit
 from pincal.model.catalogue import PayloadError, TransmissionError
@@ -20,8 +20,6 @@ from pincal.model.model import Model
 
 # Chance with which an effect of the size that is called detectable is found.
 POWER = 0.9
-# An effect has to take this share off the squares, or this many, to be let in (see the loop).
-_SHARE, _GAIN = 0.01, 100.0
 # Below this many degrees of freedom nothing is left to judge an effect by.
 _FEWEST = 10.0
 # Non-centrality beyond which a test is given up: the readings are too few for it.
@@ -178,7 +176,7 @@ def critical_gain(test: Test) -> float:
     dof, rank, groups, alpha = test
     rest = max(dof - rank, 1.0)
     ratio = rank * float(fdtri(rank, rest, 1.0 - alpha / max(groups, 1))) / rest
-    return max(ratio / (1.0 + ratio) * dof, min(_GAIN, _SHARE * dof))
+    return max(ratio / (1.0 + ratio) * dof, least_gain(dof, declared=True))
 
 
 def power_of(noncentrality: float, test: Test) -> float:
