@@ -62,6 +62,9 @@ _FIRST_SIZES = (8, 12, 18, 26, 44, 80)
 _CURVE_SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180)
 # An effect that takes less off the squares than this share, and less than this many, matters to nobody.
 _SHARE, _GAIN = 0.01, 100.0
+# Rows from which the next effect is chosen; all rows fit it, and resolve its curve. What takes 100 off the squares of more
+# rows than these still takes enough off theirs.
+_ENOUGH_ROWS = 4000
 # Effects that follow the position of one joint.
 _OF_POSITION = (AxisWobble, GearEccentricity, GearRatio, GravityCompensator, JointCoupling)
 
@@ -129,7 +132,7 @@ def discover_effects(
     fit, steps = _sharpen(fit, steps, groups)
     fit, steps = _backward(fit, steps, groups, alpha)
     steps = _with_whole_curves(fit, _merged(fit, steps))
-    last = _criticise(fit, _candidates(fit, extra, elastic), groups)
+    last = _criticise(*_sampled(fit, groups), _candidates(fit, extra, elastic))
     return Trail(first, tuple(steps), fit, last)
 
 
@@ -147,9 +150,18 @@ def place_of(effect: Effect) -> tuple[str | None, str | None]:
     return fields.get("joint"), fields.get("source")
 
 
-def _criticise(fit: Fit, effects: Sequence[Effect], groups: np.ndarray) -> Criticism:
+def _criticise(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> Criticism:
     masses = MassError.of(fit.model, fit.values)
     return criticise(fit, effects, [masses] if masses else [], groups)
+
+
+def _sampled(fit: Fit, groups: np.ndarray) -> tuple[Fit, np.ndarray]:
+    """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next."""
+    if len(groups) <= _ENOUGH_ROWS:
+        return fit, groups
+    rows = np.linspace(0, len(groups) - 1, _ENOUGH_ROWS).astype(int)
+    solution = replace(fit.solution, weights=fit.solution.weights[rows])
+    return replace(fit, problem=fit.problem.select(rows), solution=solution), groups[rows]
 
 
 def _candidates(fit: Fit, extra: Sequence[Effect], elastic: bool) -> list[Effect]:
@@ -231,7 +243,7 @@ def _generics(fit: Fit, near: str | None) -> list[Effect]:
 def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> Step | None:
     if elastic and not any(isinstance(e, JointElasticity) for e in fit.model.effects):
         block = _elasticity(fit)
-        found = _criticise(fit, block, groups)
+        found = _criticise(fit, groups, block)
         score = found.score((0, 1), 1)
         if score.p_value < _ELASTIC:
             return _accept(fit, block, _Choice(block[0], score, (), found, (0, 1)))
@@ -286,7 +298,7 @@ class _Contest:
     @classmethod
     def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _Contest:
         """Test candidates, named and nameless ones; each kind shares the chance of a false name."""
-        found = _criticise(fit, effects, groups)
+        found = _criticise(*_sampled(fit, groups), effects)
         nameless = np.array([isinstance(e, Unnamed) for e in effects], bool)
         n = {kind: len({_key(e) for e, no in zip(effects, nameless, strict=True) if no == kind}) for kind in (False, True)}
         scores = [found.score([i], n[bool(no)]) for i, no in enumerate(nameless)]
@@ -342,7 +354,7 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
     both.costs[: len(close)] = names.costs[close]
     nameless = next((i for i in both.passed() if i >= len(close)), None)
     better = nameless is not None and (best is None or both.costs[nameless] < both.costs[0])
-    if nameless is not None and better and _predicts(_criticise(fit, [together[nameless]], groups), 0):
+    if nameless is not None and better and _predicts(_criticise(fit, groups, [together[nameless]]), 0):
         whole = _also_curve(together[nameless], names)
         return _chosen(both, nameless, whole if best is None else (*whole, *_also_curve(together[0], names, best)))
     if best is None:
@@ -359,7 +371,7 @@ def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> Transmi
     A resolution that the curve has already stays unless another is better by more than chance.
     """
     curves = _curves(fit, curve.joint, _CURVE_SIZES)
-    found = _criticise(fit, curves, groups)
+    found = _criticise(fit, groups, curves)
     gains = [found.gains_by_block([i]) for i in range(len(curves))]
     best = int(np.argmax([gain.sum() for gain in gains]))
     if curve in curves:
@@ -540,7 +552,7 @@ def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> 
         smaller = fit
         for effect in step.effects:
             smaller = without(smaller, effect)
-        tested = _criticise(smaller, list(step.effects), groups)
+        tested = _criticise(smaller, groups, list(step.effects))
         limit = _ELASTIC if isinstance(step.effects[0], JointElasticity) else alpha / 10.0
         if tested.score(range(len(step.effects)), 1).p_value > limit:
             log.info("dropped %s: what was found later explains it", _words(step.effects))
