@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import logging
 import os
 import sys
 import warnings
@@ -22,6 +21,7 @@ _COMMANDS = {
     "predict": "pincal.cli.use",
     "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.use",
+    "view": "pincal.cli.view",
 }
 
 
@@ -55,7 +55,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command; errors go to stderr in one piece and set the exit code."""
     warnings.showwarning = _show_warning
     try:
-        code = pincal.main(args=arguments, prog_name="pincal", standalone_mode=False)
+        try:
+            code = pincal.main(args=arguments, prog_name="pincal", standalone_mode=False)
+        finally:
+            _end_progress()
     except click.exceptions.Abort:
         click.echo("pincal: interrupted; nothing was written", err=True)
         sys.exit(130)
@@ -85,13 +88,16 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
 
 
 def show_progress(quiet: bool) -> None:
-    """Send the library's log of its progress to stderr, one line a step, unless it is to be quiet."""
-    logger = logging.getLogger("pincal")
-    logger.handlers = []
+    """Tell on stderr what a long run does, unless it is to be quiet."""
+    from pincal.cli import progress
+
     if quiet:
         warnings.showwarning = lambda *_, **__: None
-        return
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("pincal: %(message)s"))
-    logger.handlers = [handler]
-    logger.setLevel(logging.INFO)
+    progress.show_progress(quiet)
+
+
+def _end_progress() -> None:
+    """Take the line of progress away, if a command has shown one."""
+    progress = sys.modules.get("pincal.cli.progress")
+    if progress is not None:
+        progress.end_progress()

@@ -1,0 +1,39 @@
+"""The calibrated robot in three dimensions: its deviations as arrows, in a page that opens offline or from a local server.
+
+Example:
+    >>> import numpy as np
+    >>> from pincal.builtin import kuka_urdf_path
+    >>> from pincal.model.chain import Chain
+    >>> from pincal.model.effects import GEOMETRIC
+    >>> from pincal.model.model import Model
+    >>> from pincal.report.model_file import CalibratedModel, Covered
+    >>> from pincal.robot.robot import Robot
+    >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
+    >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
+    >>> none = np.zeros((len(values), len(values)))
+    >>> kuka = CalibratedModel(model, values, none, model.parameters, "position", np.zeros(3), covered, np.ones(1), {})
+    >>> [layer.name for layer in deviation_fields(kuka, grid=50).layers]  # doctest: +ELLIPSIS
+    ['workspace/nominal to calibrated', 'workspace/explained by joint_offset', ...]
+"""
+
+from __future__ import annotations
+
+from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
+from pincal.viewer.live import LiveView, show
+from pincal.viewer.page import page, write_html
+from pincal.viewer.scene import Scene, build_scene
+from pincal.viewer.seen import held_out_rows
+
+__all__ = [
+    "Fields",
+    "Layer",
+    "LiveView",
+    "Poses",
+    "Scene",
+    "build_scene",
+    "deviation_fields",
+    "held_out_rows",
+    "page",
+    "show",
+    "write_html",
+]

@@ -1,0 +1,160 @@
+"""An arm as the page moves it: constant steps between its joints, and its axes with their distortions exaggerated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.model.chain import Chain
+from pincal.report.model_file import CalibratedModel
+from pincal.robot.dh import rotation, translation
+from pincal.robot.robot import Robot
+
+# Angle [rad] as which the largest tilt of an axis is drawn, at most; and part of the reach for the largest offset.
+_DRAWN_TILT = 0.25
+_DRAWN_OFFSET = 0.06
+# Tilts and offsets below which an axis counts as undistorted [rad, m].
+_NO_TILT = 1e-12
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Constant parts of the nominal kinematics: S_i = S_{i-1} before_i J(q_i) after_i, in the robot's base frame.
+
+    Attributes:
+        first: shape (4, 4), S_0.
+        before: shape (n, 4, 4).
+        after: shape (n, 4, 4).
+        prismatic: shape (n,), whether J slides along z instead of turning about it.
+    """
+
+    first: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    prismatic: np.ndarray
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One joint axis, nominal and with its distortion exaggerated, in the link frame that it is mounted on.
+
+    Attributes:
+        joint: name.
+        nominal: shape (2, 3), its ends [m].
+        actual: shape (2, 3), likewise, tilt and offset times the factor.
+        tilt: how far the calibration tilts it [rad].
+        offset: how far it moves it sideways where the URDF has the joint [m].
+    """
+
+    joint: str
+    nominal: np.ndarray
+    actual: np.ndarray
+    tilt: float
+    offset: float
+
+
+def steps_of(robot: Robot) -> Steps:
+    """Return the constant parts of a robot's nominal kinematics."""
+    rows = robot.frames.parameters
+    before = np.array([_tilt(*row[:2]) @ rotation("z", row[2]) for row in rows])
+    after = np.array([translation(row[4], 0.0, row[3]) @ rotation("x", row[5]) for row in rows])
+    prismatic = np.array([kind == "prismatic" for kind in robot.joint_types])
+    return Steps(robot.frames.T_base_first, before, after, prismatic)
+
+
+def link_frames(steps: Steps, q: np.ndarray) -> np.ndarray:
+    """Return the frames S_0 .. S_n in the base frame at joint positions ``q``, shape (n,); shape (n + 1, 4, 4).
+
+    Example:
+        >>> robot = Robot.from_urdf("ur10")
+        >>> frames = link_frames(steps_of(robot), np.full(6, 0.3))
+        >>> tip = frames[-1] @ robot.frames.T_last_tip
+        >>> bool(np.allclose(tip, robot.forward_kinematics(np.full((1, 6), 0.3))[0]))
+        True
+    """
+    frames = [steps.first]
+    for before, after, slides, value in zip(steps.before, steps.after, steps.prismatic, q, strict=True):
+        moved = translation(0.0, 0.0, value) if slides else rotation("z", value)
+        frames.append(frames[-1] @ before @ moved @ after)
+    return np.array(frames)
+
+
+def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[tuple[Axis, ...], float]:
+    """Return the joint axes and the factor by which their distortions are exaggerated.
+
+    Args:
+        calibrated: the robot.
+        factor: of tilts and offsets; a round number unless given, such that the largest can be seen and none misleads.
+    """
+    chain = calibrated.model.chain
+    coordinates = calibrated.model.rigid_coordinates(calibrated.values[: calibrated.model.n_parameters])
+    heights = _heights(chain.robot)
+    found = [_distortion(chain, coordinates, i, heights[i]) for i in range(len(heights))]
+    reach = chain.robot.reach
+    if factor is None:
+        tilt = max(float(np.linalg.norm(tilt)) for _, tilt, _ in found)
+        offset = max(float(np.linalg.norm(offset)) for _, _, offset in found)
+        room = [_DRAWN_TILT / tilt] if tilt > _NO_TILT else []
+        room += [_DRAWN_OFFSET * reach / offset] if offset > _NO_TILT else []
+        factor = round_down(min(room, default=1.0))
+    half = 0.11 * reach
+    return tuple(
+        Axis(
+            name,
+            _line(frame, np.zeros(2), np.zeros(2), height, half),
+            _line(frame, factor * tilt, factor * offset, height, half),
+            float(np.linalg.norm(tilt)),
+            float(np.linalg.norm(offset)),
+        )
+        for name, (frame, tilt, offset), height in zip(chain.robot.joint_names, found, heights, strict=True)
+    ), factor
+
+
+def round_down(value: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above ``value``.
+
+    Example:
+        >>> [round_down(x) for x in (730.0, 200.0, 0.19)]
+        [500.0, 200.0, 0.1]
+    """
+    power = 10.0 ** np.floor(np.log10(value) + 1e-9)
+    step = max(digit for digit in (1.0, 2.0, 5.0) if digit * power <= value * (1.0 + 1e-9))
+    return float(step * power)
+
+
+def _tilt(s_x: float, s_y: float) -> np.ndarray:
+    return np.asarray(rotation("x", s_x) @ rotation("y", s_y))
+
+
+def _heights(robot: Robot) -> list[float]:
+    """Return where along its own axis the URDF has each joint, from the foot of its Denavit-Hartenberg frame [m]."""
+    after = steps_of(robot).after
+    return [float((B @ T)[2, 3]) for B, T in zip(after, robot.T_link_joint, strict=True)]
+
+
+def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the nominal axis' frame in the link before it, and tilt [rad] and offset [m] across it, shape (2,) each."""
+
+    def mounted(values: np.ndarray) -> np.ndarray:
+        link = np.eye(4)
+        if i:
+            a, d, alpha = (values[chain.joint(i - 1, symbol)] for symbol in ("a", "d", "alpha"))
+            link = translation(a, 0.0, d) @ rotation("x", alpha)
+        return np.asarray(link @ _tilt(values[chain.joint(i, "s_x")], values[chain.joint(i, "s_y")]))
+
+    nominal = mounted(chain.nominal)
+    change = np.linalg.inv(nominal) @ mounted(coordinates)
+    # The nominal step from the frame before the link's to the link's own is in both.
+    link = np.eye(4) if i == 0 else steps_of(chain.robot).after[i - 1]
+    return np.linalg.inv(link) @ nominal, change[:2, 2], change[:2, 3] + change[:2, 2] * height
+
+
+def _line(frame: np.ndarray, tilt: np.ndarray, offset: np.ndarray, height: float, half: float) -> np.ndarray:
+    """Return the ends of a line about the z axis of a frame, shape (2, 3)."""
+    angle = float(np.linalg.norm(tilt))
+    across = tilt / angle if angle > 0.0 else np.zeros(2)
+    direction = np.array([*(np.sin(angle) * across), np.cos(angle)])
+    middle = np.array([*offset, height])
+    ends = np.array([middle - half * direction, middle + half * direction])
+    return np.asarray(ends @ frame[:3, :3].T + frame[:3, 3])

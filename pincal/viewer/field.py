@@ -1,0 +1,300 @@
+"""Fields of position deviations: where the target should be, and which way and how far it is off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.identify.problem import Problem, conditions_of, problem_of
+from pincal.identify.solve import Noise, Priors, solve
+from pincal.measure.measurements import Measurements
+from pincal.measure.sensors import PoseSensor, PositionSensor
+from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
+from pincal.model.model import Model
+from pincal.report.model_file import CalibratedModel
+from pincal.report.words import effect_words
+from pincal.viewer.workspace import workspace_poses
+
+# Poses over which nominal base and tool are laid onto the calibrated robot where there are no measurements.
+_ENOUGH = 400
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses that a field stands on.
+
+    Attributes:
+        name: "measured" or "workspace".
+        q: shape (N, n), joint positions [rad or m].
+        target: shape (N,), index into the chain's targets.
+        lines: shape (N,), line of each row in its file; None for poses from no file.
+        held_out: shape (N,), rows that the fit did not see; None where nobody knows.
+        position: shape (N, 3), measured positions in the instrument's frame [m]; None where none were measured.
+    """
+
+    name: str
+    q: np.ndarray
+    target: np.ndarray
+    lines: np.ndarray | None = None
+    held_out: np.ndarray | None = None
+    position: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One field of arrows.
+
+    Attributes:
+        name: its path in the control tree: "deviations/before", "deviations/after", "deviations/explained by ...",
+            "workspace/nominal to calibrated" or "workspace/explained by ...".
+        poses: name of the poses that it stands on.
+        points: shape (N, 3), tails, in the instrument's frame [m].
+        vectors: shape (N, 3), from tail to head [m], true to scale.
+        words: what the arrows mean.
+    """
+
+    name: str
+    poses: str
+    points: np.ndarray
+    vectors: np.ndarray
+    words: str
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Lengths of the arrows, shape (N,) [m]."""
+        return np.asarray(np.linalg.norm(self.vectors, axis=1))
+
+
+@dataclass(frozen=True)
+class Fields:
+    """All fields of a robot and the poses they stand on.
+
+    Attributes:
+        layers: the fields, the first the one to look at first.
+        poses: the poses.
+        notes: what is not shown, and what the fields rest on, in words.
+    """
+
+    layers: tuple[Layer, ...]
+    poses: tuple[Poses, ...]
+    notes: tuple[str, ...]
+
+
+def deviation_fields(
+    calibrated: CalibratedModel,
+    measurements: Measurements | None = None,
+    *,
+    held_out: np.ndarray | None = None,
+    grid: int = 1000,
+    seed: int = 0,
+) -> Fields:
+    """Return the deviations of a robot over measured poses and over its workspace.
+
+    Over measured poses: from nominal (only base and tool fitted) to measured, from calibrated to measured, and what each
+    effect explains: from the prediction without to the prediction with it, all else unchanged. Over the workspace: from
+    nominal to calibrated, and again each effect. A distance tells only the part along the line of sight, other readings
+    none of three directions: "before" then leads to the calibrated prediction.
+
+    Args:
+        calibrated: the robot.
+        measurements: its measured poses.
+        held_out: shape (N,), which of them the fit did not see; None where nobody knows.
+        grid: about how many places of the workspace get an arrow; 0 for none.
+        seed: of the choice of poses that reach them.
+
+    Returns:
+        The fields, positions in the instrument's frame.
+
+    Raises:
+        BadInputError: if the measurements lack what the model needs, or there is nothing to show.
+    """
+    layers: list[Layer] = []
+    poses: list[Poses] = []
+    notes: list[str] = []
+    measured = None
+    if measurements is not None and len(measurements):
+        conditions = conditions_of(calibrated.model, measurements, np.array(calibrated.payload_centre))
+        measured = Poses("measured", measurements.q, conditions.target, measurements.rows, held_out, measurements.position)
+        nominal, note = _nominal_from_data(calibrated, measurements, held_out)
+        notes += note
+        layers += _measured_layers(calibrated, measurements, conditions, nominal)
+        poses.append(measured)
+    if grid > 0:
+        over, part, note = _workspace(calibrated, grid, seed, None if measured is None else conditions)
+        # Distances and contacts leave room in where the base stands, which would show as deviations where nobody measured.
+        if measured is None or measured.position is None:
+            nominal = _nominal_from_predictions(part, over)
+        notes += note
+        layers += _workspace_layers(part, over, nominal[: part.model.n_parameters])
+        poses.append(Poses("workspace", over.q, over.target))
+    if not layers:
+        raise BadInputError("nothing to show: no measured poses, and no place of the workspace asked for")
+    return Fields(tuple(layers), tuple(poses), tuple(notes))
+
+
+def _measured_layers(
+    calibrated: CalibratedModel, measurements: Measurements, conditions: Conditions, nominal: np.ndarray
+) -> Iterator[Layer]:
+    model, values = calibrated.model, calibrated.values[: calibrated.model.n_parameters]
+    tails = {"before": _positions(model, nominal[: len(values)], conditions), "after": _positions(model, values, conditions)}
+    words = {"before": "nominal, base and tool fitted", "after": "calibrated"}
+    heads = {name: _measured_heads(measurements, tail) for name, tail in tails.items()}
+    if heads["before"] is None:
+        vectors = tails["after"] - tails["before"]
+        yield Layer("deviations/before", "measured", tails["before"], vectors, "from nominal to calibrated prediction")
+    for name, head in heads.items():
+        if head is not None:
+            kind = "the part along the line of sight" if measurements.kind == "distance" else "measured"
+            yield Layer(f"deviations/{name}", "measured", tails[name], head - tails[name], f"from {words[name]} to {kind}")
+    yield from _explained("deviations", "measured", model, values, conditions, tails["after"])
+
+
+def _measured_heads(measurements: Measurements, predicted: np.ndarray) -> np.ndarray | None:
+    """Return where the target was found, as far as the reading tells, shape (N, 3) [m]."""
+    if measurements.position is not None:
+        return measurements.position
+    if measurements.distance is None:
+        return None
+    ray = predicted / np.linalg.norm(predicted, axis=1, keepdims=True)
+    return np.asarray(ray * measurements.distance[:, None])
+
+
+def _workspace_layers(calibrated: CalibratedModel, over: Conditions, nominal: np.ndarray) -> Iterator[Layer]:
+    model, values = calibrated.model, calibrated.values[: calibrated.model.n_parameters]
+    tails, heads = _positions(model, nominal, over), _positions(model, values, over)
+    words = "from nominal, base and tool fitted, to calibrated prediction"
+    yield Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words)
+    yield from _explained("workspace", "workspace", model, values, over, heads)
+
+
+def _explained(
+    folder: str, poses: str, model: Model, values: np.ndarray, conditions: Conditions, whole: np.ndarray
+) -> Iterator[Layer]:
+    """Yield what each effect explains: from the prediction without it to that with it."""
+    start, used = 0, set()
+    for effect in model.effects:
+        stop = start + len(effect.parameters(model.chain))
+        if not isinstance(effect, BaseFrame | ToolFrame) and np.any(values[start:stop]):
+            without = values.copy()
+            without[start:stop] = 0.0
+            name = _effect_name(effect)
+            while name in used:
+                name += " again"
+            used.add(name)
+            tails = _positions(model, without, conditions)
+            words = f"from the prediction without to that with {name}, all else unchanged"
+            yield Layer(f"{folder}/explained by {name}", poses, tails, whole - tails, words)
+        start = stop
+
+
+def _effect_name(effect: Effect) -> str:
+    entry: dict[str, Any] = {"effect": effect.name}
+    for key in ("joint", "source", "order", "depends_on", "shape", "acts_on"):
+        if getattr(effect, key, None) is not None:
+            entry[key] = getattr(effect, key)
+    return effect_words(entry)
+
+
+def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.ndarray:
+    return np.asarray(model.predict(values, conditions)[:, :, 3])
+
+
+def _is_frame(calibrated: CalibratedModel) -> np.ndarray:
+    return np.array([p.effect in ("base_frame", "tool_frame") for p in calibrated.parameters], bool)
+
+
+def _nominal_from_data(
+    calibrated: CalibratedModel, measurements: Measurements, held_out: np.ndarray | None
+) -> tuple[np.ndarray, list[str]]:
+    """Return the values with only base and tool fitted, to the rows that the calibration was fitted to."""
+    problem = problem_of(calibrated.model, measurements, np.array(calibrated.payload_centre))
+    fitted = np.ones(len(problem), bool) if held_out is None else ~held_out
+    if fitted.sum() < min(len(problem), 6):
+        words = "base and tool of the nominal robot are fitted to the rows shown: none of them was fitted before"
+        return _frames_fitted(calibrated, problem), [words]
+    return _frames_fitted(calibrated, problem.select(fitted)), []
+
+
+def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> np.ndarray:
+    """Return the values with only base and tool fitted, to what the calibrated robot does over its workspace."""
+    rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
+    sample = over.select(rows)
+    poses = calibrated.predict(sample)
+    turns = any(isinstance(e, ToolFrame) and len(e.symbols) > 3 for e in calibrated.model.effects)
+    sensor = PoseSensor(poses[:, :, 3], poses[:, :, :3]) if turns else PositionSensor(poses[:, :, 3])
+    return _frames_fitted(calibrated, Problem(calibrated.model, sample, sensor, np.ones(len(rows))))
+
+
+def _frames_fitted(calibrated: CalibratedModel, problem: Problem) -> np.ndarray:
+    """Fit base and tool alone; a frame that the calibration took as known stays where it is."""
+    n = len(problem.parameters)
+    frames = _is_frame(calibrated)[:n]
+    fitted = np.diag(calibrated.covariance)[:n] > 0.0
+    free = frames & (fitted if np.any(fitted & frames) else frames)
+    start = np.where(frames, calibrated.values[:n], 0.0)
+    start[problem.model.n_parameters :] = calibrated.values[problem.model.n_parameters : n]
+    if not free.any():
+        return start
+    # Other targets than those of these rows are not seen: they stay.
+    free[: problem.model.n_parameters] &= problem.model.largest_basis(problem.conditions)[1]
+    priors = Priors(np.full(n, np.inf), np.full(n, np.inf))
+    blocks = tuple(None for _ in problem.sensor.blocks)
+    return solve(problem, start, free, priors, Noise(blocks), loss="huber", rough=True).values
+
+
+def _workspace(
+    calibrated: CalibratedModel, grid: int, seed: int, seen: Conditions | None
+) -> tuple[Conditions, CalibratedModel, list[str]]:
+    """Return poses all over the workspace, the model that can predict there, and what was assumed."""
+    payload = float(np.mean(calibrated.covered.payload)) if seen is None else float(np.median(seen.payload))
+    columns = {} if seen is None else {"temperature": seen.temperature, "time": seen.time}
+    known = {name: float(np.median(values)) for name, values in columns.items() if values is not None}
+    part, left_out = _without_unknown(calibrated, known)
+    q = workspace_poses(part, grid, payload=payload, known=known, seed=seed)
+    over = at_conditions(q, calibrated, payload, known)
+    notes = [
+        f"workspace: {len(q)} places that the joints reach within the range that the calibration covered, each with one of "
+        f"the poses that reach it, at a payload of {payload:g} kg"
+    ]
+    if left_out:
+        notes.append(f"workspace: without {', '.join(left_out)}: what it needs is known of measured poses only")
+    return over, part, notes
+
+
+def at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]) -> Conditions:
+    """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
+    plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
+    columns = {name: np.full(len(q), value) for name, value in known.items()}
+    # Direction of approach unknown: 0, as in a table that does not say.
+    return replace(plain, approach=np.zeros(q.shape), **columns)
+
+
+def _without_unknown(calibrated: CalibratedModel, known: dict[str, float]) -> tuple[CalibratedModel, list[str]]:
+    """Return the model without the effects whose conditions nobody knows, and their names."""
+    model, start = calibrated.model, 0
+    kept: list[Effect] = []
+    rows: list[int] = []
+    left_out: list[str] = []
+    for effect in model.effects:
+        stop = start + len(effect.parameters(model.chain))
+        if any(need in ("temperature", "time") and need not in known for need in effect.needs):
+            left_out.append(_effect_name(effect))
+        else:
+            kept.append(effect)
+            rows += range(start, stop)
+        start = stop
+    if not left_out:
+        return calibrated, []
+    rows += range(start, len(calibrated.values))
+    reduced = replace(
+        calibrated,
+        model=model.with_effects(kept),
+        values=calibrated.values[rows],
+        covariance=calibrated.covariance[np.ix_(rows, rows)],
+        parameters=tuple(calibrated.parameters[i] for i in rows),
+    )
+    return reduced, left_out

@@ -1,0 +1,242 @@
+"""All that a page shows, in one frame: upright, with the robot's base in its origin."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.measure.measurements import Measurements
+from pincal.model.chain import FRAME_SYMBOLS, Chain
+from pincal.report.model_file import CalibratedModel
+from pincal.robot.dh import rotation, translation
+from pincal.viewer.arm import Axis, Steps, axes_of, round_down, steps_of
+from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
+from pincal.viewer.shapes import Shape, shapes_of
+
+# Length, as part of the robot's reach and of the way from one arrow to the next, at which nearly all deviations are drawn.
+_DRAWN, _CROWDED = 0.12, 0.8
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A coordinate system to draw.
+
+    Attributes:
+        name: "base", "instrument", or the name of a target.
+        body: what it moves with: 0 for what stands, n for the last link.
+        placement: shape (4, 4), in the scene for body 0, else in the frame S_i.
+    """
+
+    name: str
+    body: int
+    placement: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A robot and its deviations, ready to be drawn.
+
+    Attributes:
+        title: the robot's name.
+        joint_names: the joints.
+        lower: shape (n,), ends of the joints' sliders [rad or m].
+        upper: shape (n,), likewise.
+        q: shape (n,), the pose to begin with.
+        T_scene_base: shape (4, 4), the robot's base in the scene: upright, whichever way it is mounted.
+        T_scene_instrument: shape (4, 4), the instrument in the scene; what :class:`Fields` are relative to.
+        steps: how the arm moves.
+        shapes: what it looks like.
+        axes: its joint axes, with distortions times ``axis_scale``.
+        axis_scale: that factor.
+        frames: base, tools, instrument.
+        fields: the deviations.
+        scale: factor of the arrows' lengths to begin with.
+        reach: how far the arm reaches [m].
+        notes: what is missing, and what the page rests on, in words.
+    """
+
+    title: str
+    joint_names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    q: np.ndarray
+    T_scene_base: np.ndarray
+    T_scene_instrument: np.ndarray
+    steps: Steps
+    shapes: tuple[Shape, ...]
+    axes: tuple[Axis, ...]
+    axis_scale: float
+    frames: tuple[Frame, ...]
+    fields: Fields
+    scale: float
+    reach: float
+    notes: tuple[str, ...]
+
+
+def build_scene(
+    calibrated: CalibratedModel,
+    measurements: Measurements | None = None,
+    *,
+    held_out: np.ndarray | None = None,
+    q: np.ndarray | None = None,
+    grid: int = 1000,
+    scale: float | None = None,
+    axis_scale: float | None = None,
+    mesh_folders: Sequence[str | os.PathLike[str]] = (),
+    notes: Sequence[str] = (),
+) -> Scene:
+    """Return all there is to see of a calibrated robot.
+
+    Args:
+        calibrated: the robot.
+        measurements: measured poses, of its targets.
+        held_out: shape (N,), which of them the fit did not see; None where nobody knows.
+        q: shape (n,), pose to begin with [rad or m]; the first measured one unless given.
+        grid: about how many places of the workspace get an arrow; 0 for none.
+        scale: factor of the arrows' lengths; a round number that makes them visible unless given.
+        axis_scale: factor of the axes' distortions, likewise.
+        mesh_folders: where else to look for meshes and the packages that the URDF names.
+        notes: what else the page should say.
+
+    Returns:
+        The scene.
+
+    Raises:
+        BadInputError: if a factor or a pose can't be, or there is nothing to show.
+
+    Example:
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> from pincal.model.model import Model
+        >>> from pincal.report.model_file import Covered
+        >>> from pincal.robot.robot import Robot
+        >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
+        >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
+        >>> none = np.zeros((len(values), len(values)))
+        >>> kuka = CalibratedModel(model, values, none, model.parameters, "position", np.zeros(3), covered, np.ones(1), {})
+        >>> scene = build_scene(kuka, grid=50)
+        >>> scene.title, [frame.name for frame in scene.frames]
+        ('kuka_kr125_2', ['base', 'tool'])
+    """
+    chain = calibrated.model.chain
+    for name, factor in (("scale", scale), ("axis_scale", axis_scale)):
+        if factor is not None and not 0.0 < factor < np.inf:
+            raise BadInputError(f"{name} is {factor}; expected a positive number")
+    fields = deviation_fields(calibrated, measurements, held_out=held_out, grid=grid)
+    shapes, missing = shapes_of(chain.robot, mesh_folders)
+    axes, axis_scale = axes_of(calibrated, axis_scale)
+    upright, coordinates = _upright(chain.gravity), _coordinates(calibrated)
+    seen = upright @ np.linalg.inv(_base_in_instrument(chain, coordinates))
+    lower, upper = _slider_ends(calibrated, fields.poses)
+    return Scene(
+        title=chain.robot.name,
+        joint_names=chain.robot.joint_names,
+        lower=lower,
+        upper=upper,
+        q=_first_pose(chain, fields.poses, q),
+        T_scene_base=upright,
+        T_scene_instrument=seen,
+        steps=steps_of(chain.robot),
+        shapes=shapes,
+        axes=axes,
+        axis_scale=axis_scale,
+        frames=_frames(calibrated, upright, seen, coordinates),
+        fields=fields,
+        scale=_visible(fields.layers[0], chain.robot.reach) if scale is None else scale,
+        reach=chain.robot.reach,
+        notes=(*notes, *_row_notes(fields.poses), *missing, *fields.notes),
+    )
+
+
+def _first_pose(chain: Chain, poses: tuple[Poses, ...], q: np.ndarray | None) -> np.ndarray:
+    n = chain.robot.n_joints
+    if q is None:
+        return np.asarray(poses[0].q[0], float)
+    q = np.asarray(q, float)
+    if q.shape != (n,) or not np.isfinite(q).all():
+        raise BadInputError(f"a pose of {q.size} values ({q.tolist()}); expected {n}: {', '.join(chain.robot.joint_names)}")
+    return q
+
+
+def _slider_ends(calibrated: CalibratedModel, poses: tuple[Poses, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of the joints' sliders, shape (n,) each: limits and all that is shown lie between them."""
+    robot = calibrated.model.chain.robot
+    lower = np.vstack([calibrated.covered.q[:, 0], *(part.q for part in poses)]).min(axis=0)
+    upper = np.vstack([calibrated.covered.q[:, 1], *(part.q for part in poses)]).max(axis=0)
+    return (
+        np.where(np.isfinite(robot.lower), np.minimum(robot.lower, lower), lower),
+        np.where(np.isfinite(robot.upper), np.maximum(robot.upper, upper), upper),
+    )
+
+
+def _visible(layer: Layer, reach: float) -> float:
+    """Return a round factor at which nearly all arrows are long enough to see and short enough to tell apart."""
+    size = float(np.percentile(layer.sizes, 95.0))
+    apart = float(np.cbrt(np.prod(np.ptp(layer.points, axis=0)) / len(layer.points)))
+    drawn = min(_DRAWN * reach, _CROWDED * apart) if apart > 0.0 else _DRAWN * reach
+    return round_down(drawn / size) if size > 0.0 else 1.0
+
+
+def _row_notes(poses: tuple[Poses, ...]) -> tuple[str, ...]:
+    measured = next((part for part in poses if part.name == "measured"), None)
+    if measured is None:
+        return ("no measured poses were given: only the workspace is shown",)
+    found = []
+    if measured.held_out is not None and not measured.held_out.any():
+        found.append("the held-out set is empty")
+    if measured.position is None:
+        found.append("the instrument measured no positions: no measured points are shown")
+    return tuple(found)
+
+
+def _upright(gravity: np.ndarray) -> np.ndarray:
+    """Return the rotation, shape (4, 4), that turns gravity downwards by the shortest way."""
+    size = float(np.linalg.norm(gravity))
+    if size == 0.0:
+        return np.eye(4)
+    up = -np.asarray(gravity) / size
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine, cosine = float(np.linalg.norm(axis)), float(up[2])
+    if sine < 1e-12:
+        return np.eye(4) if cosine > 0.0 else rotation("x", np.pi)
+    x, y, z = axis / sine
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    T = np.eye(4)
+    T[:3, :3] += sine * K + (1.0 - cosine) * K @ K
+    return T
+
+
+def _coordinates(calibrated: CalibratedModel) -> np.ndarray:
+    return np.asarray(calibrated.model.rigid_coordinates(calibrated.values[: calibrated.model.n_parameters]))
+
+
+def _base_in_instrument(chain: Chain, coordinates: np.ndarray) -> np.ndarray:
+    x, y, z, rx, ry, rz = (float(coordinates[chain.base(symbol)]) for symbol in FRAME_SYMBOLS)
+    return _placed(chain.base_rotation, x, y, z, rx, ry, rz)
+
+
+def _placed(reference: np.ndarray, x: float, y: float, z: float, rx: float, ry: float, rz: float) -> np.ndarray:
+    turned = translation(x, y, z)
+    turned[:3, :3] = reference
+    return np.asarray(turned @ rotation("x", rx) @ rotation("y", ry) @ rotation("z", rz))
+
+
+def _frames(
+    calibrated: CalibratedModel, upright: np.ndarray, seen: np.ndarray, coordinates: np.ndarray
+) -> tuple[Frame, ...]:
+    chain, n = calibrated.model.chain, calibrated.model.chain.robot.n_joints
+    known = {p.name: v for p, v in zip(calibrated.model.parameters, calibrated.values, strict=False)}
+    found = [Frame("base", 0, upright)]
+    # A contact knows no instrument: all it says is relative to the robot's base.
+    if any(p.effect == "base_frame" for p in calibrated.model.parameters):
+        found.append(Frame("instrument", 0, seen))
+    for target, reference in zip(chain.targets, chain.tool_rotations, strict=True):
+        one = len(chain.targets) == 1
+        at = [coordinates[chain.tool(s)] if one else known.get(f"{target}.{s}", 0.0) for s in FRAME_SYMBOLS]
+        placement = chain.robot.frames.T_last_tip @ _placed(reference, *map(float, at))
+        found.append(Frame(target, n, placement))
+    return tuple(found)

@@ -1,0 +1,313 @@
+"""What an arm looks like: the meshes of its URDF where they are, simple shapes where not."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlparse
+
+import numpy as np
+
+from pincal.errors import RobotFileError
+from pincal.robot.robot import Robot
+from pincal.robot.urdf import parse_xml
+
+# Faces of all meshes of a robot together; finer ones are thinned, since the page has to stay small and quick.
+_FACES = 60_000
+_SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
+# A mesh file beyond this is not read [bytes].
+_LARGEST = 200_000_000
+_GREY = (0.72, 0.75, 0.79)
+# Sides of a drawn cylinder.
+_SIDES = 20
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One body of one colour.
+
+    Attributes:
+        link: name of the link that it belongs to, as the control tree shows it.
+        body: 0 for what stands, i for what moves with joint i; its frame is S_i (the base frame for 0).
+        vertices: shape (V, 3) [m], in the frame of the body.
+        faces: shape (F, 3).
+        colour: red, green, blue from 0 to 1.
+    """
+
+    link: str
+    body: int
+    vertices: np.ndarray
+    faces: np.ndarray
+    colour: tuple[float, float, float]
+
+
+def shapes_of(robot: Robot, folders: Sequence[str | os.PathLike[str]] = ()) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    """Return what to draw of an arm, and in words what is drawn in another way than the URDF has it.
+
+    Args:
+        robot: the arm; its URDF's text says what its links look like, its source where their meshes may be.
+        folders: further folders with meshes, or with the packages that the URDF names.
+
+    Returns:
+        The shapes, and notes on meshes that are missing and links without a look.
+    """
+    drawn: list[Shape] = []
+    missing: list[str] = []
+    if robot.urdf:
+        try:
+            for shape in _visuals(robot, [Path(folder) for folder in folders]):
+                if isinstance(shape, Shape):
+                    drawn.append(shape)
+                else:
+                    missing.append(shape)
+        except (RobotFileError, ValueError, RuntimeError) as error:
+            missing.append(f"the look of the robot can't be read from its URDF ({error})")
+    notes = list(dict.fromkeys(missing))
+    bare = sorted(set(range(1, robot.n_joints + 1)) - {shape.body for shape in drawn})
+    if not drawn:
+        why = "the URDF shows no link" if not missing else "none of the URDF's meshes can be shown"
+        notes.append(f"{why if robot.urdf else 'the model holds no URDF'}: the arm is drawn in simple shapes")
+        bare = list(range(robot.n_joints + 1))
+    elif bare:
+        notes.append(f"drawn as simple shapes: what moves with {', '.join(robot.joint_names[i - 1] for i in bare)}")
+    return (*_thinned(drawn), *_simple(robot, bare)), tuple(notes)
+
+
+def _visuals(robot: Robot, folders: list[Path]) -> Iterator[Shape | str]:
+    """Yield the shapes of the URDF's visuals, or in words why one can't be shown."""
+    root = parse_xml(robot.urdf, robot.source)
+    colours = {m.get("name"): _colour(m) for m in root.iterfind("material")}
+    places = _link_places(robot)
+    for link in root.iterfind("link"):
+        name = link.get("name")
+        if name not in places:
+            continue
+        body, placement = places[name]
+        for visual in link.iterfind("visual"):
+            material = visual.find("material")
+            colour = None if material is None else _colour(material) or colours.get(material.get("name"))
+            at = placement @ _origin(visual)
+            for part in _geometry(visual, robot, folders):
+                if isinstance(part, str):
+                    yield f"{name}: {part}"
+                else:
+                    vertices, faces, own = part
+                    yield Shape(name, body, _moved(at, vertices), faces, colour or own or _GREY)
+
+
+def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
+    """Return link -> the body it moves with and its place in the body's frame; other arms of the URDF are left out."""
+    import pinocchio as pin
+
+    model = robot.pinocchio_model()
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    base = data.oMf[model.getFrameId(robot.base, pin.BODY)]
+    bodies = {model.getJointId(name): i + 1 for i, name in enumerate(robot.joint_names)}
+    found = {}
+    for frame in model.frames:
+        if frame.type != pin.BODY:
+            continue
+        if frame.parentJoint == 0:
+            found[frame.name] = (0, (base.inverse() * frame.placement).homogeneous)
+        elif frame.parentJoint in bodies:
+            body = bodies[frame.parentJoint]
+            found[frame.name] = (body, robot.T_link_joint[body - 1] @ frame.placement.homogeneous)
+    return found
+
+
+_Mesh = tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None]
+
+
+def _geometry(visual: Any, robot: Robot, folders: list[Path]) -> list[_Mesh | str]:
+    """Return the meshes of a visual, shape (V, 3) and (F, 3) with a colour of their own, or why there are none."""
+    geometry = visual.find("geometry")
+    shape = None if geometry is None else next((e for e in geometry if isinstance(e.tag, str)), None)
+    if shape is None:
+        return ["a visual without geometry is not shown"]
+    if shape.tag == "box":
+        return [(*_box(_numbers(shape, "size", 3)), None)]
+    if shape.tag in ("cylinder", "capsule"):
+        radius, length = _numbers(shape, "radius", 1)[0], _numbers(shape, "length", 1)[0]
+        return [(*_cylinder(np.array([0, 0, -length / 2]), np.array([0, 0, length / 2]), radius), None)]
+    if shape.tag == "sphere":
+        return [(*_sphere(_numbers(shape, "radius", 1)[0]), None)]
+    if shape.tag != "mesh":
+        return [f"a visual of kind {shape.tag} is not shown"]
+    name = shape.get("filename", "")
+    path = _find_mesh(name, robot.source, folders)
+    if path is None:
+        return [f"mesh {name} is not here"]
+    try:
+        return [*_read_mesh(path, _numbers(shape, "scale", 3) if shape.get("scale") else np.ones(3))]
+    except Exception as error:  # Readers of meshes fail in every way there is; the page is worth more than one of them.
+        return [f"mesh {name} can't be read ({type(error).__name__}: {str(error)[:120]})"]
+
+
+def _find_mesh(name: str, source: str, folders: list[Path]) -> Path | None:
+    """Return the file that a URDF means, looked for beside it and in the packages above it; nothing is fetched."""
+    url = urlparse(name)
+    if url.scheme not in ("", "file", "package", "model") or Path(name).suffix.lower() not in _SUFFIXES:
+        return None
+    path = Path(unquote(f"{url.netloc}{url.path}" if url.scheme in ("package", "model") else url.path))
+    beside = Path(source).resolve().parent
+    if url.scheme in ("", "file"):
+        candidates = [path] if path.is_absolute() else [folder / path for folder in (beside, *folders)]
+    else:
+        inside = Path(*path.parts[1:]) if len(path.parts) > 1 else path
+        homes = [beside, *beside.parents]
+        candidates = [home / inside for home in homes if home.name == path.parts[0]]
+        candidates += [home / path for home in (*homes, *folders, *_ros_folders())]
+        candidates += [folder / inside for folder in folders]
+    return next((file for file in candidates if file.is_file() and file.stat().st_size <= _LARGEST), None)
+
+
+def _ros_folders() -> Iterator[Path]:
+    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        yield from (Path(entry, below) for entry in os.environ.get(variable, "").split(os.pathsep) if entry)
+
+
+def _read_mesh(path: Path, scale: np.ndarray) -> list[_Mesh]:
+    import trimesh
+
+    scene = trimesh.load_scene(path)
+    found: list[_Mesh] = []
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        faces = getattr(mesh, "faces", None)
+        if faces is None or len(faces) == 0:
+            continue
+        vertices = _moved(np.asarray(T), np.asarray(mesh.vertices, float)) * scale
+        if not np.isfinite(vertices).all():
+            raise ValueError("vertices that are not finite")
+        found.append((vertices, np.asarray(faces), _mesh_colour(mesh)))
+    if not found:
+        raise ValueError("no triangles")
+    return found
+
+
+def _mesh_colour(mesh: Any) -> tuple[float, float, float] | None:
+    visual = getattr(mesh, "visual", None)
+    if visual is None or not getattr(visual, "defined", False):
+        return None
+    material = getattr(visual, "material", None)
+    rgba = getattr(material, "main_color", None) if material is not None else getattr(visual, "main_color", None)
+    return None if rgba is None else (rgba[0] / 255, rgba[1] / 255, rgba[2] / 255)
+
+
+def _thinned(shapes: list[Shape]) -> list[Shape]:
+    """Thin the finest meshes until all together have no more than the faces that a page can carry."""
+    total = sum(len(shape.faces) for shape in shapes)
+    if total <= _FACES:
+        return shapes
+    return [_thin(shape, max(200, int(len(shape.faces) * _FACES / total))) for shape in shapes]
+
+
+def _thin(shape: Shape, most: int) -> Shape:
+    """Merge vertices in cells that grow until ``most`` faces are left."""
+    extent = float(np.ptp(shape.vertices, axis=0).max())
+    cell = extent / 400
+    faces, vertices = shape.faces, shape.vertices
+    while len(faces) > most and cell < extent:
+        place = np.unique(np.round(shape.vertices / cell), axis=0, return_inverse=True)[1].ravel()
+        count = np.bincount(place)
+        vertices = np.column_stack([np.bincount(place, column) / count for column in shape.vertices.T])
+        faces = place[shape.faces]
+        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+        faces = np.unique(faces, axis=0)
+        cell *= 1.3
+    return Shape(shape.link, shape.body, vertices, faces, shape.colour)
+
+
+def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[Shape]:
+    """Yield a hub on each joint's axis and a bar to the next joint, for some bodies of the arm."""
+    frames, places = robot.frames, robot.frames.T_base_link @ robot.T_link_joint
+    points = [np.zeros(3), *places[:, :3, 3], (frames.T_base_link[-1] @ frames.T_last_tip)[:3, 3]]
+    inverses = [np.eye(4), *np.linalg.inv(frames.T_base_link)]
+    size = robot.reach / 22
+    for body in bodies:
+        radius = size * (1.0 - 0.6 * body / robot.n_joints)
+        name = robot.base if body == 0 else robot.joint_names[body - 1]
+        here, there = points[body], points[body + 1]
+        parts = [_cylinder(here, there, 0.7 * radius)] if np.linalg.norm(there - here) > 1e-6 else []
+        if body:
+            axis = _axis_direction(robot, body - 1)
+            parts.append(_cylinder(here - 1.3 * radius * axis, here + 1.3 * radius * axis, 1.25 * radius))
+        else:
+            parts.append(_cylinder(np.zeros(3), np.array([0.0, 0.0, 0.4 * radius]), 2.0 * radius))
+        for vertices, faces in parts:
+            yield Shape(name, body, _moved(inverses[body], vertices), faces, _GREY)
+
+
+def _axis_direction(robot: Robot, i: int) -> np.ndarray:
+    """Return the direction of a joint's axis at q = 0 in the base frame, shape (3,)."""
+    before = robot.frames.T_base_first if i == 0 else robot.frames.T_base_link[i - 1]
+    s_x, s_y = robot.frames.parameters[i, :2]
+    return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])
+
+
+def _box(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size / 2
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def _cylinder(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a closed cylinder from one point to another."""
+    along = (end - start) / np.linalg.norm(end - start)
+    side = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    side /= np.linalg.norm(side)
+    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    ring = radius * (np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(along, side)))
+    i = np.arange(_SIDES)
+    j = (i + 1) % _SIDES
+    low, high = np.full(_SIDES, 2 * _SIDES), np.full(_SIDES, 2 * _SIDES + 1)
+    faces = [(i, j, j + _SIDES), (i, j + _SIDES, i + _SIDES), (low, j, i), (high, i + _SIDES, j + _SIDES)]
+    return np.vstack([start + ring, end + ring, start, end]), np.concatenate([np.column_stack(f) for f in faces])
+
+
+def _sphere(radius: float) -> tuple[np.ndarray, np.ndarray]:
+    up, around = np.meshgrid(np.linspace(0, np.pi, 13), 2 * np.pi * np.arange(_SIDES) / _SIDES, indexing="ij")
+    points = np.stack([np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)], axis=-1)
+    k, i = (a.ravel() for a in np.meshgrid(np.arange(12), np.arange(_SIDES), indexing="ij"))
+    j = (i + 1) % _SIDES
+    a, b, c, d = k * _SIDES + i, k * _SIDES + j, (k + 1) * _SIDES + i, (k + 1) * _SIDES + j
+    return radius * points.reshape(-1, 3), np.concatenate([np.column_stack([a, c, d]), np.column_stack([a, d, b])])
+
+
+def _moved(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+
+def _numbers(element: Any, key: str, count: int) -> np.ndarray:
+    try:
+        values = np.array([float(word) for word in element.get(key, "").split()])
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (count,) or not np.isfinite(values).all():
+        raise RobotFileError(f"<{element.tag} {key}={element.get(key)!r}>; expected {count} finite numbers")
+    return values
+
+
+def _origin(visual: Any) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    origin = visual.find("origin")
+    if origin is not None:
+        T[:3, 3] = _numbers(origin, "xyz", 3) if origin.get("xyz") else 0.0
+        rpy = _numbers(origin, "rpy", 3) if origin.get("rpy") else np.zeros(3)
+        T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+    return T
+
+
+def _colour(material: Any) -> tuple[float, float, float] | None:
+    colour = material.find("color")
+    if colour is None:
+        return None
+    red, green, blue, _ = np.clip(_numbers(colour, "rgba", 4), 0.0, 1.0)
+    return float(red), float(green), float(blue)
