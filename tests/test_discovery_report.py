@@ -289,7 +289,7 @@ def test_figures_are_drawn_from_results(found: Discovery) -> None:
     """Each trace and the gaps make a figure; nothing to draw is refused."""
     for trace in found.traces:
         figure = effect_figure(trace, "title")
-        assert [axes.get_title().split(":")[0] for axes in figure.axes] == ["without it", "with it"]
+        assert [axes.get_title(loc="left").split(":")[0] for axes in figure.axes] == ["without it", "with it"]
     names = [str(k) for k in range(len(found.gaps))]
     shrinking_figure(names, {"rms": [gap.rms_mm for gap in found.gaps]}, 0.1)
     trace = found.traces[0]
@@ -325,7 +325,7 @@ def test_check_prints_what_could_be_found(tmp_path: Path, case: Case, capsys: py
 
     assert "Smallest effects that would be found" in printed
     assert "backlash" in printed and "µrad" in printed
-    assert max(len(line) for line in printed.splitlines() if line.startswith(("│", "┃"))) <= 100
+    assert max(len(line) for line in printed.splitlines()) <= 100
     assert _run("check", *common, "--json", "--quiet") == 0
     detectable = json.loads(capsys.readouterr().out)["detectable"]
     assert detectable["source"] == "declared" and detectable["power"] == 0.9
@@ -342,7 +342,7 @@ def test_discover_shows_the_gap_shrink(tmp_path: Path, case: Case, capsys: pytes
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     assert f"+ backlash of {case.hidden[0].joint}" in printed and "noise alone" in printed
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("without and with it") == 2
     assert "http" not in page.replace("http://www.w3.org", "")
     assert json.loads((tmp_path / "out" / "discovery.json").read_text())["effects"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +26,8 @@ from pincal.report.run import Calibration, run_calibration
 from pincal.report.shrink import Gap, Trace, gap_of, gaps_of, period_of, traces_of
 from pincal.report.where import elastic_entries, noise_floor, where_of
 from pincal.robot.robot import Robot
+
+log = logging.getLogger(__name__)
 
 _MISFIT = 1e-3
 _CV_BLOCKS = 8
@@ -85,7 +88,9 @@ def run_discovery(
     frames = list(moment_frames) or [options.moment_frame]
     calibration = partial(run_calibration, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
     found = {frames[0]: _discover(calibration, robot, measurements, replace(options, moment_frame=frames[0]), extra)}
-    for frame in _other_frames(*found[frames[0]], frames):
+    others = _other_frames(*found[frames[0]], frames)
+    for k, frame in enumerate(others, 1):
+        log.info("once more with --moment-frame %s", frame, extra={"done": k, "of": 1 + len(others)})
         found[frame] = _discover(calibration, robot, measurements, replace(options, moment_frame=frame), extra)
     costs = {frame: _cost(trail) + _FRAME_BETTER * (frame != frames[0]) for frame, (_, trail) in found.items()}
     frame = min(costs, key=lambda f: costs[f])

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-import base64
-import io
+import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from pincal.report.advice import not_told
 from pincal.report.discovery import Discovery
-from pincal.report.result import ParameterRow
+from pincal.report.glossary import TERMS, effect_meaning
+from pincal.report.illustrations import Picture, illustrations
+from pincal.report.nutshell import next_steps, verdict_of
+from pincal.report.result import ParameterRow, Result
 from pincal.report.run import Calibration
-from pincal.report.shrink import gap_names, trace_title
+from pincal.report.shrink import gap_names
+from pincal.report.units import digits, small_unit
 from pincal.report.words import effect_words
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+log = logging.getLogger(__name__)
 
-# Sharp at the width of the page, and a file that can be sent by mail.
-_DPI = 110
-_READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+_SOFT = (1e6, "µrad/(N m)")
+_READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N m)": _SOFT}
+_STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
+# An effect with more parameters than this is a curve; its numbers stand in discovery.json.
+_FEW = 4
 
 
 def write_report(
@@ -27,8 +34,10 @@ def write_report(
     provenance: dict[str, Any],
     notes: tuple[str, ...],
     discovery: Discovery | None = None,
+    *,
+    view: str | None = None,
 ) -> None:
-    """Write ``report.html``: errors before and after, parameters with reasons, notes, and what it all rests on.
+    """Write ``report.html``: how good, where the errors are, what was missing, parameters, and what it all rests on.
 
     Args:
         path: the file.
@@ -36,51 +45,130 @@ def write_report(
         provenance: versions, command, inputs with hashes.
         notes: what the exported URDF does not carry.
         discovery: what was found missing, if it was looked for.
+        view: name of the file beside the report that holds the view in three dimensions, if there is one.
     """
-    import jinja2
+    path.write_text(report_page(calibration, provenance, notes, discovery, view=view), encoding="utf-8")
 
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("pincal.report", "."), autoescape=True)
+
+def report_page(
+    calibration: Calibration,
+    provenance: dict[str, Any],
+    notes: tuple[str, ...],
+    discovery: Discovery | None = None,
+    *,
+    view: str | None = None,
+) -> str:
+    """Return what :func:`write_report` writes."""
+    import jinja2
+    from markupsafe import Markup
+
+    log.info("drawing the report")
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("pincal.report", "page"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["svg"] = Markup  # drawn by pincal.report.svg, all text in it escaped
     result = calibration.result
-    page = environment.get_template("report.html.j2").render(
+    part = "test" if "test" in result.error["calibrated"] else "train"
+    return environment.get_template("report.html.j2").render(
+        calibration=calibration,
         robot=calibration.robot,
-        kind=calibration.train.kind,
-        source=calibration.train.source,
         result=result,
-        errors=[(model, rows, values) for model, by_rows in result.error.items() for rows, values in by_rows.items()],
+        part=part,
+        glance=_glance(result, part),
+        verdict=verdict_of(result, discovery),
+        steps=next_steps(calibration, discovery),
+        errors=_error_rows(result),
         parameters=[(row, *_readable(row)) for row in result.parameters],
+        untold=not_told(result.parameters),
         notes=notes,
         provenance=provenance,
         discovery=discovery,
-        steps=[] if discovery is None else list(zip(gap_names(discovery.gaps), discovery.gaps, strict=True)),
-        figures=[] if discovery is None else _figures(discovery),
-        words=effect_words,
+        found=[] if discovery is None else _effects(discovery.report),
+        untestable=[] if discovery is None else _untestable(discovery.report),
+        gaps=[] if discovery is None else list(zip(gap_names(discovery.gaps), discovery.gaps, strict=True)),
+        pictures=_by_section(illustrations(calibration, discovery)),
+        view=view,
+        terms=TERMS,
+        meaning=effect_meaning,
     )
-    path.write_text(page, encoding="utf-8")
 
 
-def _figures(discovery: Discovery) -> list[tuple[str, str]]:
-    """Return the figures of a discovery: PNG in base 64, and what they show in words."""
-    from pincal.report.plots import effect_figure, shrinking_figure
-
-    gaps = discovery.gaps
-    errors = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
-    floor = discovery.report["noise_floor_mm"]
-    found = [(shrinking_figure(gap_names(gaps), errors, floor), "Error on held-out rows after each step")]
-    for trace in discovery.traces:
-        title = trace_title(trace)
-        found.append((effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with the effect"))
-    return [(_png(figure), words) for figure, words in found]
+def _by_section(pictures: list[Picture]) -> dict[str, list[Picture]]:
+    found: dict[str, list[Picture]] = {}
+    for picture in pictures:
+        found.setdefault(picture.section, []).append(picture)
+    return found
 
 
-def _png(figure: Figure) -> str:
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=_DPI)
-    return base64.b64encode(drawn.getvalue()).decode("ascii")
+def _glance(result: Result, part: str) -> list[dict[str, Any]]:
+    """Return mean, 95 % and worst error, before and after, with the lengths of their bars [%]."""
+    before, after = (result.error[model][part] for model in ("nominal", "calibrated"))
+    found = []
+    for unit in ("mm", "mrad"):
+        keys = [(f"{name}_{unit}", words) for name, words in _STATISTICS if f"{name}_{unit}" in after]
+        largest = max((max(before[key], after[key]) for key, _ in keys), default=0.0) or 1.0
+        for key, words in keys:
+            shares = [100.0 * errors[key] / largest for errors in (before, after)]
+            better = before[key] / after[key] if after[key] > 0.0 else None
+            found.append({"words": words, "unit": unit, "before": before[key], "after": after[key], "bars": shares,
+                          "better": better})  # fmt: skip
+    return found
+
+
+def _error_rows(result: Result) -> list[tuple[str, str, dict[str, float]]]:
+    """Return (model, rows, statistics) for the table of errors."""
+    models = {"nominal": "before: base and tool fitted", "calibrated": "after: calibrated"}
+    rows = {"train": "fitted", "test": "held out"}
+    return [
+        (models.get(model, model), rows.get(part, part), values)
+        for model, by_rows in result.error.items()
+        for part, values in by_rows.items()
+    ]
+
+
+def _effects(report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what was found, each effect with all that is to be said of it."""
+    found = []
+    for entry in report["effects"]:
+        parameters = [(name, _measured(p["value"], p["sigma"], p["unit"])) for name, p in entry["parameters"].items()]
+        found.append(
+            {
+                "name": effect_words(entry),
+                "meaning": effect_meaning(entry["effect"]),
+                "parameters": parameters if len(parameters) <= _FEW else [],
+                "count": len(parameters),
+                "chance": f"{entry['p_value']:.0e}" if entry["p_value"] > 0.0 else "below 1e-300",
+                "before": entry["gap_before_mm"],
+                "after": entry["gap_after_mm"],
+                "equivalent": [effect_words(other) for other in entry["equivalent"]],
+                "tell_apart": entry["tell_apart"],
+            }
+        )
+    return found
+
+
+def _measured(value: float, sigma: float | None, unit: str) -> str:
+    """Return a value with its standard deviation to two digits, in the unit that suits it."""
+    factor, name = _SOFT if unit == "rad/(N m)" else small_unit(unit)
+    if not sigma:
+        return f"{digits(value * factor)} {name}"
+    places = max(0, 1 - int(np.floor(np.log10(sigma * factor))))
+    return f"{value * factor:z.{places}f} ± {sigma * factor:.{places}f} {name}"
+
+
+def _untestable(report: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return effects that could not be tested, by reason."""
+    reasons: dict[str, list[str]] = {}
+    for entry in report["not_testable"]:
+        reason = entry["reason"].replace(entry["joint"], "this joint") if entry["joint"] else entry["reason"]
+        reasons.setdefault(reason, []).append(entry["effect"])
+    return [(", ".join(dict.fromkeys(names)), reason) for reason, names in reasons.items()]
 
 
 def _readable(row: ParameterRow) -> tuple[str, str, str, str]:
     """Return unit, nominal, value and sigma of a parameter as text."""
     factor, unit = _READABLE.get(row.unit, (1.0, row.unit))
-    form = "{:.4f}" if unit in ("mm", "mrad") else "{:.3e}"
-    sigma = "-" if row.sigma is None else (f"{row.sigma * factor:#.2g}" if factor != 1.0 else f"{row.sigma:.1e}")
-    return unit, form.format(row.nominal * factor), form.format(row.value * factor), sigma
+    form = "{:z.4f}" if factor != 1.0 else "{:.3e}"
+    sigma = "-" if row.sigma is None else f"{row.sigma * factor:#.2g}"
+    nominal, value = (form.format(v * factor) if v or unit in ("mm", "mrad") else "0" for v in (row.nominal, row.value))
+    return unit, nominal, value, sigma

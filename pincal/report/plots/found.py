@@ -1,0 +1,176 @@
+"""What a discovery found: how the error shrinks step by step, and what each effect explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, TEXT, THIRD, canvas, dress, legend, log_axis, plain
+from pincal.report.shrink import Trace
+from pincal.report.units import told
+
+# Bins of a variable, and rows that a bin needs.
+_BINS, _FEWEST = 30, 4
+# A variable with no more values than this is a category.
+_CATEGORIES = 5
+_MOST_DOTS = 700
+_PER_STEP = 0.5  # [in]
+_LONGEST = 58
+
+
+def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]], floor: float) -> Figure:
+    """Draw how the error on held-out rows shrinks, model by model, down to the noise.
+
+    Args:
+        names: K models, in the order in which they were fitted.
+        errors: statistic ("mean", "rms", "max") -> K errors [mm].
+        floor: rms of the noise alone [mm].
+
+    Raises:
+        ValueError: if there is no model, or a statistic does not have one number a model.
+
+    Example:
+        >>> figure = shrinking_figure(["start", "+ backlash"], {"rms": [0.2, 0.1]}, 0.09)
+        >>> figure.axes[0].get_xlabel()
+        'held-out error [mm]'
+        >>> shrinking_figure([], {}, 0.1)
+        Traceback (most recent call last):
+            ...
+        ValueError: no models to draw; expected names and as many errors of each statistic
+    """
+    if not names or any(len(values) != len(names) for values in errors.values()):
+        raise ValueError("no models to draw; expected names and as many errors of each statistic")
+    low = min(floor, *(min(values) for values in errors.values()))
+    high = max(floor, *(max(values) for values in errors.values()))
+    figure = canvas(1.5 + _PER_STEP * len(names), left=0.25, top=0.7)
+    axes = figure.subplots()
+    steps = np.arange(len(names))[::-1]
+    spans = np.array([[min(v[i] for v in errors.values()), max(v[i] for v in errors.values())] for i in range(len(names))])
+    axes.hlines(steps, spans[:, 0], spans[:, 1], color=MUTED, linewidth=1.0)
+    for k, (statistic, values) in enumerate(errors.items()):
+        axes.plot(values, steps, "osD"[k % 3], color=(AFTER, THIRD, BEFORE)[k % 3], markersize=6, label=statistic)
+    # Not through the names above.
+    axes.vlines(np.full(len(names), floor), steps - 0.24, steps + 0.14, color=INK, linewidth=1.6, label="noise (rms)")
+    log_axis(axes, "x", 0.6 * low, 1.6 * high)
+    # Names stand above their own line, where a phone has room for them.
+    for step, name in zip(steps, names, strict=True):
+        axes.annotate(
+            plain(name, _LONGEST), (0.01, step + 0.26), xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK
+        )
+    axes.set_ylim(-0.5, len(names) - 0.25)
+    dress(axes, x="held-out error [mm]")
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    legend(axes, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(errors) + 1, columnspacing=1.0, handlelength=1.6)
+    return figure
+
+
+def effect_figure(trace: Trace, title: str) -> Figure:
+    """Draw what an effect explains: errors against the variable that it follows, before and after it entered the model.
+
+    Grey is each row's error at the coordinate on which the effect acts, black the mean in a bin of the variable with its
+    standard deviation, blue the fitted effect.
+
+    Args:
+        trace: what the effect explains.
+        title: its name.
+
+    Raises:
+        ValueError: if the trace has no rows.
+    """
+    if len(trace.x) == 0:
+        raise ValueError(f"no rows of {title} to draw; expected at least one")
+    figure = canvas(5.4, rows=2, left=0.84, top=0.92)
+    panels = figure.subplots(2, 1, sharex=True, sharey=True)
+    factor, unit = (1e6, "µrad") if trace.error_unit == "rad" else (1e6, "µm")
+    x, label = _axis(trace)
+    reached = [trace.fitted.min() * factor, trace.fitted.max() * factor]
+    for axes, errors, name in zip(panels, (trace.before, trace.after), ("without it", "with it"), strict=True):
+        reached += _draw_errors(axes, x, errors * factor, trace.weights / factor**2)
+        spread = float(np.sqrt(np.average(errors**2, weights=trace.weights)))
+        dress(axes, title=f"{name}: rms {told(spread, trace.error_unit)}")
+    _draw_effect(panels[0], x, trace.fitted * factor)
+    panels[1].axhline(0.0, color=AFTER, linewidth=1.4)
+    margin = 0.08 * (max(reached) - min(reached)) or 1.0
+    panels[0].set_ylim(min(reached) - margin, max(reached) + margin)
+    panels[1].set_xlabel(label, fontsize=TEXT, color=INK)
+    of = f"error of {plain(trace.joint)}" if trace.joint else "error along the effect"
+    figure.supylabel(f"{of} [{unit}]", fontsize=TEXT, color=INK, x=0.015)
+    figure.suptitle(plain(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=SMALL, frameon=False, labelcolor=INK, ncols=3, loc="upper left",
+                  bbox_to_anchor=(0.0, 0.955), columnspacing=1.0, handletextpad=0.3)  # fmt: skip
+    return figure
+
+
+def _axis(trace: Trace) -> tuple[np.ndarray, str]:
+    """Return the variable in the unit of its axis, and the axis' label."""
+    if trace.unit == "rad":
+        return np.degrees(trace.x), f"{plain(trace.variable)} [deg]"
+    if trace.variable == "time":
+        return trace.x / 3600.0, "time [h]"
+    if trace.variable == "approach":
+        return trace.x, f"direction of approach of {plain(trace.joint or '')}"
+    name = f"moment on {plain(trace.joint or 'the base')}" if trace.variable == "moment" else plain(trace.variable)
+    return trace.x, f"{name} [{trace.unit}]"
+
+
+def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> list[float]:
+    """Draw rows and their means in bins; return what the axis should reach, whatever rows with short levers say."""
+    shown = np.unique(np.linspace(0, len(x) - 1, _MOST_DOTS).astype(int))
+    jitter = np.zeros(len(x))
+    values = np.unique(x)
+    if len(values) <= _CATEGORIES:
+        jitter = np.random.default_rng(0).uniform(-0.12, 0.12, len(x)) * (np.diff(values).min() if len(values) > 1 else 1.0)
+        axes.set_xticks(values)
+    # Rows with a short lever say little: they are drawn faintly.
+    strength = np.clip(weights / np.quantile(weights, 0.9), 0.05, 1.0)
+    _draw_dots(axes, (x + jitter)[shown], errors[shown], strength[shown])
+    centres, means, spreads = _binned(x, errors, weights)
+    style = {"color": INK, "markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9}
+    axes.errorbar(centres, means, spreads, fmt="o", label="mean of near rows", zorder=3, **style)  # type: ignore[arg-type]
+    axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=0)
+    strong = errors[strength > 0.3] if np.any(strength > 0.3) else errors
+    ends = np.concatenate([np.quantile(strong, [0.01, 0.99]), means - spreads, means + spreads])
+    return [float(ends.min()), float(ends.max())]
+
+
+def _draw_dots(axes: Axes, x: np.ndarray, errors: np.ndarray, strength: np.ndarray) -> None:
+    """Draw a dot a row in three strengths; one for each row of its own would make the file large."""
+    for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
+        rows = (strength >= low) & (strength < high)
+        label = "a row" if k == 2 else None
+        axes.plot(
+            x[rows], errors[rows], ".", color=MUTED, markersize=3.6, markeredgewidth=0.0, alpha=0.25 + 0.25 * k, label=label
+        )
+
+
+def _binned(x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return centres, weighted means and their standard deviations in bins of x; each value of few is a bin."""
+    values = np.unique(x)
+    if len(values) <= _CATEGORIES:
+        edges = np.concatenate([[values[0] - 1.0], (values[1:] + values[:-1]) / 2.0, [values[-1] + 1.0]])
+    else:
+        edges = np.linspace(x.min(), x.max(), min(_BINS, max(len(x) // 8, 1)) + 1)
+    place = np.clip(np.digitize(x, edges) - 1, 0, len(edges) - 2)
+    count = np.bincount(place, minlength=len(edges) - 1)
+    total = np.bincount(place, weights, len(edges) - 1)
+    full = (count >= _FEWEST) & (total > 0.0)
+    centres = np.bincount(place, weights * x, len(edges) - 1)[full] / total[full]
+    means = np.bincount(place, weights * errors, len(edges) - 1)[full] / total[full]
+    return centres, means, 1.0 / np.sqrt(total[full])
+
+
+def _draw_effect(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
+    """Draw the fitted effect: a line where it is a function of x, else points."""
+    order = np.argsort(x, kind="stable")
+    x, y = x[order], fitted[order]
+    size = np.ptp(y) or 1.0
+    near = np.diff(x) < 2e-3 * (np.ptp(x) or 1.0)
+    is_function = np.quantile(np.abs(np.diff(y))[near], 0.9) < 0.1 * size if near.any() else True
+    shown = np.unique(np.linspace(0, len(x) - 1, _MOST_DOTS).astype(int))
+    style = "-" if is_function else "."
+    axes.plot(x[shown], y[shown], style, color=AFTER, linewidth=1.8, markersize=2.5, label="fitted", zorder=4)

@@ -1,0 +1,49 @@
+"""What a calibration changed: the corrections that the data tell, with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from pincal.model.chain import FRAME_SYMBOLS
+from pincal.report.plots.style import AFTER, INK, MUTED, SMALL, canvas, dress, plain
+from pincal.report.result import ParameterRow
+
+_PER_ROW, _LETTER = 0.22, 0.082  # [in]
+_MOST, _LONGEST = 24, 26
+_PANELS = {"m": (1e3, "mm", "Lengths"), "rad": (1e3, "mrad", "Angles")}
+
+
+def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
+    """Draw how far the identified parameters of one unit are from the nominal robot, with 95 % intervals.
+
+    Where instrument and target are was never known, so they are left out.
+
+    Args:
+        parameters: the parameter table.
+        unit: "m" or "rad".
+
+    Raises:
+        ValueError: if none is identified.
+    """
+    known = [p for p in parameters if p.unit == unit and p.status == "identified" and p.sigma]
+    told = [p for p in known if p.name.rsplit(".", 1)[1] not in FRAME_SYMBOLS]
+    if not told:
+        raise ValueError(f"no identified parameter in {unit} to draw")
+    factor, name, title = _PANELS[unit]
+    told.sort(key=lambda p: -abs(p.value - p.nominal))
+    told = told[:_MOST]
+    names = [plain(p.name, _LONGEST) for p in reversed(told)]
+    figure = canvas(1.1 + _PER_ROW * len(told), left=0.3 + _LETTER * max(map(len, names)))
+    axes = figure.subplots()
+    axes.axvline(0.0, color=MUTED, linewidth=0.9)
+    for i, p in enumerate(reversed(told)):
+        change, half = (p.value - p.nominal) * factor, 1.96 * (p.sigma or 0.0) * factor
+        sure = abs(change) > half
+        axes.errorbar(change, i, xerr=half, fmt="o", color=AFTER if sure else MUTED, mfc=AFTER if sure else "none",
+                      markersize=4.5, elinewidth=1.4)  # fmt: skip
+    axes.set_ylim(-0.7, len(told) - 0.3)
+    dress(axes, x=f"calibrated minus nominal [{name}]", title=title)
+    axes.set_yticks(range(len(told)), names, fontsize=SMALL, color=INK)
+    return figure

@@ -1,0 +1,100 @@
+"""One look for all figures: colours that colour-blind readers tell apart, sizes that stay readable on a phone."""
+
+from __future__ import annotations
+
+import unicodedata
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
+
+# Okabe and Ito's colours, told apart by colour-blind readers: vermilion, orange, blue, green, sky blue, purple.
+COLOURS = ("#D55E00", "#E69F00", "#0072B2", "#009E73", "#56B4E9", "#CC79A7")
+BEFORE, AFTER, THIRD = COLOURS[0], COLOURS[2], COLOURS[3]
+INK, MUTED, GRID = "#1B1F24", "#5B6571", "#D8DDE3"
+# As wide as a phone, so that a page shows figures at their own size, side by side where there is room [in].
+WIDTH, HEIGHT = 5.2, 3.5
+TEXT, SMALL = 11.5, 10.5  # [pt]
+# Room about the axes [in]; fixed, as fitting it takes longer than drawing.
+_LEFT, _RIGHT, _BOTTOM, _TOP = 0.86, 0.16, 0.58, 0.36
+_LONGEST = 34
+
+
+def canvas(
+    height: float = HEIGHT, *, rows: int = 1, left: float = _LEFT, top: float = _TOP, right: float = _RIGHT
+) -> Figure:
+    """Return an empty figure of the usual width with room for ``rows`` panels, one above the other [in]."""
+    figure = Figure(figsize=(WIDTH, height), dpi=150)
+    figure.subplots_adjust(
+        left=left / WIDTH,
+        right=1.0 - _RIGHT / WIDTH,
+        bottom=_BOTTOM / height,
+        top=1.0 - top / height,
+        hspace=0.0 if rows == 1 else 0.28,
+    )
+    return figure
+
+
+def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
+    """Give axes their labels and the common look: no box, a faint grid."""
+    axes.set_xlabel(x, fontsize=TEXT, color=INK)
+    axes.set_ylabel(y, fontsize=TEXT, color=INK)
+    if title:
+        axes.set_title(title, fontsize=TEXT, color=INK, loc="left", fontweight="bold")
+    axes.tick_params(labelsize=SMALL, color=MUTED, labelcolor=INK, which="both")
+    axes.grid(visible=True, which="major", color=GRID, linewidth=0.7)
+    axes.set_axisbelow(True)
+    for name, spine in axes.spines.items():
+        spine.set_color(MUTED)
+        spine.set_visible(name in ("left", "bottom"))
+    axes.patch.set_alpha(0.0)
+
+
+def legend(axes: Axes, **where: Any) -> None:
+    """Draw the legend without a box."""
+    axes.legend(fontsize=SMALL, frameon=False, labelcolor=INK, **where)
+
+
+def plain(text: str, longest: int = _LONGEST) -> str:
+    r"""Return a name from a file as text to draw: one line, no mathematics, not too long.
+
+    Example:
+        >>> print(plain("a$b$\nc"), len(plain("long " * 30)))
+        a\$b\$ c 34
+    """
+    clean = "".join(" " if unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") else c for c in text)
+    short = clean if len(clean) <= longest else clean[: longest - 1] + "…"
+    return short.replace("$", r"\$")
+
+
+def log_axis(axes: Axes, which: str, low: float, high: float) -> None:
+    """Make an axis logarithmic from ``low`` to ``high`` with ticks at 1, 2, 5, written as plain numbers."""
+    steps = (1.0, 2.0, 5.0) if high < 1500.0 * low else (1.0,)
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    ticks = np.array([step * decade for decade in decades for step in steps])
+    ticks = ticks[(ticks >= low * 0.999) & (ticks <= high * 1.001)]
+    axis: Axis
+    if which == "x":
+        axes.set_xscale("log")
+        axes.set_xlim(low, high)
+        axis = axes.xaxis
+    else:
+        axes.set_yscale("log")
+        axes.set_ylim(low, high)
+        axis = axes.yaxis
+    axis.set_major_locator(FixedLocator(ticks.tolist()))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+
+
+def span_of(*sizes: np.ndarray) -> tuple[float, float]:
+    """Return the ends of a logarithmic axis that shows nearly all of these errors; what is smaller is not missed."""
+    both = np.concatenate(sizes)
+    both = both[np.isfinite(both) & (both > 0.0)]
+    if not len(both):
+        return 1e-3, 1.0
+    low, high = float(np.quantile(both, 0.01)), float(both.max())
+    return max(low, high * 1e-5) / 1.2, high * 1.15

@@ -1,0 +1,201 @@
+"""The page of a calibration: what it says, that names stay text, and that odd cases still make a page."""
+
+import html
+import re
+import time
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, page_of, panda_run
+
+from pincal import Robot
+from pincal.report.advice import narrow_joints, not_told
+from pincal.report.discovery import Discovery
+from pincal.report.glossary import EFFECTS
+from pincal.report.html import write_report
+from pincal.report.nutshell import next_steps, verdict_of
+from pincal.report.run import Calibration
+
+
+class Page(HTMLParser):
+    """Elements, identifiers and text of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.identifiers: list[str] = []
+        self.references: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        """Note an element, its identifier and what it refers to."""
+        self.tags.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.identifiers.append(value)
+            if name in ("src", "href") or "url(" in (value or ""):
+                self.references.append(value)
+            assert not name.startswith("on"), f"{tag} has {name}"
+
+    def handle_data(self, data):
+        """Collect text."""
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def run(kuka: Robot) -> Calibration:
+    return kuka_run(kuka)
+
+
+@pytest.fixture(scope="module")
+def page(run: Calibration) -> str:
+    return page_of(run)
+
+
+@pytest.fixture(scope="module")
+def found() -> Discovery:
+    return discovered()
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave figures away, where only words are looked at."""
+    monkeypatch.setattr("pincal.report.html.illustrations", lambda *_: [])
+
+
+def test_the_page_needs_nothing_from_elsewhere(page: str) -> None:
+    """No script, no reference out of the page, no identifier twice."""
+    parsed = Page(page)
+    assert "script" not in parsed.tags and "link" not in parsed.tags and "http" not in page
+    assert all(ref.startswith(("#", "data:image/png;base64,")) or "url(#" in ref for ref in parsed.references)
+    assert len(parsed.identifiers) == len(set(parsed.identifiers))
+    own = set(parsed.identifiers)
+    assert {ref[1:] for ref in parsed.references if ref.startswith("#")} <= own
+
+
+def test_the_nutshell_has_the_held_out_numbers(page: str, run: Calibration) -> None:
+    """Mean before and after on held-out poses, the noise, and what to do next stand at the top."""
+    top = Page(page[: page.index('id="subject"')]).text
+    errors = {model: run.result.error[model]["test"]["mean_mm"] for model in ("nominal", "calibrated")}
+    assert f"{errors['nominal']:.3f}" in top and f"{errors['calibrated']:.4f}" in top
+    assert "never saw" in top and "What to do next" in top and "adequate" in top and "0.0500 mm" in top
+
+
+def test_all_that_a_report_owes_is_there(page: str, run: Calibration) -> None:
+    """Every parameter with its reason, every joint with its figure, correlations, what it rests on."""
+    parsed = Page(page)
+    for row in run.result.parameters:
+        assert row.name in parsed.text and html.unescape(row.reason) in parsed.text
+    figures = re.findall(r"<figure>.*?</figure>", page, flags=re.DOTALL)
+    assert len(figures) >= 3 + run.robot.n_joints + 4
+    assert all('role="img" aria-label="' in figure and "<figcaption>" in figure for figure in figures)
+    for words in ("Correlations worth knowing", "what to measure", "SHA-256", "pincal test", "repeatability", "compliance"):
+        assert words in parsed.text
+
+
+def test_colours_of_figures_are_the_pages(page: str) -> None:
+    """Ink, grid and the colours of before and after follow light and dark."""
+    assert all(f"var(--{name})" in page for name in ("ink", "muted", "grid", "before", "after"))
+    assert "#1b1f24" not in page[page.index("</style>") :] and "prefers-color-scheme: dark" in page
+
+
+def test_a_hostile_name_is_text() -> None:
+    """Names of robot, link, joint and table that would be mark-up stay text, in figures, too."""
+    run = hostile_run()
+    page = page_of(run)
+    parsed = Page(page)
+    assert "script" not in parsed.tags and "b onload" not in page.replace("&lt;b onload", "")
+    assert HOSTILE.split("\n")[0] in parsed.text and "{{ 7 * 7 }}" in parsed.text
+    assert run.robot.joint_names[1] == HOSTILE + "2"
+
+
+def test_no_held_out_rows_are_said_to_be_none(kuka: Robot, no_figures: None) -> None:
+    """Without held-out rows the page says that its numbers are those of the fit."""
+    text = Page(page_of(kuka_run(kuka, test_fraction=0.0))).text
+    assert "No poses were held out" in text and "No rows were held out" in text and "--holdout" in text
+
+
+def test_seven_joints_make_a_page() -> None:
+    """A 7R arm has a figure for each of its joints."""
+    page = page_of(panda_run())
+    assert all(f"Error against the position of panda_joint{i}" in page for i in range(1, 8))
+
+
+@pytest.mark.parametrize(("kind", "words"), [("pose", "orientation error"), ("distance", "distance error")])
+def test_other_readings_make_a_page(kuka: Robot, kind: str, words: str) -> None:
+    """Errors of orientation have figures of their own, distances are no positions."""
+    page = page_of(kuka_run(kuka, 140, kind=kind))
+    assert words in page
+    assert ("mrad</span>" in page) == (kind == "pose")
+
+
+def test_the_view_is_linked_if_there_is_one(run: Calibration, page: str, no_figures: None) -> None:
+    """A file beside the report is linked; without one the page says how to make it."""
+    assert 'href="view 3d.html"'.replace(" ", "%20") in page_of(run, view="view 3d.html")
+    assert "pincal view model.json" in page and "view3d.html</a>" not in page
+
+
+def test_a_discovery_is_told_step_by_step(found: Discovery, tmp_path: Path) -> None:
+    """Where, which, how sure, what else, and a figure of the gap and of each effect."""
+    write_report(tmp_path / "report.html", found.calibration, ORIGIN, (), found)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    text = " ".join(Page(page).text.split())
+    for entry in found.report["where"]:
+        assert entry["statement"] in text
+    for entry in found.report["effects"]:
+        assert entry["effect"] in text and EFFECTS[entry["effect"]] in text
+    assert page.count("without and with it") == len(found.traces) and "Error on held-out rows after each step" in page
+    assert "noise alone" in text and "chance that noise looks like this" in text
+
+
+def test_verdicts(run: Calibration, found: Discovery) -> None:
+    """Declared noise is a measure, estimated noise none; a fit that did not settle is not to be used."""
+    result = run.result
+    assert verdict_of(result).word == "adequate"
+    assert verdict_of(replace(result, chi2_p_value=None)).word == "not judged"
+    assert verdict_of(replace(result, chi2_p_value=1e-9)).word == "not adequate"
+    assert verdict_of(replace(result, converged=False)).word == "not converged"
+    assert verdict_of(found.calibration.result, found).word == found.report["verdict"]
+
+
+def test_next_steps_follow_from_what_is_wrong(run: Calibration) -> None:
+    """What misses something is to be searched; outliers are to be looked at."""
+    worse = replace(run, result=replace(run.result, chi2_p_value=1e-9, outliers=(3, 4)))
+    steps = " ".join(next_steps(worse))
+    assert "pincal discover" in steps and "2 rows" in steps
+    assert "Use it" in " ".join(next_steps(run))
+
+
+def test_causes_cover_every_reason(run: Calibration) -> None:
+    """Each parameter that is not identified has a cause with advice, and no reason is unknown."""
+    gaps = not_told(run.result.parameters)
+    assert sum(len(gap.rows) for gap in gaps) == sum(row.status != "identified" for row in run.result.parameters)
+    assert "Other" not in {gap.title for gap in gaps}
+
+
+def test_a_joint_that_hardly_moved_is_named(run: Calibration) -> None:
+    """A joint that covers little of its range is named with the part that it does."""
+    q = run.train.q.copy()
+    q[:, 2] *= 0.05
+    assert [name for name, _ in narrow_joints(replace(run, train=replace_q(run.train, q)))] == ["joint_3"]
+    assert narrow_joints(run) == ()
+
+
+def replace_q(table, q):
+    from pincal.measure.table import measurements_from_arrays
+
+    return measurements_from_arrays(table.joint_names, q, position=table.position)
+
+
+@pytest.mark.long
+def test_twelve_thousand_rows_take_seconds_and_few_megabytes(kuka: Robot, tmp_path: Path) -> None:
+    """The report of 12000 rows is written within 5 s and is no larger than 5 MB."""
+    run = kuka_run(kuka, 12000)
+    begun = time.perf_counter()
+    write_report(tmp_path / "report.html", run, ORIGIN, ())
+    seconds, size = time.perf_counter() - begun, (tmp_path / "report.html").stat().st_size / 1e6
+    print(f"report of {len(run.train) + len(run.test)} rows: {seconds:.2f} s, {size:.2f} MB")
+    assert size <= 5.0 and seconds <= 5.0
