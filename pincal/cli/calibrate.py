@@ -19,8 +19,12 @@ from pincal.cli.common import (
     provenance,
     robot_options,
     split_options,
+    view_option,
 )
 from pincal.errors import AccuracyGateError
+
+# The view in three dimensions, beside the report.
+VIEW = "view3d.html"
 
 _EPILOG = """\b
 Example:
@@ -40,8 +44,10 @@ Exit: 0 done, 2 usage, 3 bad input, 4 not converged, 5 --max-error not met.
 @model_options
 @split_options
 @click.option("--max-error", type=LENGTH, help="Fail (exit 5) if the mean held-out error is larger, e.g. 0.1mm.")
+@view_option
 @output_options
-def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_error: float | None, **chosen: Any) -> int:
+def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_error: float | None, view: bool,
+              **chosen: Any) -> int:  # fmt: skip
     """Calibrate a robot from a table of measured poses and validate on rows held out of the fit."""
     show_progress(quiet)
     from pincal.cli.inputs import load_robot, load_table, options_of
@@ -61,7 +67,7 @@ def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max
             holdout=held,
         )
         files = [data, *([chosen["holdout"]] if chosen["holdout"] else []), Path(arm.source)]
-        exported = write_results(draft, calibration, provenance(files, seed=chosen["seed"]))
+        exported = write_results(draft, calibration, provenance(files, seed=chosen["seed"]), view=view)
     if as_json:
         print_json(calibration.result.to_dict())
     else:
@@ -70,24 +76,38 @@ def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max
         print_result(calibration.result, console())
         for note in exported:
             click.echo(f"note: {note}")
-        click.echo(f"written to {out}: model.json result.json calibrated.urdf residuals.csv report.html")
+        click.echo(f"written to {out}: model.json result.json calibrated.urdf residuals.csv report.html" + view * f" {VIEW}")
     return verdict(calibration.result, max_error)
 
 
-def write_results(folder: Path, calibration: Any, origin: dict[str, Any], discovery: Any = None) -> tuple[str, ...]:
+def write_results(
+    folder: Path, calibration: Any, origin: dict[str, Any], discovery: Any = None, *, view: bool = False
+) -> tuple[str, ...]:
     """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
     from pincal.report.html import write_report
     from pincal.report.model_file import calibrated_model_of, save_model
     from pincal.report.urdf_export import calibrated_urdf
 
     fit = calibration.fit
-    save_model(folder / "model.json", calibrated_model_of(fit, origin))
+    model = calibrated_model_of(fit, origin)
+    save_model(folder / "model.json", model)
     (folder / "result.json").write_text(json.dumps(calibration.result.to_dict(), indent=1, allow_nan=False))
     export = calibrated_urdf(fit.model, fit.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
     write_residuals(folder / "residuals.csv", calibration)
-    write_report(folder / "report.html", calibration, origin, export.notes, discovery)
+    if view:
+        _write_view(folder / VIEW, calibration, model)
+    write_report(folder / "report.html", calibration, origin, export.notes, discovery, view=VIEW if view else None)
     return tuple(export.notes)
+
+
+def _write_view(path: Path, calibration: Any, model: Any) -> None:
+    from pincal.measure.table import concatenate
+    from pincal.viewer import build_scene, write_html
+
+    train, test = calibration.train, calibration.test
+    rows = concatenate([train, test]) if len(test) else train
+    write_html(path, build_scene(model, rows, held_out=np.repeat([False, True], [len(train), len(test)])))
 
 
 def write_residuals(path: Path, calibration: Any) -> None:

@@ -102,6 +102,8 @@ split_options = options(
     click.option("--seed", type=int, default=0, show_default=True, help="Of the choice of held-out rows."),
 )  # fmt: skip
 
+view_option = click.option("--view", is_flag=True, help="Also write view3d.html: the robot and its errors in 3D.")
+
 output_options = options(
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, for programs."),
     click.option("--quiet", is_flag=True, help="No progress and no notes on stderr."),

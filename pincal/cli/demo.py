@@ -52,19 +52,19 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
             options = Options(effects=effects, payload_centre=PAYLOAD_COM, sigma=_NOISE)
             runs[name] = run_calibration(robot, table, options, seed=seed)
         origin = provenance([draft / "measurements.csv", draft / "kuka_kr125_2.urdf"], seed=seed)
-        write_results(draft, runs["DH,s,e"], origin)
+        write_results(draft, runs["DH,s,e"], origin, view=True)
         deviation_figure(_deviations(runs)).savefig(draft / "deviations.png", dpi=120)
         found = _hide_and_discover(second, robot, options, seed)
     if as_json:
-        print_json({name: run.result.to_dict() for name, run in runs.items()} | {"discovery": found})
+        print_json({name: run.result.to_dict() for name, run in runs.items()} | {"discovery": found.report})
     else:
         _tell(runs, out)
         _tell_hidden(found, out)
     return 0
 
 
-def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> dict[str, Any]:
-    """Measure the robot with a bad gear, discover that, write everything, and return the contents of discovery.json."""
+def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> Any:
+    """Measure the robot with a bad gear, discover that, write everything, and return the discovery."""
     from pincal.cli.calibrate import write_results
     from pincal.measure.table import read_measurements
     from pincal.report.discovery import run_discovery
@@ -72,9 +72,9 @@ def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> dic
     _measure(folder / "measurements.csv", robot, np.random.default_rng([seed, 2]), hidden=True)
     table = read_measurements(folder / "measurements.csv", robot.joint_names)
     found = run_discovery(robot, table, options, seed=seed)
-    write_results(folder, found.calibration, provenance([folder / "measurements.csv"], seed=seed))
+    write_results(folder, found.calibration, provenance([folder / "measurements.csv"], seed=seed), found, view=True)
     (folder / "discovery.json").write_text(json.dumps(found.report, indent=1, allow_nan=False))
-    return found.report
+    return found
 
 
 def _measure(path: Path, robot: Any, rng: np.random.Generator, *, hidden: bool = False) -> None:
@@ -133,7 +133,8 @@ def _tell(runs: dict[str, Any], out: Path) -> None:
         screen.print(f"note: {note}")
 
 
-def _tell_hidden(found: dict[str, Any], out: Path) -> None:
+def _tell_hidden(found: Any, out: Path) -> None:
+    from pincal.cli.calibrate import VIEW
     from pincal.cli.tables import console, print_discovery
 
     screen, folder = console(), out / _HIDDEN_FOLDER
@@ -144,20 +145,21 @@ def _tell_hidden(found: dict[str, Any], out: Path) -> None:
         f"{_ROWS} poses are measured again and calibrated with all of the above. Nobody tells the calibration\n"
         "of the wheel, and the held-out error stays above the noise. What is missing, and where?\n"
     )
-    print_discovery(found, screen)
-    for entry in found["effects"]:
+    print_discovery(found.report, screen, found.gaps)
+    for entry in found.report["effects"]:
         if entry["effect"] == "gear_eccentricity" and entry["joint"] == joint:
             waves = [parameter["value"] for parameter in entry["parameters"].values()]
             amplitude = 1e3 * float(np.hypot(*waves))
             screen.print(f"\nPut in: {size} at {joint}, twice a turn. Found: {amplitude:.4f} mrad.")
     screen.print("\nOpen", style="bold")
     for path, words in (
-        (out / "report.html", "the calibration, with the uncertainty of every parameter"),
-        (out / "deviations.png", "the error at poses the fit never saw"),
-        (folder / "report.html", "the calibration with the effect that was found"),
+        (out / "report.html", "how good, where errors are, every parameter with its uncertainty"),
+        (out / VIEW, "the robot, its errors and the measured poses in 3D"),
+        (out / "deviations.png", "Fig. 6 of the paper: the error at poses the fit never saw"),
+        (folder / "report.html", "what was missing, and how the error shrank to the noise"),
         (folder / "discovery.json", "what was found, for programs"),
     ):
-        screen.print(f"  {path!s:42s} {words}", soft_wrap=True)
+        screen.print(f"  {path!s:40s} {words}", soft_wrap=True)
     screen.print("\nThen try your own robot, or one that you make up:", style="bold")
     urdf = out / "kuka_kr125_2.urdf"
     for line in (

@@ -19,6 +19,7 @@ from pincal.cli.common import (
     provenance,
     robot_options,
     split_options,
+    view_option,
 )
 
 _EPILOG = """\b
@@ -37,11 +38,13 @@ DIR then holds what calibrate writes, for the model with all that was found, and
 @model_options
 @split_options
 @click.option("--max-error", type=LENGTH, help="Fail (exit 5) if the mean held-out error is larger, e.g. 0.1mm.")
+@view_option
 @output_options
-def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_error: float | None, **chosen: Any) -> int:
+def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_error: float | None, view: bool,
+             **chosen: Any) -> int:  # fmt: skip
     """Find where model and data disagree, name the missing effect, add it, and show the gap shrink on held-out rows."""
     show_progress(quiet)
-    from pincal.cli.calibrate import verdict, write_results
+    from pincal.cli.calibrate import VIEW, verdict, write_results
     from pincal.cli.inputs import load_robot, load_table, options_of
     from pincal.model.chain import MOMENT_FRAMES
     from pincal.model.effects import GEOMETRIC
@@ -66,8 +69,8 @@ def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_
             holdout=held,
             moment_frames=() if given["moment_frame"] else MOMENT_FRAMES,
         )
-        files = [data, *([chosen["holdout"]] if chosen["holdout"] else []), Path(arm.source)]
-        write_results(draft, found.calibration, provenance(files, seed=chosen["seed"]), found)
+        inputs = [data, *([chosen["holdout"]] if chosen["holdout"] else []), Path(arm.source)]
+        write_results(draft, found.calibration, provenance(inputs, seed=chosen["seed"]), found, view=view)
         (draft / "discovery.json").write_text(json.dumps(found.report, indent=1, allow_nan=False))
     if as_json:
         print_json(found.report)
@@ -75,5 +78,6 @@ def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_
         from pincal.cli.tables import console, print_discovery
 
         print_discovery(found.report, console(), found.gaps)
-        click.echo(f"written to {out}: discovery.json model.json result.json calibrated.urdf residuals.csv report.html")
+        files = "discovery.json model.json result.json calibrated.urdf residuals.csv report.html"
+        click.echo(f"written to {out}: {files}" + view * f" {VIEW}")
     return verdict(found.calibration.result, max_error)

@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from pincal.cli.screen import new_table
 from pincal.report.survey import Outlook, Sight
 from pincal.report.units import digits, small_unit
 
@@ -40,7 +41,7 @@ def _batched(joints: list[str], size: int) -> Iterator[list[str]]:
 
 
 def _table(sights: list[Sight], joints: list[str]) -> Table:
-    table = Table(title="Smallest effects that would be found", title_justify="left")
+    table = new_table("Smallest effects that would be found")
     table.add_column("effect")
     table.add_column("unit", no_wrap=True)
     for joint in joints:

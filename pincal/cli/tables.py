@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from pincal.cli.screen import cell, console, hanging, new_table
 from pincal.cli.sights import print_outlook
 from pincal.report.result import ParameterRow, Result
 from pincal.report.shrink import Gap, gap_names
 from pincal.report.survey import Survey
 from pincal.report.words import effect_words
 
-_WIDTH = 100
+__all__ = [
+    "console",
+    "error_table",
+    "expectation_table",
+    "gap_table",
+    "parameter_table",
+    "print_discovery",
+    "print_reasons",
+    "print_result",
+    "print_survey",
+]
+
 _STATISTICS = ("mean", "median", "rms", "p95", "max")
 _STYLE = {"identified": "", "prior": "yellow", "fixed": "dim", "unidentifiable": "yellow", "at bound": "red"}
-
-
-def console() -> Console:
-    """Return where results are printed: stdout."""
-    width = None if sys.stdout.isatty() else _WIDTH
-    return Console(width=width, highlight=False, soft_wrap=False)
 
 
 def print_result(result: Result, out: Console) -> None:
@@ -33,7 +38,7 @@ def print_result(result: Result, out: Console) -> None:
     out.print(parameter_table(result.parameters))
     print_reasons(result.parameters, out)
     for note in result.warnings:
-        out.print(f"note: {note}", style="yellow", markup=False)
+        out.print(hanging("note:", note), style="yellow")
 
 
 def _summary(result: Result) -> str:
@@ -53,7 +58,7 @@ def _summary(result: Result) -> str:
 
 def error_table(error: dict[str, dict[str, dict[str, float]]]) -> Table:
     """Return the errors before and after as a table, position and orientation in lines of their own."""
-    table = Table(title="Pose accuracy: distance from predicted to measured target", title_justify="left")
+    table = new_table("Pose accuracy: distance from predicted to measured target")
     for name in ("model", "rows", "unit"):
         table.add_column(name, no_wrap=True)
     for name in _STATISTICS:
@@ -73,9 +78,9 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
     """Return the parameter table: mm and mrad, compliances in rad/(N m); reasons by number below it."""
     rows = list(parameters)
     notes = _numbered_reasons(rows)
-    table = Table(title="Parameters", title_justify="left")
-    for name in ("parameter", "unit"):
-        table.add_column(name, no_wrap=True)
+    table = new_table("Parameters")
+    table.add_column("parameter", overflow="fold")
+    table.add_column("unit", no_wrap=True)
     for name in ("nominal", "value", "sigma"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("status", no_wrap=True)
@@ -84,9 +89,8 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
         numbers = [row.nominal * factor, row.value * factor]
         sigma = "-" if row.sigma is None else _number(row.sigma * factor, unit, digits=2)
         mark = f" ({notes[row.reason]})" if row.reason else ""
-        table.add_row(
-            row.name, unit, *(_number(v, unit) for v in numbers), sigma, row.status + mark, style=_STYLE[row.status]
-        )
+        cells = (unit, *(_number(v, unit) for v in numbers), sigma, row.status + mark)
+        table.add_row(cell(row.name), *cells, style=_STYLE[row.status])
     return table
 
 
@@ -103,7 +107,7 @@ def _numbered_reasons(rows: list[ParameterRow]) -> dict[str, int]:
 def print_reasons(parameters: Iterable[ParameterRow], out: Console) -> None:
     """Print the reasons that the parameter table refers to by number."""
     for reason, number in _numbered_reasons(list(parameters)).items():
-        out.print(f" ({number}) {reason}", markup=False)
+        out.print(hanging(f"{f'({number})':>5s}", reason))
 
 
 def print_survey(survey: Survey, out: Console) -> None:
@@ -112,7 +116,7 @@ def print_survey(survey: Survey, out: Console) -> None:
               f"{survey.nominal['mean_mm']:.3f} mm, max {survey.nominal['max_mm']:.3f} mm")  # fmt: skip
     out.print(f"noise {survey.noise['sigma_m'] * 1e3:.4g} mm a coordinate ({survey.noise['source']})")
     out.print(f"rank {survey.rank} of {survey.released} parameters, condition {survey.condition:.2g}")
-    table = Table(title="Coverage of the joints", title_justify="left")
+    table = new_table("Coverage of the joints")
     for name in ("joint", "from", "to", "limits", "covered"):
         table.add_column(name, justify="left" if name == "joint" else "right")
     for joint in survey.joints:
@@ -120,27 +124,28 @@ def print_survey(survey: Survey, out: Console) -> None:
         if joint.lower_limit is not None and joint.upper_limit is not None:
             limits = f"{joint.lower_limit:.3f} .. {joint.upper_limit:.3f}"
             share = f"{100 * (joint.high - joint.low) / (joint.upper_limit - joint.lower_limit):.0f} %"
-        table.add_row(joint.joint, f"{joint.low:.3f}", f"{joint.high:.3f}", limits, share)
+        table.add_row(cell(joint.joint), f"{joint.low:.3f}", f"{joint.high:.3f}", limits, share)
     out.print(table)
     rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason) for p in survey.parameters]
     out.print(expectation_table(rows))
     print_reasons(rows, out)
     print_outlook(survey.detectable, [joint.joint for joint in survey.joints], out)
     for note in survey.warnings:
-        out.print(f"note: {note}", style="yellow", markup=False)
+        out.print(hanging("note:", note), style="yellow")
 
 
 def expectation_table(rows: list[ParameterRow]) -> Table:
     """Return what to expect of each parameter before anything is fitted."""
     notes = _numbered_reasons(rows)
-    table = Table(title="What these poses can tell", title_justify="left")
-    for name in ("parameter", "unit", "sigma to expect", "status"):
+    table = new_table("What these poses can tell")
+    table.add_column("parameter", overflow="fold")
+    for name in ("unit", "sigma to expect", "status"):
         table.add_column(name, justify="right" if name.startswith("sigma") else "left", no_wrap=True)
     for row in rows:
         factor, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(row.unit, (1.0, row.unit))
         mark = f" ({notes[row.reason]})" if row.reason else ""
-        table.add_row(row.name, unit, _number((row.sigma or 0.0) * factor, unit, digits=2), row.status + mark,
-                      style=_STYLE[row.status])  # fmt: skip
+        sigma = _number((row.sigma or 0.0) * factor, unit, digits=2)
+        table.add_row(cell(row.name), unit, sigma, row.status + mark, style=_STYLE[row.status])
     return table
 
 
@@ -156,24 +161,22 @@ def print_discovery(report: dict[str, Any], out: Console, gaps: tuple[Gap, ...] 
     if report["where"]:
         out.print("Where model and data disagreed, before anything was named (shares of what is beyond the noise):")
     for place in report["where"]:
-        out.print(f"  {100 * place['share']:3.0f} %  {place['statement']}", markup=False)
+        out.print(hanging(f"  {100 * place['share']:3.0f} % ", place["statement"]))
     out.print(_effect_table(report["effects"]) if report["effects"] else "No effect is missing that these data could show.")
     out.print(gap_table(report, gaps))
     for entry in report["effects"]:
         if entry["tell_apart"]:
-            out.print(f"to tell {effect_words(entry)} from its rivals: {entry['tell_apart']}", markup=False)
+            out.print(hanging("to tell", f"{effect_words(entry)} from its rivals: {entry['tell_apart']}"))
         if "period" in entry:
-            out.print(f"{effect_words(entry)} repeats every {entry['period']:.4g} {_period_unit(entry)}", markup=False)
+            out.print(cell(f"{effect_words(entry)} repeats every {entry['period']:.4g} {_period_unit(entry)}"))
     for entry in report["scatter"]:
-        out.print(
-            f"{entry['joint']} scatters by {entry['sigma_rad'] * 1e3:.3f} mrad; record {entry['missing']}", markup=False
-        )
+        out.print(cell(f"{entry['joint']} scatters by {entry['sigma_rad'] * 1e3:.3f} mrad; record {entry['missing']}"))
     reasons: dict[str, list[str]] = {}
     for entry in report["not_testable"]:
         reason = entry["reason"].replace(entry["joint"], "this joint") if entry["joint"] else entry["reason"]
         reasons.setdefault(reason, []).append(entry["effect"])
     for reason, names in reasons.items():
-        out.print(f"not testable: {', '.join(dict.fromkeys(names))}: {reason}", markup=False)
+        out.print(hanging("not testable:", f"{', '.join(dict.fromkeys(names))}: {reason}"))
 
 
 def _period_unit(entry: dict[str, Any]) -> str:
@@ -181,27 +184,28 @@ def _period_unit(entry: dict[str, Any]) -> str:
 
 
 def _effect_table(effects: list[dict[str, Any]]) -> Table:
-    table = Table(title="Effects found", title_justify="left")
+    table = new_table("Effects found")
     for name in ("effect", "joint", "p", "mean before", "after", "could also be"):
         table.add_column(name, justify="right" if name in ("p", "mean before", "after") else "left")
     for entry in effects:
         also = "; ".join(effect_words(other) for other in entry["equivalent"])
         chance = f"{entry['p_value']:.0e}" if entry["p_value"] > 0.0 else "<1e-300"
         numbers = (chance, f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}")
-        table.add_row(effect_words(entry, joint=False), entry["joint"] or "whole arm", *numbers, also)
+        joint = cell(entry["joint"] or "whole arm")
+        table.add_row(cell(effect_words(entry, joint=False)), joint, *numbers, cell(also))
     return table
 
 
 def gap_table(report: dict[str, Any], gaps: tuple[Gap, ...] = ()) -> Table:
     """Return the errors on held-out rows, step by step where known, beside the noise."""
-    table = Table(title="How the gap shrank: errors on held-out rows in mm", title_justify="left")
-    table.add_column("model")
+    table = new_table("How the gap shrank: errors on held-out rows in mm")
+    table.add_column("model", overflow="fold")
     for name in ("mean", "rms", "max", "rms over noise"):
         table.add_column(name, justify="right", no_wrap=True)
     floor = report["noise_floor_mm"]
     rows = [(name, gap.to_dict()) for name, gap in zip(gap_names(gaps), gaps, strict=True)] if gaps else []
     for name, gap in rows or [("at the start", report["gap"]["before"]), ("all together", report["gap"]["after"])]:
         numbers = [f"{gap[key]:.4f}" for key in ("mean_mm", "rms_mm", "max_mm")]
-        table.add_row(name, *numbers, f"{gap['rms_mm'] / floor:.2f}" if floor > 0.0 else "-")
+        table.add_row(cell(name), *numbers, f"{gap['rms_mm'] / floor:.2f}" if floor > 0.0 else "-")
     table.add_row("noise alone", "", f"{floor:.4f}", "", "1.00", style="dim")
     return table

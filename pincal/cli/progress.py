@@ -1,0 +1,176 @@
+"""What a long run does, on stderr: one line that is overwritten on a terminal, few plain lines elsewhere.
+
+The library only logs. Steps of a fit are worth a glance, what a discovery finds is worth a line that stays. A record that
+carries ``extra={"done": 2, "of": 5}`` says how far the run has come, so that the time left can be told.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+
+import click
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+# Loggers whose records tell of steps too small to stay on the screen.
+_GLANCES = ("pincal.identify", "pincal.report.html")
+# Commands whose fits are what they do; for others a fit is one step of many.
+_OF_FITS = ("calibrate",)
+_LONG = 1.0  # [s]
+
+_handler: logging.Handler | None = None
+
+
+def show_progress(quiet: bool) -> None:
+    """Show the library's log of its progress on stderr, unless it is to be quiet."""
+    global _handler
+    end_progress()
+    if quiet:
+        return
+    context = click.get_current_context(silent=True)
+    for_programs = bool(context and context.params.get("as_json"))
+    if sys.stderr.isatty() and not for_programs:
+        _handler = _Overwritten()
+    else:
+        _handler = _Plain(fits=context is None or context.info_name in _OF_FITS)
+    logger = logging.getLogger("pincal")
+    logger.handlers = [_handler]
+    logger.setLevel(logging.INFO)
+
+
+def end_progress() -> None:
+    """Take the line of progress away: what comes next is the result."""
+    global _handler
+    if _handler is not None:
+        _handler.close()
+    _handler = None
+    logging.getLogger("pincal").handlers = []
+
+
+def _is_glance(record: logging.LogRecord) -> bool:
+    return record.name.startswith(_GLANCES)
+
+
+def _far(record: logging.LogRecord) -> tuple[int, int] | None:
+    """Return how many steps of how many are done, where the library says so."""
+    done, of = getattr(record, "done", None), getattr(record, "of", None)
+    return (done, of) if isinstance(done, int) and isinstance(of, int) and of > 0 else None
+
+
+def time_left(seconds: float, done: int, of: int) -> float | None:
+    """Return how long the rest takes if each step takes as long as those before [s]; None before the first is done.
+
+    Example:
+        >>> time_left(10.0, 2, 5)
+        15.0
+    """
+    return seconds * (of - done) / done if done > 0 else None
+
+
+def _clock(seconds: float) -> str:
+    """Write a duration.
+
+    Example:
+        >>> _clock(7.2), _clock(75.0), _clock(3700.0)
+        ('7 s', '1 min 15 s', '1 h 01 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    return f"{whole // 60} min {whole % 60:02d} s" if whole < 3600 else f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+class _Plain(logging.Handler):
+    """A line an event; of a fit the last step of each stage, and only where fits are what the command does."""
+
+    def __init__(self, *, fits: bool) -> None:
+        super().__init__(logging.INFO)
+        self._fits = fits
+        self._begun = time.monotonic()
+        self._last: logging.LogRecord | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write an event; keep a step of a fit until the stage ends."""
+        if not _is_glance(record):
+            self._tell_stage()
+            self._write(record)
+        elif self._fits and record.name.startswith("pincal.identify"):
+            if self._last is not None and _stage(record) != _stage(self._last):
+                self._tell_stage()
+            self._last = record
+
+    def close(self) -> None:
+        """Write the last stage."""
+        self._tell_stage()
+        super().close()
+
+    def _tell_stage(self) -> None:
+        if self._last is not None:
+            self._write(self._last)
+        self._last = None
+
+    def _write(self, record: logging.LogRecord) -> None:
+        seconds = time.monotonic() - self._begun
+        far = _far(record)
+        left = None if far is None else time_left(seconds, *far)
+        after = f" [{_clock(seconds)}" if seconds > _LONG else ""
+        if after:
+            after += "]" if left is None else f", about {_clock(left)} left]"
+        click.echo(f"pincal: {record.getMessage()}{after}", err=True)
+
+
+def _stage(record: logging.LogRecord) -> object:
+    """Return the name of the stage that a step of a fit belongs to."""
+    return record.args[0] if isinstance(record.args, tuple) and record.args else record.msg
+
+
+class _Left(TextColumn):
+    """The time left, where the number of steps is known."""
+
+    def __init__(self) -> None:
+        super().__init__("")
+
+    def render(self, task: Task) -> Text:
+        """Return the time left, or nothing."""
+        if task.total is None:
+            return Text("")
+        left = time_left(task.elapsed or 0.0, int(task.completed), int(task.total))
+        return Text("" if left is None else f"about {_clock(left)} left")
+
+
+class _Overwritten(logging.Handler):
+    """One line with what is being done, for how long, and what is left of it; events stay above it."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self._console = Console(stderr=True, highlight=False)
+        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(), _Left())
+        self._progress = Progress(
+            *columns, console=self._console, transient=True, redirect_stdout=False, redirect_stderr=False
+        )
+        self._task = self._progress.add_task("", total=None)
+        self._is_shown = False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a step, or write an event above the line."""
+        if not self._is_shown:
+            self._progress.start()
+            self._is_shown = True
+        text = record.getMessage()
+        if _is_glance(record):
+            self._progress.update(self._task, description=text[: max(self._console.width - 28, 20)])
+        else:
+            self._console.print(f"pincal: {text}", markup=False, soft_wrap=True)
+        far = _far(record)
+        if far is not None:
+            self._progress.update(self._task, completed=far[0], total=far[1])
+
+    def close(self) -> None:
+        """Take the line away."""
+        if self._is_shown:
+            self._progress.stop()
+        self._is_shown = False
+        super().close()

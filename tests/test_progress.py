@@ -1,0 +1,99 @@
+"""What stands on the terminal: calm progress with the time left, and tables of 100 columns whatever names say."""
+
+import io
+import logging
+import sys
+from typing import Any
+
+import pytest
+from report_cases import HOSTILE
+from rich.console import Console
+
+from pincal.cli import progress, show_progress
+from pincal.cli.screen import cell, console
+from pincal.cli.tables import parameter_table, print_reasons
+from pincal.report.result import ParameterRow
+
+ROW = ParameterRow("joint_1.k_z", "rad/(N m)", 0.0, -1.234e-7, 1e-8, "unidentifiable", "the unknown base frame absorbs it")
+
+
+class Terminal(io.StringIO):
+    """Text that takes itself for a terminal."""
+
+    def isatty(self) -> bool:
+        """Return that it is one."""
+        return True
+
+
+@pytest.fixture(autouse=True)
+def silence_after() -> Any:
+    yield
+    progress.end_progress()
+
+
+def step(stage: str, iteration: int) -> None:
+    logging.getLogger("pincal.identify.solve").info("%s: iteration %d", stage, iteration)
+
+
+def test_a_fit_has_a_line_a_stage(capsys: pytest.CaptureFixture[str]) -> None:
+    """Elsewhere than on a terminal the last step of each stage is told, not each step."""
+    show_progress(False)
+    for stage in ("all", "final"):
+        for iteration in (1, 2, 3):
+            step(stage, iteration)
+    progress.end_progress()
+    printed = capsys.readouterr()
+    assert printed.err == "pincal: all: iteration 3\npincal: final: iteration 3\n" and printed.out == ""
+
+
+def test_quiet_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is told if nothing was asked for."""
+    show_progress(True)
+    step("all", 1)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_time_left_is_told_where_it_is_known(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two of five steps in a minute leave a minute and a half."""
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    show_progress(False)
+    now[0] += 60.0
+    logging.getLogger("pincal.discover.loop").info("found something", extra={"done": 2, "of": 5})
+    assert capsys.readouterr().err == "pincal: found something [1 min 00 s, about 1 min 30 s left]\n"
+
+
+def test_a_terminal_has_one_line_that_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal steps overwrite each other, events stay, and the line is erased in the end."""
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    show_progress(False)
+    step("all", 1)
+    logging.getLogger("pincal.discover.loop").info("found [bold]something")
+    step("all", 2)
+    progress.end_progress()
+    text = screen.getvalue()
+    assert "pincal: found [bold]something" in text and text.endswith("\x1b[2K")
+
+
+def test_tables_fit_a_page_whatever_names_say(capsys: pytest.CaptureFixture[str]) -> None:
+    """Long and hostile names neither break a table nor send control codes, and no box is drawn outside a terminal."""
+    names = (ROW.name, HOSTILE + ".theta", "a_very_long_name_" * 8 + ".k_z", "\x1b[31mred[/red].d")
+    rows = [ParameterRow(name, ROW.unit, 0.0, -1234.5678, 1e-8, ROW.status, ROW.reason * 4) for name in names]
+    out = console()
+    out.print(parameter_table(rows))
+    print_reasons(rows, out)
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 100
+    assert "\x1b" not in text and "<script>" in text and "[/red]" in text and not set("│┃━") & set(text)
+    assert "a_very_long_name_" * 8 in "".join(line.split()[0] for line in text.splitlines() if line.strip())
+
+
+def test_a_terminal_has_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal the same table has lines."""
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    screen = Console(file=io.StringIO(), width=100)
+    screen.print(parameter_table([ROW]))
+    assert "┃" in screen.file.getvalue() and cell("a\tb").plain == "a b"
