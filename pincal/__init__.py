@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from pincal.identify.calibrate import Fit, Options, calibrate
     from pincal.identify.explain import explain
     from pincal.identify.repeat import bootstrap, cross_validate, monte_carlo
+    from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements_from_arrays
+    from pincal.measure.setup import Gap, Setup
     from pincal.measure.table import read_measurements
     from pincal.model.augmented import augmented_model, calibrated_model
     from pincal.model.chain import Chain
@@ -35,6 +37,8 @@ _PLACES = {
     "pincal.identify.explain": ("explain",),
     "pincal.identify.repeat": ("bootstrap", "cross_validate", "monte_carlo"),
     "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
+    "pincal.measure.lens": ("Lens",),
+    "pincal.measure.setup": ("Gap", "Setup"),
     "pincal.measure.table": ("read_measurements",),
     "pincal.model.augmented": ("augmented_model", "calibrated_model"),
     "pincal.model.chain": ("Chain",),
@@ -57,7 +61,9 @@ __all__ = [
     "Conditions",
     "Effect",
     "Fit",
+    "Gap",
     "IdentificationError",
+    "Lens",
     "Measurements",
     "Model",
     "Options",
@@ -65,6 +71,7 @@ __all__ = [
     "PincalError",
     "PincalWarning",
     "Robot",
+    "Setup",
     "Term",
     "augmented_model",
     "bootstrap",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 
 import numpy as np
@@ -9,17 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.measure import sensors
+from pincal.measure.camera import CameraPixelSensor, CameraPointSensor
+from pincal.measure.lens import Lens
 from pincal.measure.measurements import measurements_from_arrays
-from pincal.measure.sensors import (
-    DistanceSensor,
-    PoseSensor,
-    PositionSensor,
-    Sensor,
-    rotation_matrices,
-    rotation_vectors,
-    sensor_of,
-)
+from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, DistanceSensor
+from pincal.measure.sensing import sensor_of
+from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor, rotation_matrices, rotation_vectors
+from pincal.measure.setup import NamedPoints, Setup
 from pincal.model.chain import FRAME_SYMBOLS
 
 N = 12
@@ -39,75 +36,138 @@ def moved(poses: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
     return out
 
 
-READ: dict[str, Callable[[np.ndarray], Sensor]] = {
-    "position": lambda poses: PositionSensor(poses[:, :, 3].copy()),
-    "pose": lambda poses: PoseSensor(poses[:, :, 3].copy(), poses[:, :, :3].copy()),
-    "distance": lambda poses: DistanceSensor(np.linalg.norm(poses[:, :, 3], axis=1)),
-}
+class Case:
+    """A sensor that reads poses without noise, and the values of its own parameters at which it does."""
+
+    def __init__(self, kind: str, read: Callable[[np.ndarray], Sensor], own: np.ndarray = np.zeros(0)) -> None:  # noqa: B008
+        self.kind, self.read, self.own = kind, read, own
 
 
-@pytest.fixture(params=READ)
-def read(request: pytest.FixtureRequest) -> Callable[[np.ndarray], Sensor]:
-    """Return what makes each sensor from the poses that it reads without noise."""
-    return READ[request.param]
+# A camera looks along the target's z axis; points lie anywhere in front of it, so each row has one of its own.
+AHEAD = np.random.default_rng(5).uniform([-0.1, -0.1, 0.3], [0.1, 0.1, 0.8], (N, 3))
+NAMES = [f"p{i}" for i in range(N)]
+LENS = Lens(1000.0, 1010.0, 320.0, 240.0, -0.1, 0.05, 1e-3, -2e-3, 0.01)
+FAR = np.array([[4.0, 1.0, 0.5], [-3.0, 2.0, 1.0]])
 
 
-def test_every_sensor_is_under_test(rng: np.random.Generator) -> None:
+def ahead(poses: np.ndarray) -> np.ndarray:
+    """Return the points that each row's camera has in front of it, in the instrument's frame, shape (N, 3)."""
+    return np.einsum("nij,nj->ni", poses[:, :, :3], AHEAD[: len(poses)]) + poses[:, :, 3]
+
+
+def held(poses: np.ndarray) -> Sensor:
+    """Return contacts whose sockets are wherever the tool point is: one known, the others to be found."""
+    places = dict.fromkeys(NAMES) | {"p0": tuple(poses[0, :, 3])}
+    return ContactSensor(NamedPoints(places), np.arange(len(poses)))
+
+
+def anchored(poses: np.ndarray) -> Sensor:
+    """Return distances in turn from a known anchor and from one to be found."""
+    index = np.arange(len(poses)) % 2
+    points = NamedPoints({"a": tuple(FAR[0]), "b": None})
+    return AnchoredDistanceSensor(points, index, np.linalg.norm(poses[:, :, 3] - FAR[index], axis=1))
+
+
+def cases() -> list[Case]:
+    """Return a case of every sensor; those of named points read the poses of a fixed seed."""
+    places = SEEN[:, :, 3]
+    return [
+        Case("position", lambda poses: PositionSensor(poses[:, :, 3].copy())),
+        Case("pose", lambda poses: PoseSensor(poses[:, :, 3].copy(), poses[:, :, :3].copy())),
+        Case("distance", lambda poses: DistanceSensor(np.linalg.norm(poses[:, :, 3], axis=1))),
+        Case("socket", lambda _: held(SEEN), places[1:].ravel()),
+        Case("distance", anchored, FAR[1]),
+        Case(
+            "camera_point",
+            lambda _: CameraPointSensor(NamedPoints(dict.fromkeys(NAMES)), np.arange(N), AHEAD.copy()),
+            ahead(SEEN).ravel(),
+        ),
+        Case(
+            "camera_pixel",
+            lambda _: CameraPixelSensor(
+                NamedPoints(dict.fromkeys(NAMES)), np.arange(N), LENS.project(AHEAD), Setup(lens=LENS, fit_lens=True)
+            ),
+            np.concatenate([ahead(SEEN).ravel(), np.zeros(9)]),
+        ),
+    ]
+
+
+SEEN = random_poses(np.random.default_rng(7))
+READING = {case.kind: case.read for case in reversed(cases())}
+
+
+@pytest.fixture(params=cases(), ids=lambda case: type(case.read(SEEN)).__name__)
+def case(request: pytest.FixtureRequest) -> Case:
+    """Return a case of each sensor."""
+    found: Case = request.param
+    return found
+
+
+def test_every_sensor_is_under_test() -> None:
     """A sensor that is added without being added here fails this test."""
-    found = {kind for kind in vars(sensors).values() if isinstance(kind, type) and issubclass(kind, Sensor)}
 
-    assert found - {Sensor} == {type(make(random_poses(rng))) for make in READ.values()}
-    assert all(make(random_poses(rng)).kind == kind for kind, make in READ.items())
+    def below(kind: type) -> set[type]:
+        return {kind} | {leaf for child in kind.__subclasses__() for leaf in below(child)}
+
+    found = {kind for kind in below(Sensor) if not inspect.isabstract(kind) and not kind.__name__.startswith("_")}
+
+    assert found == {type(case.read(SEEN)) for case in cases()}
+    assert all(case.read(SEEN).kind == case.kind for case in cases())
 
 
-def test_residuals_are_zero_at_the_truth(read: Callable[[np.ndarray], Sensor], rng: np.random.Generator) -> None:
+def test_residuals_are_zero_at_the_truth(case: Case) -> None:
     """A reading of a pose agrees with the prediction of this pose."""
-    poses = random_poses(rng)
+    sensor = case.read(SEEN)
+    rounding = np.concatenate([np.full(block.size, block.rounding) for block in sensor.blocks])
 
-    np.testing.assert_allclose(read(poses).residuals(poses, OWN), 0.0, atol=1e-15)
+    assert np.all(np.abs(sensor.residuals(SEEN, case.own)).max(axis=1) < rounding)
 
 
-def test_blocks_add_up_to_the_components(read: Callable[[np.ndarray], Sensor], rng: np.random.Generator) -> None:
-    """There are as many residuals a row as the blocks say, as many columns in the Jacobian as motions."""
-    poses, sensor = random_poses(rng), read(random_poses(rng))
+def test_blocks_add_up_to_the_components(case: Case, rng: np.random.Generator) -> None:
+    """There are as many residuals a row as the blocks say, as many columns in the Jacobian as motions and parameters."""
+    sensor = case.read(SEEN)
     m = sum(block.size for block in sensor.blocks)
     motion = rng.standard_normal((5, sensor.twist_rows, N))
 
-    assert len(sensor) == N
-    assert sensor.residuals(poses, OWN).shape == (m, N)
-    assert sensor.jacobian(poses, motion, OWN).shape == (5 + len(sensor.parameters), m, N)
-    assert all(block.unit == ("rad" if block.name == "orientation" else "m") for block in sensor.blocks)
+    assert len(sensor) == N and len(sensor.parameters) == len(case.own) == len(sensor.held)
+    assert sensor.residuals(SEEN, case.own).shape == (m, N)
+    assert sensor.jacobian(SEEN, motion, case.own).shape == (5 + len(case.own), m, N)
+    assert all(block.unit == {"orientation": "rad", "image": "px"}.get(block.name, "m") for block in sensor.blocks)
     assert set(sensor.base_symbols) <= set(FRAME_SYMBOLS) and set(sensor.tool_symbols) <= set(FRAME_SYMBOLS)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1e-3, 0.1, 1.0, 2.5, 3.0])
-def test_jacobian_is_minus_the_slope_of_the_residuals(
-    read: Callable[[np.ndarray], Sensor], angle: float, rng: np.random.Generator
-) -> None:
+def test_jacobian_is_minus_the_slope_of_the_residuals(case: Case, angle: float, rng: np.random.Generator) -> None:
     """The Jacobian equals central differences of the residuals, for orientations off by anything up to 3 rad, too."""
-    poses = random_poses(rng)
     axis = rng.standard_normal((N, 3))
+    # What is behind a camera has no image.
+    angle = min(angle, 0.1) if case.kind == "camera_pixel" else angle
     off = angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
-    sensor = read(moved(poses, rng.normal(0.0, 0.1, (N, 3)), off))
+    sensor = case.read(SEEN)
+    poses = moved(SEEN, rng.normal(0.0, 0.01, (N, 3)), off)
     rows = sensor.twist_rows
     motion = rng.standard_normal((4, rows, N))
-    jacobian = sensor.jacobian(poses, motion, OWN)
+    jacobian = sensor.jacobian(poses, motion, case.own)
     h = 1e-6
+    # The slope grows without bound towards half a turn, and so does what differences are off by.
+    loose = 1e-6 if angle >= 3.0 else 1e-3 if case.kind == "camera_pixel" else 1e-8
     for p in range(4):
         twist = np.zeros((N, 6))
         twist[:, :rows] = motion[p].T
-        ahead, behind = (sensor.residuals(moved(poses, s * twist[:, :3], s * twist[:, 3:]), OWN) for s in (h, -h))
-        # The slope grows without bound towards half a turn, and so does what differences are off by.
-        np.testing.assert_allclose(jacobian[p], (behind - ahead) / (2.0 * h), rtol=1e-7, atol=1e-8 if angle < 3.0 else 1e-6)
+        ahead, behind = (sensor.residuals(moved(poses, s * twist[:, :3], s * twist[:, 3:]), case.own) for s in (h, -h))
+        np.testing.assert_allclose(jacobian[p], (behind - ahead) / (2.0 * h), rtol=1e-7, atol=loose)
+    for p in range(len(case.own)):
+        step = h * np.eye(len(case.own))[p]
+        ahead, behind = (sensor.residuals(poses, case.own + s * step) for s in (1.0, -1.0))
+        np.testing.assert_allclose(jacobian[4 + p], (behind - ahead) / (2.0 * h), rtol=1e-7, atol=loose)
 
 
-def test_jacobian_leaves_the_motion_as_it_is(read: Callable[[np.ndarray], Sensor], rng: np.random.Generator) -> None:
+def test_jacobian_leaves_the_motion_as_it_is(case: Case, rng: np.random.Generator) -> None:
     """The motion that is handed in may be used again."""
-    poses = random_poses(rng)
-    sensor = read(moved(poses, np.zeros(3), np.full((N, 3), 0.3)))
+    sensor = case.read(SEEN)
     motion = rng.standard_normal((2, sensor.twist_rows, N))
     before = motion.copy()
-    sensor.jacobian(poses, motion, OWN)
+    sensor.jacobian(moved(SEEN, np.zeros(3), np.full((N, 3), 0.03)), motion, case.own)
 
     np.testing.assert_array_equal(motion, before)
 
@@ -117,21 +177,43 @@ def test_jacobian_leaves_the_motion_as_it_is(read: Callable[[np.ndarray], Sensor
     [slice(2, 7), np.array([5, 0, 5]), np.arange(N) % 3 == 0, np.zeros(N, bool)],
     ids=["slice", "index", "mask", "none"],
 )
-def test_selected_rows_are_those_of_the_table(
-    read: Callable[[np.ndarray], Sensor], rows: slice | np.ndarray, rng: np.random.Generator
-) -> None:
+def test_selected_rows_are_those_of_the_table(case: Case, rows: slice | np.ndarray, rng: np.random.Generator) -> None:
     """Selecting readings and selecting residuals is the same thing."""
-    poses, sensor = random_poses(rng), read(random_poses(rng))
+    sensor, poses = case.read(SEEN), moved(SEEN, rng.normal(0.0, 0.01, (N, 3)), np.zeros((N, 3)))
     part = sensor.select(rows)
 
     assert type(part) is type(sensor) and len(part) == len(np.arange(N)[rows])
-    np.testing.assert_array_equal(part.residuals(poses[rows], OWN), sensor.residuals(poses, OWN)[:, rows])
+    np.testing.assert_array_equal(part.residuals(poses[rows], case.own), sensor.residuals(poses, case.own)[:, rows])
+
+
+def test_shifted_readings_shift_the_residuals(case: Case, rng: np.random.Generator) -> None:
+    """Readings that differ by some change give residuals that differ by it (to first order for orientations)."""
+    sensor = case.read(SEEN)
+    change = 1e-7 * rng.standard_normal((sum(block.size for block in sensor.blocks), N))
+
+    np.testing.assert_allclose(sensor.shifted(change).residuals(SEEN, case.own), change, atol=1e-11)
+    twice = sensor.shifted(change).shifted(change).residuals(SEEN, case.own)
+    np.testing.assert_allclose(twice, 2.0 * change, atol=1e-11)
+
+
+def test_displacement_is_how_far_the_target_is_off(case: Case, rng: np.random.Generator) -> None:
+    """A target that is a little off its prediction is found off, by as much of it as the readings see."""
+    sensor, off = case.read(SEEN), rng.normal(0.0, 1e-6, (N, 3))
+    predicted = moved(SEEN, -off, np.zeros((N, 3)))
+    found = sensor.displacement(sensor.residuals(predicted, case.own), predicted, case.own)
+    if case.kind in ("position", "pose", "socket", "camera_point"):
+        np.testing.assert_allclose(found, off, atol=1e-11)
+    else:
+        # Along the line of sight, or across it: what is found is the part of it that is seen, but for the distortion.
+        rest = np.sum(found * (off - found), axis=1) / np.linalg.norm(off, axis=1) ** 2
+        np.testing.assert_allclose(rest, 0.0, atol=0.3 if case.kind == "camera_pixel" else 1e-5)
+        assert np.all(np.linalg.norm(found, axis=1) > 0.01 * np.linalg.norm(off, axis=1))
 
 
 def test_orientation_residual_is_the_turn_in_the_instruments_axes(rng: np.random.Generator) -> None:
     """A tool measured turned by phi from its prediction, in the instrument's axes, has the residual phi."""
     poses, phi = random_poses(rng), rng.normal(0.0, 0.5, (N, 3))
-    sensor = READ["pose"](moved(poses, np.full(3, 0.01), phi))
+    sensor = READING["pose"](moved(poses, np.full(3, 0.01), phi))
 
     np.testing.assert_allclose(sensor.residuals(poses, OWN)[3:].T, phi, atol=1e-14)
     np.testing.assert_allclose(sensor.residuals(poses, OWN)[:3], 0.01, atol=1e-15)
@@ -142,8 +224,8 @@ def test_distance_sees_no_orientation(rng: np.random.Generator) -> None:
     poses = random_poses(rng)
     turned = Rotation.random(random_state=1).as_matrix() @ poses
 
-    np.testing.assert_allclose(READ["distance"](turned).residuals(poses, OWN), 0.0, atol=1e-14)
-    assert DistanceSensor.base_symbols == DistanceSensor.tool_symbols == FRAME_SYMBOLS[:3]
+    np.testing.assert_allclose(READING["distance"](turned).residuals(poses, OWN), 0.0, atol=1e-14)
+    assert READING["distance"](poses).base_symbols == DistanceSensor.tool_symbols == FRAME_SYMBOLS[:3]
 
 
 def test_the_table_chooses_the_sensor(rng: np.random.Generator) -> None:

@@ -16,7 +16,8 @@ from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.calibrate import Fit, Options, calibrate
 from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.sensors import DistanceSensor, PoseSensor, PositionSensor, Sensor
+from pincal.measure.points import DistanceSensor
+from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
 from pincal.robot.robot import Robot
 
 PLACEMENTS = range(30)

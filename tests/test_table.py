@@ -151,7 +151,7 @@ def test_columns_decide_the_kind(tmp_path: Path, columns: str, cells: str, kind:
     table = _read(tmp_path, f"joint_1,joint_2,{columns}\n0.1,0.2,{cells}\n")
 
     assert table.kind == kind
-    assert table.target.tolist() == ["tool"]
+    assert table.target.tolist() == ["camera" if kind.startswith("camera") else "tool"]
     assert table.approach is None
 
 

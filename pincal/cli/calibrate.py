@@ -60,13 +60,14 @@ def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max
         calibration = run_calibration(
             arm,
             table,
-            options_of(chosen),
+            options_of(chosen, table),
             test_fraction=chosen["test_fraction"],
             split=chosen["split"],
             seed=chosen["seed"],
             holdout=held,
         )
-        files = [data, *([chosen["holdout"]] if chosen["holdout"] else []), Path(arm.source)]
+        others = [chosen[name] for name in ("holdout", "points", "distances", "camera") if chosen[name]]
+        files = [data, *others, Path(arm.source)]
         exported = write_results(draft, calibration, provenance(files, seed=chosen["seed"]), view=view)
     if as_json:
         print_json(calibration.result.to_dict())
@@ -126,7 +127,7 @@ def write_residuals(path: Path, calibration: Any) -> None:
         found = {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
         for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
             residuals = problem.residuals(values)
-            names = [(b, axis) for b in problem.sensor.blocks for axis in ("xyz" if b.size == 3 else "1")]
+            names = [(b, axis) for b in problem.sensor.blocks for axis in {3: "xyz", 2: "uv"}.get(b.size, "1")]
             for (block, axis), row in zip(names, residuals, strict=True):
                 suffix = f"_{axis}" if block.size > 1 else ""
                 found[f"{model}_{block.name}{suffix} [{block.unit}]"] = row

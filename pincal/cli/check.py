@@ -25,7 +25,7 @@ def check(robot: str, data: Path, as_json: bool, quiet: bool, **chosen: Any) -> 
 
     arm = load_robot(robot, data, tip=chosen["tip"], base=chosen["base"])
     table = load_table(arm, data, ignore=chosen["ignore"])
-    found = survey(arm, table, options_of(chosen))
+    found = survey(arm, table, options_of(chosen, table))
     if as_json:
         print_json(found.to_dict())
         return 0

@@ -47,6 +47,18 @@ class Quantity(click.ParamType[float]):
         self.fail(f"{text!r}; expected a number with a unit, such as {self.name} ({', '.join(self._units)})", param, ctx)
 
 
+class Noise(click.ParamType[tuple[float, str]]):
+    """The noise of a reading: a length in metres, or pixels; with the unit, "m" or "px"."""
+
+    name = "0.05mm"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
+        """Return the value in SI units, or in pixels, and its unit."""
+        is_image = str(value).strip().endswith("px")
+        units = {"px": 1.0} if is_image else _LENGTHS
+        return Quantity(units, "0.1px" if is_image else "0.05mm").convert(str(value), param, ctx), "px" if is_image else "m"
+
+
 LENGTH = Quantity(_LENGTHS, "0.05mm")
 ANGLE = Quantity(_ANGLES, "0.1mrad")
 
@@ -80,9 +92,19 @@ model_options = options(
                  help="Centre of mass of the payload in the tip frame [m]."),
     click.option("--gravity", nargs=3, type=float, metavar="X Y Z",
                  help="In the robot's base frame [m/s^2]; -z unless given."),
-    click.option("--noise", type=LENGTH,
-                 help="Standard deviation of one coordinate of a position, e.g. 0.05mm; estimated unless given."),
+    click.option("--noise", type=Noise(),
+                 help="Standard deviation of one coordinate of a position, e.g. 0.05mm, or of an image, e.g. 0.1px; "
+                      "estimated unless given."),
     click.option("--noise-angle", type=ANGLE, help="Likewise of an orientation, e.g. 0.1mrad."),
+    click.option("--points", metavar="FILE.csv", type=click.Path(path_type=Path),
+                 help="Where sockets, anchors or points of a calibration object are: columns point x y z; for those known."),
+    click.option("--socket-distance", "gaps", type=(str, str, float), multiple=True, metavar="A B METRES",
+                 help="A known distance between two sockets (anchors, points); any number of them."),
+    click.option("--distances", metavar="FILE.csv", type=click.Path(path_type=Path),
+                 help="The same as a table: columns first second distance, and sigma where known."),
+    click.option("--camera", metavar="FILE.json", type=click.Path(path_type=Path),
+                 help="Images: the camera, with fx fy u0 v0 [px] and k1 k2 p1 p2 k3; found from the data unless given."),
+    click.option("--fit-camera", is_flag=True, help="Find the given camera's parameters again, too."),
     click.option("--anchor", nargs=3, type=float, metavar="X Y Z",
                  help="Distances: the instrument's point in the robot's base frame [m], where known."),
     click.option("--tool", nargs=3, type=float, metavar="X Y Z", help="The target in the tip frame [m], where known."),

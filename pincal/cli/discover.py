@@ -51,14 +51,14 @@ def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_
     from pincal.report.discovery import run_discovery
 
     context = click.get_current_context()
-    options = options_of(chosen)
-    if context.get_parameter_source("model") is click.core.ParameterSource.DEFAULT:
-        options = replace(options, effects=GEOMETRIC)
     given = {name: context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT for name in chosen}
     with output_folder(out) as draft:
         arm = load_robot(robot, data, tip=chosen["tip"], base=chosen["base"])
         table = load_table(arm, data, ignore=chosen["ignore"])
         held = None if chosen["holdout"] is None else load_table(arm, chosen["holdout"], ignore=chosen["ignore"])
+        options = options_of(chosen, table)
+        if not given["model"]:
+            options = replace(options, effects=GEOMETRIC)
         found = run_discovery(
             arm,
             table,

@@ -7,8 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pincal.errors import BadInputError
 from pincal.identify.calibrate import Options
 from pincal.measure.measurements import Measurements
+from pincal.measure.setup import Gap, Setup, read_gaps, read_lens, read_points
 from pincal.measure.table import column_names, read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot, find_file
@@ -30,24 +32,51 @@ def load_table(robot: Robot, path: Path, *, ignore: tuple[str, ...] = (), joints
     return read_measurements(path, robot.joint_names, ignore=ignore, require=require, joint_types=robot.joint_types)
 
 
-def options_of(arguments: dict[str, Any]) -> Options:
-    """Return the calibration's options from those of the command line."""
+def options_of(arguments: dict[str, Any], table: Measurements) -> Options:
+    """Return the calibration's options from those of the command line.
+
+    Raises:
+        BadInputError: if the noise is given in a unit that this table's readings do not have.
+    """
     anchor = arguments["anchor"]
     base = None
     if anchor:
         base = np.eye(4)
         base[:3, 3] = -np.array(anchor)
+    name = str(table.target[0]) if len(table) else "tool"
     return Options(
         effects=GEOMETRIC if arguments["model"] == "geometric" else ELASTIC,
-        sigma=arguments["noise"],
+        sigma=_sigma(arguments["noise"], table),
         sigma_orientation=arguments["noise_angle"],
         moment_frame=arguments["moment_frame"],
         equilibrium=arguments["equilibrium"],
         gravity=arguments["gravity"] or None,
         payload_centre=arguments["payload_com"],
         base=base,
-        tools={"tool": arguments["tool"]} if arguments["tool"] else None,
+        tools={name: arguments["tool"]} if arguments["tool"] else None,
         stages=arguments["stages"],
         loss=arguments["loss"],
         length_bound=arguments["length_bound"],
+        setup=_setup(arguments),
+    )
+
+
+def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None:
+    if noise is None:
+        return None
+    sigma, unit = noise
+    expected, example = ("px", "0.1px") if table.kind == "camera_pixel" else ("m", "0.05mm")
+    if unit != expected:
+        raise BadInputError(f"--noise in {unit}, but {table.source} holds {table.kind}; expected such as {example}")
+    return sigma
+
+
+def _setup(arguments: dict[str, Any]) -> Setup:
+    points, table, camera = (arguments[name] for name in ("points", "distances", "camera"))
+    gaps = [Gap(first, second, length) for first, second, length in arguments["gaps"]]
+    return Setup(
+        points={} if points is None else read_points(points),
+        gaps=(*gaps, *(() if table is None else read_gaps(table))),
+        lens=None if camera is None else read_lens(camera),
+        fit_lens=arguments["fit_camera"],
     )

@@ -10,10 +10,11 @@ from rich.table import Table
 
 from pincal.cli.screen import cell, console, hanging, new_table
 from pincal.cli.sights import print_outlook
+from pincal.cli.visits import print_visits
 from pincal.report.result import ParameterRow, Result
 from pincal.report.shrink import Gap, gap_names
 from pincal.report.survey import Survey
-from pincal.report.words import effect_words
+from pincal.report.words import effect_words, noise_words
 
 __all__ = [
     "console",
@@ -35,6 +36,7 @@ def print_result(result: Result, out: Console) -> None:
     """Print errors before and after, the parameters, and what the user should know."""
     out.print(_summary(result))
     out.print(error_table(result.error))
+    print_visits(result.iso9283, result.lack_of_fit, out)
     out.print(parameter_table(result.parameters))
     print_reasons(result.parameters, out)
     for note in result.warnings:
@@ -43,7 +45,7 @@ def print_result(result: Result, out: Console) -> None:
 
 def _summary(result: Result) -> str:
     noise = result.noise
-    sigma = f"noise {noise['sigma_m'] * 1e3:.4g} mm a coordinate ({noise['source']})"
+    sigma = f"noise {noise_words(noise)} ({noise['source']})"
     chi2 = (
         ""
         if result.chi2_p_value is None
@@ -114,7 +116,7 @@ def print_survey(survey: Survey, out: Console) -> None:
     """Print what a table can tell."""
     out.print(f"{survey.rows} rows of kind {survey.kind}; nominal robot, base and tool fitted: mean "
               f"{survey.nominal['mean_mm']:.3f} mm, max {survey.nominal['max_mm']:.3f} mm")  # fmt: skip
-    out.print(f"noise {survey.noise['sigma_m'] * 1e3:.4g} mm a coordinate ({survey.noise['source']})")
+    out.print(f"noise {noise_words(survey.noise)} ({survey.noise['source']})")
     out.print(f"rank {survey.rank} of {survey.released} parameters, condition {survey.condition:.2g}")
     table = new_table("Coverage of the joints")
     for name in ("joint", "from", "to", "limits", "covered"):

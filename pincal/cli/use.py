@@ -28,7 +28,7 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
     """Say how true a calibrated model is on measurements that it never saw."""
     show_progress(quiet)
     from pincal.cli.inputs import load_table
-    from pincal.identify.problem import problem_of
+    from pincal.report.lack_of_fit import found_in_visits
     from pincal.report.model_file import load_model
     from pincal.report.run import check_table
     from pincal.report.validation import error_table
@@ -38,19 +38,21 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
     table = load_table(robot, data, ignore=ignore)
     _check_targets(calibrated, table)
     check_table(robot, table, minimum=1)
-    problem = problem_of(calibrated.model, table, np.array(calibrated.payload_centre))
+    problem = calibrated.readings(table)
     error = {"calibrated": {"test": error_table(problem, calibrated.values)}}
+    visited = found_in_visits(calibrated, table, problem)
     outside = calibrated.outside(problem.conditions)
     curves = [found._asdict() for found in calibrated.outside_curves(problem.conditions)]
     if as_json:
-        print_json(
-            {"rows": {"test": len(table)}, "error": error, "outside": len({row for row, *_ in outside}), "curves": curves}
-        )
+        counted = {"rows": {"test": len(table)}, "error": error}
+        print_json(counted | visited | {"outside": len({row for row, *_ in outside}), "curves": curves})
     else:
         from pincal.cli.tables import console  # fmt: skip
         from pincal.cli.tables import error_table as as_table
+        from pincal.cli.visits import print_visits
 
         console().print(as_table(error))
+        print_visits(visited.get("iso9283"), visited.get("lack_of_fit"), console())
     _warn_outside(outside, table.rows)
     _warn_outside_curves(curves, robot)
     mean = error["calibrated"]["test"]["mean_mm"]

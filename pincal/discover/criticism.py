@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import fdtrc
 
 from pincal.identify.calibrate import Fit, priors_of
-from pincal.identify.normal import block_rows
+from pincal.identify.normal import believed, block_rows
 from pincal.identify.problem import Problem
 from pincal.model.effects import Effect
 
@@ -237,7 +237,6 @@ def criticise(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect]
     model = fit.model
     everything = model.with_effects([*model.effects, *nuisance, *candidates])
     problem = fit.problem.with_model(everything)
-    own = len(fit.values) - model.n_parameters
     sizes = priors_of(problem, fit.options).sizes
     starts = np.cumsum([0, *(len(e.parameters(model.chain)) for e in everything.effects)])
     # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
@@ -248,7 +247,10 @@ def criticise(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect]
     values = np.concatenate([fit.values[: model.n_parameters], np.zeros(everything.n_parameters - model.n_parameters)])
     free = np.ones(len(values), bool)
     free[: model.n_parameters] = fit.solution.free[: model.n_parameters]
-    return _gram(fit, problem, np.concatenate([values, fit.values[model.n_parameters :]]), free, sizes, columns, groups, own)
+    values = np.concatenate([values, fit.values[model.n_parameters :]])
+    return _gram(
+        fit, problem, values, np.concatenate([free, fit.solution.free[model.n_parameters :]]), sizes, columns, groups
+    )
 
 
 def _gram(
@@ -259,10 +261,8 @@ def _gram(
     sizes: np.ndarray,
     columns: tuple[slice, ...],
     groups: np.ndarray,
-    own: int,
 ) -> Criticism:
     """Accumulate Gram matrices block of poses by block of poses."""
-    free = np.concatenate([free, np.ones(own, bool)])
     kept = np.flatnonzero(free)
     sigma = fit.solution.estimated
     n_blocks = int(groups.max()) + 1
@@ -282,7 +282,15 @@ def _gram(
             part_S, part_b = jacobian.poses(here).gram(residuals[:, here])
             blocks_S[k] += part_S
             blocks_b[k] += part_b
-    n_model = int(np.sum(kept < columns[0].start)) if columns else len(kept)
+    facts = believed(problem, values, free)
+    if facts is not None:
+        blocks_S += facts[0] / n_blocks
+        blocks_b += facts[1] / n_blocks
+    # The sensor's own parameters stand last; they belong to what is projected out.
+    tested = (kept >= columns[0].start) & (kept < problem.model.n_parameters) if columns else np.zeros(len(kept), bool)
+    order = np.concatenate([np.flatnonzero(~tested), np.flatnonzero(tested)])
+    kept, blocks_S, blocks_b = kept[order], blocks_S[:, order[:, None], order], blocks_b[:, order]
+    n_model = int(np.sum(~tested))
     shift = n_model - (columns[0].start if columns else 0)
     at, priors = values[kept], sizes[kept]
     precision = priors[:n_model] ** -2.0

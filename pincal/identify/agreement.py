@@ -7,7 +7,9 @@ from itertools import combinations
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.identify.calibrate import Fit, Options, place
+from pincal.identify.calibrate import Fit, Options, frames_of, place, released_of
+from pincal.identify.problem import Problem
+from pincal.identify.rows import some_rows
 from pincal.identify.solve import Noise, Priors, solve
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
@@ -32,10 +34,10 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
     Raises:
         MeasurementError: naming the columns that seem swapped or turned round.
     """
-    error = _rms(fit.problem.residuals(fit.nominal.values), fit)
+    error = _typical(fit.problem, fit.nominal.values)
     if error < _SUSPICIOUS * robot.reach:
         return
-    rows = np.unique(np.linspace(0, len(measurements) - 1, _ROWS).astype(int))
+    rows = some_rows(len(measurements), _ROWS)
     sample = measurements.select(rows)
     n = robot.n_joints
     names = robot.joint_names
@@ -59,10 +61,9 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
         )
 
 
-def _rms(residuals: np.ndarray, fit: Fit) -> float:
-    """Return the robust size of the position residuals [m]: outliers have no say."""
-    size = fit.problem.sensor.blocks[0].size
-    return float(np.median(np.linalg.norm(residuals[:size], axis=0)))
+def _typical(problem: Problem, values: np.ndarray) -> float:
+    """Return the robust size of the errors of position [m]: outliers have no say."""
+    return float(np.median(np.linalg.norm(problem.displacements(values), axis=1)))
 
 
 def _swapped(n: int, i: int, j: int) -> np.ndarray:
@@ -85,9 +86,8 @@ def _mixed(measurements: Measurements, order: np.ndarray, sign: np.ndarray) -> M
 
 def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
     problem, values = place(robot, measurements, options)
-    frames = np.array([p.effect in ("base_frame", "tool_frame") for p in problem.parameters])
+    frames = frames_of(problem) & released_of(problem, options)
     flat = Priors(np.full(len(values), np.inf), np.full(len(values), np.inf))
     noise = Noise((None,) * len(problem.sensor.blocks))
     fitted = solve(problem, values, frames, flat, noise, loss="huber", rough=True)
-    size = problem.sensor.blocks[0].size
-    return float(np.median(np.linalg.norm(problem.residuals(fitted.values)[:size], axis=0)))
+    return _typical(problem, fitted.values)

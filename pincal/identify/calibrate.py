@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -11,11 +11,14 @@ from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.normal import accumulate, posterior
+from pincal.identify.placement import Placement
 from pincal.identify.problem import Problem, conditions_of, problem_of
-from pincal.identify.solve import SIGMA_FLOOR, Loss, Noise, Priors, Solution, solve
-from pincal.identify.start import Placement, placements
+from pincal.identify.rows import some_rows
+from pincal.identify.solve import Loss, Noise, Priors, Solution, rounding, solve
+from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensors import sensor_of
+from pincal.measure.sensing import sensor_of
+from pincal.measure.setup import Setup
 from pincal.model.chain import FRAME_SYMBOLS, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Effect, ToolFrame
 from pincal.model.model import Model
@@ -25,6 +28,8 @@ Stages = Literal["joint", "paper"]
 
 # Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real deviations.
 LENGTH_BOUND = 0.01
+# Effects of what stands around the robot; a lens's distortion would only hide the robot's own.
+PLACES = ("base_frame", "tool_frame", "named_point", "lens")
 # Chance that sound data call for a parameter that is not there.
 _MISSED = 1e-6
 # The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
@@ -41,7 +46,8 @@ class Options:
 
     Attributes:
         effects: what may deviate, beside base and tool.
-        sigma: standard deviation of one component of a position, or of a distance [m]; estimated where None.
+        sigma: standard deviation of one component of a position, or of a distance [m], of an image [px]; estimated where
+            None.
         sigma_orientation: likewise of one component of an orientation [rad].
         moment_frame: where moments are taken and bend the arm.
         equilibrium: moments on the bent arm instead of the straight one.
@@ -52,6 +58,7 @@ class Options:
         stages: "joint" fits everything at once, "paper" goes through the paper's sequence.
         loss: what to do with outliers: "screen", "huber" or "none".
         length_bound: largest deviation of a length [m].
+        setup: named points and the camera, as far as they are known.
     """
 
     effects: tuple[Effect, ...] = ELASTIC
@@ -66,6 +73,7 @@ class Options:
     stages: Stages = "joint"
     loss: Loss = "screen"
     length_bound: float = LENGTH_BOUND
+    setup: Setup = field(default_factory=Setup)
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,7 @@ class Fit:
 
     def readings(self, measurements: Measurements) -> Problem:
         """Return the calibrated model over other measurements."""
-        return problem_of(self.model, measurements, np.array(self.options.payload_centre))
+        return problem_of(self.model, measurements, np.array(self.options.payload_centre), self.options.setup)
 
 
 def calibrate(robot: Robot, measurements: Measurements, options: Options | None = None) -> Fit:
@@ -150,11 +158,17 @@ def calibrate(robot: Robot, measurements: Measurements, options: Options | None 
         >>> bool(np.abs(fit.problem.residuals(fit.values)).max() < 1e-9)
         True
     """
-    options = Options() if options is None else options
+    options = _completed(options, measurements)
     problem, nominal, priors, noise = _begin(robot, measurements, options)
     fitted, stages = _fit(problem, nominal.values, priors, noise, options)
     _refuse_too_few(measurements, problem, fitted, noise)
     return Fit(problem, _without_outliers(problem, nominal, fitted, priors, noise), fitted, priors, noise, stages, options)
+
+
+def _completed(options: Options | None, measurements: Measurements) -> Options:
+    """Return the options with all points that the training rows name."""
+    options = Options() if options is None else options
+    return replace(options, setup=options.setup.over(measurements))
 
 
 def _without_outliers(problem: Problem, nominal: Solution, fitted: Solution, priors: Priors, noise: Noise) -> Solution:
@@ -175,10 +189,10 @@ def foresee(robot: Robot, measurements: Measurements, options: Options | None = 
     Raises:
         BadInputError: as :func:`calibrate`.
     """
-    options = Options() if options is None else options
+    options = _completed(options, measurements)
     problem, nominal, priors, noise = _begin(robot, measurements, options)
     fitted, stages = _fit(problem, nominal.values, priors, noise, options)
-    free = _released(problem, options) & _excited(problem)
+    free = released_of(problem, options) & _excited(problem)
     G, g = accumulate(problem, nominal.values, free, fitted.weights).at(fitted.sigma)
     expected = posterior(G, 0.0 * g, priors.sizes[free], np.zeros(int(free.sum())))
     nothing = np.zeros(len(free), bool)
@@ -235,9 +249,14 @@ def _begin(robot: Robot, measurements: Measurements, options: Options) -> tuple[
     problem, values = place(robot, measurements, options)
     priors = priors_of(problem, options)
     noise = noise_of(problem, options)
-    frames = np.array([p.effect in ("base_frame", "tool_frame") for p in problem.parameters]) & _released(problem, options)
+    frames = frames_of(problem) & released_of(problem, options)
     nominal = solve(problem, values, frames, priors, noise, loss=options.loss, rough=True, label="base and tool")
     return problem, nominal, priors, noise
+
+
+def frames_of(problem: Problem) -> np.ndarray:
+    """Return which parameters say where things are: base and tool, named points, a camera's pinhole."""
+    return np.array([p.effect in PLACES for p in problem.parameters], bool)
 
 
 def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[Problem, np.ndarray]:
@@ -251,21 +270,26 @@ def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[P
         gravity=None if options.gravity is None else np.array(options.gravity),
         targets=tuple(str(t) for t in np.unique(measurements.target)),
     )
-    sensor = sensor_of(measurements)
+    sensor = sensor_of(measurements, options.setup)
     frames: tuple[Effect, ...] = (BaseFrame(sensor.base_symbols), ToolFrame(sensor.tool_symbols))
     bare = Model(chain, frames)
     centre = np.array(options.payload_centre)
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     conditions = conditions_of(bare, measurements, centre)
-    sample = np.unique(np.linspace(0, len(conditions) - 1, 2000).astype(int))
+    sample = some_rows(len(conditions), 2000)
     tips = bare.predict(np.zeros(bare.n_parameters), conditions.select(sample))
     found = placements(sensor.select(sample), tips, conditions.target[sample], len(chain.targets))
     candidates = [_known(placement, chain, options) for placement in found]
+    if not sensor.base_symbols:
+        candidates = [replace(candidate, base=np.eye(4)) for candidate in candidates]
     starts = [_at(bare, measurements, placement, options) for placement in candidates]
-    placement = candidates[int(np.argmin([_roughness(p, v, options) for p, v in starts]))]
+    settled = [_settled(problem, values, options) for problem, values in starts]
+    best = int(np.argmin([rest for _, rest in settled]))
     model = Model(chain, (*frames, *options.effects), equilibrium=options.equilibrium)
-    return _at(model, measurements, placement, options)
+    problem, _ = _at(model, measurements, candidates[best], options)
+    start = dict(zip((p.name for p in starts[best][0].parameters), settled[best][0], strict=True))
+    return problem, np.array([start.get(p.name, 0.0) for p in problem.parameters])
 
 
 def _known(placement: Placement, chain: Chain, options: Options) -> Placement:
@@ -276,14 +300,15 @@ def _known(placement: Placement, chain: Chain, options: Options) -> Placement:
         if name not in chain.targets:
             raise BadInputError(f"tool {name!r} is given but no row has this target; targets: {', '.join(chain.targets)}")
         tools[chain.targets.index(name), :3, 3] = xyz
-    return Placement(base, tools)
+    return replace(placement, base=base, tools=tools)
 
 
 def _at(model: Model, measurements: Measurements, placement: Placement, options: Options) -> tuple[Problem, np.ndarray]:
     """Return the problem and values that stand at a placement."""
     chain = model.chain.with_references(placement.base[:3, :3], placement.tools[:, :3, :3])
-    problem = problem_of(model.with_chain(chain), measurements, np.array(options.payload_centre))
+    problem = problem_of(model.with_chain(chain), measurements, np.array(options.payload_centre), options.setup)
     values = np.zeros(len(problem.parameters))
+    values[problem.model.n_parameters :] = placement.own
     names = [parameter.name for parameter in problem.parameters]
     for element, place in [("base", placement.base), *zip(chain.targets, placement.tools, strict=True)]:
         for symbol, value in zip("xyz", place[:3, 3], strict=True):
@@ -292,21 +317,24 @@ def _at(model: Model, measurements: Measurements, placement: Placement, options:
     return problem, values
 
 
-def _roughness(problem: Problem, values: np.ndarray, options: Options) -> float:
-    """Return the median row residual after a short fit of base and tool; outliers don't vote."""
-    rows = np.unique(np.linspace(0, len(problem) - 1, 500).astype(int))
+def _settled(problem: Problem, values: np.ndarray, options: Options) -> tuple[np.ndarray, float]:
+    """Return the values after a short fit of base and tool, and the median row residual; outliers don't vote."""
+    rows = some_rows(len(problem), 500)
     sample = problem.select(rows)
     priors = Priors(np.full(len(values), np.inf), np.full(len(values), np.inf))
-    fit = solve(sample, values, _released(sample, options), priors, noise_of(sample, options), loss="huber")
-    return float(np.median(np.linalg.norm(sample.residuals(fit.values), axis=0)))
+    free = released_of(sample, options) & frames_of(sample)
+    fit = solve(sample, values, free, priors, noise_of(sample, options), loss="huber")
+    return fit.values, float(np.median(np.linalg.norm(sample.residuals(fit.values), axis=0)))
 
 
-def _released(problem: Problem, options: Options) -> np.ndarray:
+def released_of(problem: Problem, options: Options) -> np.ndarray:
     """Return which parameters a fit may move: all but a known base and known tools."""
     known = [] if options.base is None else ["base"]
     known += list(options.tools or {})
     elements = [p.name.rsplit(".", 1) for p in problem.parameters]
-    return np.array([not (element in known and symbol in FRAME_SYMBOLS) for element, symbol in elements])
+    free = np.array([not (element in known and symbol in FRAME_SYMBOLS) for element, symbol in elements], bool)
+    free[problem.model.n_parameters :] = ~problem.sensor.held
+    return free
 
 
 def _excited(problem: Problem) -> np.ndarray:
@@ -319,7 +347,7 @@ def _excited(problem: Problem) -> np.ndarray:
 
 def _sample(problem: Problem) -> np.ndarray:
     """Return rows spread over the table, enough to judge sizes by."""
-    return np.unique(np.linspace(0, len(problem) - 1, 1000).astype(int))
+    return some_rows(len(problem), 1000)
 
 
 def priors_of(problem: Problem, options: Options) -> Priors:
@@ -333,14 +361,14 @@ def priors_of(problem: Problem, options: Options) -> Priors:
 
 def noise_of(problem: Problem, options: Options) -> Noise:
     """Return the declared noise of each block of readings."""
-    return Noise(tuple(options.sigma if b.unit == "m" else options.sigma_orientation for b in problem.sensor.blocks))
+    return Noise(tuple(options.sigma_orientation if b.unit == "rad" else options.sigma for b in problem.sensor.blocks))
 
 
 def _fit(
     problem: Problem, start: np.ndarray, priors: Priors, noise: Noise, options: Options
 ) -> tuple[Solution, tuple[Stage, ...]]:
     """Go through the stages; each begins where the one before ended."""
-    released = _released(problem, options)
+    released = released_of(problem, options)
     excited = released & _excited(problem)
     stages: list[Stage] = []
     values = start
@@ -362,7 +390,7 @@ def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[st
     if options.stages == "joint":
         return [("all", free)]
     effects = np.array([parameter.effect for parameter in problem.parameters])
-    frames = np.isin(effects, ["base_frame", "tool_frame"])
+    frames = frames_of(problem)
     masks = {name: free & (frames | np.isin(effects, group)) for name, group in PAPER_STAGES.items()}
     return [(name, mask) for name, mask in masks.items() if np.any(mask & ~frames)] + [("4 all", free)]
 
@@ -376,13 +404,22 @@ def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors:
     if not held.any():
         return False
     normal = accumulate(problem, fitted.values, released, fitted.weights)
-    G, g = normal.at(np.maximum(fitted.sigma, SIGMA_FLOOR))
+    G, g = normal.at(np.maximum(fitted.sigma, rounding(problem)))
     wide = posterior(G, g, priors.sizes[released], fitted.values[released])
     narrow = fitted.free[released]
     near = posterior(G[np.ix_(narrow, narrow)], g[narrow], priors.sizes[fitted.free], fitted.values[fitted.free])
     slope = g - fitted.values[released] / priors.sizes[released] ** 2
     gain = slope @ wide.step - slope[narrow] @ near.step
     return bool(gain > chdtri(int(held.sum()), _MISSED))
+
+
+def doubts_lens(fit: Fit) -> bool:
+    """Return whether the images call for another camera than the given one, which the fit held (a score test)."""
+    problem = fit.problem
+    usual = np.zeros(len(problem.parameters), bool)
+    usual[problem.model.n_parameters :] = problem.sensor.held
+    usual &= np.array([p.effect in ("lens", "lens_distortion") for p in problem.parameters], bool)
+    return bool(usual.any()) and _is_missed(problem, fit.solution, fit.solution.free | usual, fit.priors)
 
 
 def _refuse_too_few(measurements: Measurements, problem: Problem, fitted: Solution, noise: Noise) -> None:

@@ -12,8 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from pincal.identify.calibrate import Fit
+from pincal.identify.calibrate import PLACES, Fit
 from pincal.identify.normal import NULL, accumulate, posterior
+from pincal.identify.rows import some_rows
 from pincal.model.chain import FRAME_SYMBOLS
 
 Status = Literal["identified", "prior", "fixed", "unidentifiable", "at bound"]
@@ -89,6 +90,9 @@ def _finding(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> Finding:
         known = fit.options.base is not None if element == "base" else element in (fit.options.tools or {})
         if known and symbol in FRAME_SYMBOLS:
             return Finding(parameter.name, "fixed", "given by the user")
+        if parameter.effect in ("lens", "lens_distortion"):
+            given = "left at zero: usual lenses need no more" if fit.options.setup.lens is None else "given by the user"
+            return Finding(parameter.name, "fixed", given)
         return Finding(parameter.name, "unidentifiable", _not_excited(parameter.name, parameter.unit))
     if nominal.unseen[i] > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(fit.priors.sizes[i])):
         reason = nominal.counterpart(i) + _small_moment(fit, parameter.name, parameter.unit)
@@ -122,7 +126,7 @@ def _small_moment(fit: Fit, name: str, unit: str) -> str:
     joint, symbol = name.rsplit(".", 1)
     if not unit.endswith("/(N m)") or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
         return ""
-    rows = np.unique(np.linspace(0, len(fit.problem) - 1, _ROWS).astype(int))
+    rows = some_rows(len(fit.problem), _ROWS)
     moments = fit.model.static_moments(np.zeros(fit.model.n_parameters), fit.problem.conditions.select(rows))
     largest = np.abs(moments[:, 3 * joints.index(joint) + "xyz".index(symbol[-1])]).max()
     return f" (the moment about this axis stays below {largest:.2g} N m)"
@@ -139,12 +143,14 @@ class _Nominal:
 
     Attributes:
         names: of the P parameters.
+        effects: those that own them.
         G: shape (P, P), scaled to a unit diagonal; zero rows for what has no effect.
         scale: shape (P,), by which columns were divided.
         unseen: shape (P,), each parameter's share in the directions that no reading sees.
     """
 
     names: tuple[str, ...]
+    effects: tuple[str, ...]
     G: np.ndarray
     scale: np.ndarray
     unseen: np.ndarray
@@ -152,7 +158,7 @@ class _Nominal:
     @classmethod
     def of(cls, fit: Fit) -> _Nominal:
         problem = fit.problem
-        rows = np.unique(np.linspace(0, len(problem) - 1, _ROWS).astype(int))
+        rows = some_rows(len(problem), _ROWS)
         everything = np.ones(len(fit.values), bool)
         normal = accumulate(problem.select(rows), fit.nominal.values, everything, np.ones(len(rows)))
         G, g = normal.at(fit.solution.sigma)
@@ -163,7 +169,8 @@ class _Nominal:
         unseen[np.flatnonzero(free)[told.has_prior]] = np.sum(null**2, axis=1)
         scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
         G = np.where(np.outer(free, free), G / np.outer(scale, scale), 0.0)
-        return cls(tuple(p.name for p in problem.parameters), G, scale, unseen)
+        names, effects = zip(*((p.name, p.effect) for p in problem.parameters), strict=True)
+        return cls(names, effects, G, scale, unseen)
 
     def counterpart(self, i: int) -> str:
         """Say what does the same as parameter ``i``; the smallest set of parameters that does is named."""
@@ -179,16 +186,16 @@ class _Nominal:
 
     def _candidates(self, i: int) -> Iterator[tuple[list[int], str]]:
         symbol = self.names[i].rsplit(".", 1)[1]
-        base, tool = self._frame("base"), self._tools()
+        base, tool = self._of("base_frame"), self._of("tool_frame", "named_point", "lens")
         inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.G[j, j] > 0]
         alike = [j for j in inner if self.names[j].endswith("." + symbol)]
         yield base, "the unknown base frame absorbs it"
-        yield tool, "the unknown tool frame absorbs it"
+        yield tool, f"{self._unknown} absorbs it"
         for j in self._same(self.G, i, alike):
             yield [j], "only {0} is determined (the axes are parallel)" if symbol == "d" else "only {0} is determined"
         for j in self._same(self.G, i, inner):
             yield [j], "only {0} is determined"
-        yield base + tool, "the unknown base and tool frames absorb it"
+        yield base + tool, "the unknown base and tool frames absorb it" if base else f"{self._unknown} absorbs it"
         for j in self._same(self._beside_frames, i, inner):
             yield [j, *base, *tool], "{1}"
         near = [j for j in inner if abs(self._element[i] - self._element[j]) <= 1]
@@ -196,14 +203,13 @@ class _Nominal:
         yield [*near, *base, *tool], "{1}"
         yield [*inner, *base, *tool], "{1}"
 
-    def _frame(self, element: str) -> list[int]:
-        return [
-            j for j, n in enumerate(self.names) if n.rsplit(".", 1)[0] == element and n.rsplit(".", 1)[1] in FRAME_SYMBOLS
-        ]
+    @property
+    def _unknown(self) -> str:
+        """Name what is free beside the base frame."""
+        return "the unknown tool frame" + (" with the unknown points" if self._of("named_point") else "")
 
-    def _tools(self) -> list[int]:
-        base = self._frame("base")
-        return [j for j, n in enumerate(self.names) if n.rsplit(".", 1)[1] in FRAME_SYMBOLS and j not in base]
+    def _of(self, *effects: str) -> list[int]:
+        return [j for j, effect in enumerate(self.effects) if effect in effects]
 
     @cached_property
     def _element(self) -> list[int]:
@@ -215,7 +221,7 @@ class _Nominal:
     @cached_property
     def _beside_frames(self) -> np.ndarray:
         """G with what base and tool absorb taken out."""
-        frames = [*self._frame("base"), *self._tools()]
+        frames = self._of(*PLACES)
         inverse = np.linalg.pinv(self.G[np.ix_(frames, frames)], rcond=1e-10, hermitian=True)
         return np.asarray(self.G - self.G[:, frames] @ inverse @ self.G[frames])
 

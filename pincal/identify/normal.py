@@ -35,21 +35,28 @@ class Normal:
         g: shape (blocks, F).
         squares: shape (blocks,), weighted sums of squared residuals.
         row_squares: shape (blocks, N), each row's weighted squared residual, robust weights left out.
+        believed: G, g and the sum of squares of what the sensor knows beside its readings, in units of its own noise.
     """
 
     G: np.ndarray
     g: np.ndarray
     squares: np.ndarray
     row_squares: np.ndarray
+    believed: tuple[np.ndarray, np.ndarray, float] | None = None
 
     def at(self, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return G and g for standard deviations of the blocks, shape (blocks,)."""
         weight = sigma**-2.0
-        return np.einsum("b,bij->ij", weight, self.G), np.einsum("b,bi->i", weight, self.g)
+        G, g = np.einsum("b,bij->ij", weight, self.G), np.einsum("b,bi->i", weight, self.g)
+        return (G, g) if self.believed is None else (G + self.believed[0], g + self.believed[1])
 
     def chi2(self, sigma: np.ndarray) -> float:
-        """Return the weighted sum of squares in units of the variances."""
+        """Return the weighted sum of squares of the readings in units of the variances."""
         return float(np.sum(self.squares / sigma**2))
+
+    def disbelief(self) -> float:
+        """Return the sum of squares of what the sensor knows beside its readings, in units of the variances."""
+        return 0.0 if self.believed is None else self.believed[2]
 
 
 def accumulate(problem: Problem, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
@@ -77,7 +84,19 @@ def accumulate(problem: Problem, values: np.ndarray, free: np.ndarray, robust: n
             G[b] += part_G
             g[b] += part_g
             squares[b] += np.vdot(r, r)
-    return Normal(G, g, squares, row_squares)
+    return Normal(G, g, squares, row_squares, believed(problem, values, free))
+
+
+def believed(problem: Problem, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Return G, shape (F, F), g, shape (F,), and the sum of squares of the sensor's beliefs; None where it has none."""
+    facts = problem.sensor.beliefs(problem.own(values))
+    if facts is None:
+        return None
+    n = problem.model.n_parameters
+    J = np.zeros((int(free.sum()), len(facts.sigma)))
+    J[int(free[:n].sum()) :] = (facts.jacobian / facts.sigma)[free[n:]]
+    r = facts.residuals / facts.sigma
+    return J @ J.T, J @ r, float(r @ r)
 
 
 def block_rows(problem: Problem) -> list[slice]:

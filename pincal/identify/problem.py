@@ -10,7 +10,9 @@ import numpy as np
 
 from pincal.identify.jacobian import Family, Jacobian, split_by_density
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensors import Sensor, sensor_of
+from pincal.measure.sensing import sensor_of
+from pincal.measure.sensors import Sensor
+from pincal.measure.setup import Setup
 from pincal.model.effects import Conditions, Parameter
 from pincal.model.model import Model
 
@@ -33,6 +35,10 @@ class Problem:
     conditions: Conditions
     sensor: Sensor
     weights: np.ndarray
+
+    def own(self, values: np.ndarray) -> np.ndarray:
+        """Return the values of the sensor's own parameters."""
+        return values[self.model.n_parameters :]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -64,6 +70,23 @@ class Problem:
             poses = part.model.predict(values[: part.model.n_parameters], part.conditions)
             out[:, piece] = part.sensor.residuals(poses, values[part.model.n_parameters :])
         return out
+
+    def displacements(self, values: np.ndarray) -> np.ndarray:
+        """Return where to each row's target is off its prediction, as far as its reading tells, shape (N, 3) [m]."""
+        out = np.empty((len(self), 3))
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses = part.model.predict(values[: part.model.n_parameters], part.conditions)
+            own = part.own(values)
+            out[piece] = part.sensor.displacement(part.sensor.residuals(poses, own), poses, own)
+        return out
+
+    def metres_per_reading(self, values: np.ndarray) -> float:
+        """Return how far the target is off for one unit of the first block of readings: 1, but for images."""
+        if self.sensor.blocks[0].unit == "m":
+            return 1.0
+        sizes = np.linalg.norm(self.residuals(values)[: self.sensor.blocks[0].size], axis=0)
+        return float(np.median(np.linalg.norm(self.displacements(values), axis=1) / np.maximum(sizes, 1e-300)))
 
     def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield, piece by piece, the rows, the residuals, shape (m, n), and the Jacobian, shape (free, m, n)."""
@@ -109,26 +132,28 @@ class Problem:
             yield piece, part.sensor.residuals(poses, values[n:]), jacobian
 
     def _pieces(self) -> Iterator[slice]:
-        for start in range(0, len(self), _PIECE):
-            yield slice(start, min(start + _PIECE, len(self)))
+        size = max(len(self), 1) if self.sensor.is_whole else _PIECE
+        for start in range(0, len(self), size):
+            yield slice(start, min(start + size, len(self)))
 
     def _part(self, piece: slice) -> Problem:
-        if len(self) <= _PIECE:
+        if piece == slice(0, len(self)):
             return self
         return replace(self, conditions=self.conditions.select(piece), sensor=self.sensor.select(piece))
 
 
-def problem_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Problem:
+def problem_of(model: Model, measurements: Measurements, payload_centre: np.ndarray, setup: Setup | None = None) -> Problem:
     """Return the problem of a table of measurements under a model.
 
     Args:
         model: the model; its chain's targets are those of the table.
         measurements: the table.
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
+        setup: the named points and the camera; as :func:`pincal.measure.sensing.sensor_of` has them unless given.
     """
     sigma = measurements.sigma
     weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
-    return Problem(model, conditions_of(model, measurements, payload_centre), sensor_of(measurements), weights)
+    return Problem(model, conditions_of(model, measurements, payload_centre), sensor_of(measurements, setup), weights)
 
 
 def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:

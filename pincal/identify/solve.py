@@ -31,12 +31,12 @@ _STEADY = 0.05
 _HALVINGS = 10
 # Robust weights that change by less are settled.
 _SETTLED = 1e-3
-# Rounding of predictions [m or rad]; noise is never taken to be less.
-SIGMA_FLOOR = 1e-12
 # Probability that screening takes any sound row of a table for an outlier.
 _FALSE_OUTLIER = 0.01
 # Declared noise is replaced by the residuals' own when these exceed it by this many standard deviations of chi-square.
 _MISFIT = 4.0
+
+_READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def solve(
             converged = True
             break
         if (
-            moved < (_STEP if np.any(state.sigma > SIGMA_FLOOR) else _ROUNDED)
+            moved < (_STEP if np.any(state.sigma > rounding(problem)) else _ROUNDED)
             and np.max(np.abs(state.robust - robust)) < _SETTLED
         ):
             converged = hard or loss != "screen" or bool(np.all(robust == 1.0))
@@ -156,6 +156,11 @@ def solve(
             robust = state.robust
             normal = accumulate(problem, values, free, robust)
     return fit.finish(normal, values, robust, iteration, converged, held)
+
+
+def rounding(problem: Problem) -> np.ndarray:
+    """Return the rounding of predictions, shape (blocks,); noise is never taken to be less."""
+    return np.array([block.rounding for block in problem.sensor.blocks])
 
 
 class _Memory:
@@ -212,7 +217,7 @@ class _Fit:
         else:
             middle = np.array([chdtri(size, 0.5) for size in self._sizes])
             estimated = np.sqrt(np.median(normal.row_squares, axis=1) / middle)
-        estimated = np.maximum(estimated, SIGMA_FLOOR)
+        estimated = np.maximum(estimated, rounding(self.problem))
         declared = np.array([np.nan if d is None else d for d in self.noise.declared])
         misfit = declared * (1.0 + _MISFIT / np.sqrt(2.0 * counted))
         sigma = np.where(np.isnan(declared) | (estimated > misfit), estimated, declared)
@@ -258,8 +263,10 @@ class _Fit:
 
     def readable(self, state: _Judgement) -> str:
         """Return the size of the residuals for the log."""
-        units = ["mm" if block.unit == "m" else "mrad" for block in self.problem.sensor.blocks]
-        return ", ".join(f"{sigma * 1e3:.5f} {unit}" for sigma, unit in zip(state.estimated, units, strict=True))
+        units = [_READ[block.unit] for block in self.problem.sensor.blocks]
+        return ", ".join(
+            f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(state.estimated, units, strict=True)
+        )
 
     def length(self, step: np.ndarray, normal: Normal, state: _Judgement) -> float:
         """Return how far a step moves the predictions, root mean square, in units of the noise."""
@@ -291,7 +298,8 @@ class _Fit:
 
     def _objective(self, normal: Normal, values: np.ndarray, sigma: np.ndarray) -> float:
         known = self.free & np.isfinite(self.priors.sizes)
-        return normal.chi2(sigma) + float(np.sum((values[known] / self.priors.sizes[known]) ** 2))
+        prior = float(np.sum((values[known] / self.priors.sizes[known]) ** 2))
+        return normal.chi2(sigma) + normal.disbelief() + prior
 
     def finish(
         self,
@@ -308,7 +316,7 @@ class _Fit:
         result = posterior(G, g, self.priors.sizes[self.free], values[self.free])
         counted = np.maximum(np.sum(robust > 0.0), 1) * self._sizes
         degrees = np.maximum(counted - result.effective * counted / counted.sum(), 1.0)
-        estimated = np.maximum(np.sqrt(normal.squares / degrees), SIGMA_FLOOR)
+        estimated = np.maximum(np.sqrt(normal.squares / degrees), rounding(self.problem))
         declared = np.array([np.nan if d is None else d for d in self.noise.declared])
         misfit = declared * (1.0 + _MISFIT / np.sqrt(2.0 * degrees))
         sigma = np.where(np.isnan(declared) | (estimated > misfit), estimated, declared)

@@ -10,6 +10,7 @@ _MEASURED = {
     "position": ("length", ("x", "y", "z")),
     "quaternion": ("number", ("qx", "qy", "qz", "qw")),
     "distance": ("length", ("distance",)),
+    "anchor": ("name", ("anchor",)),
     "socket": ("name", ("socket",)),
     "camera_point": ("length", ("cx", "cy", "cz")),
     "pixel": ("pixel", ("u", "v")),

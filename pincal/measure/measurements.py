@@ -41,6 +41,8 @@ class Measurements:
     """Orientation of the tool in the instrument's frame, x y z w, normalised, shape (N, 4)."""
     distance: np.ndarray | None = None
     """From the instrument's point to the target [m], shape (N,)."""
+    anchor: np.ndarray | None = None
+    """Name of the fixed point that each distance is measured from, where there are several, shape (N,)."""
     socket: np.ndarray | None = None
     """Name of the fixed point that held the tool point, shape (N,)."""
     camera_point: np.ndarray | None = None
@@ -109,11 +111,12 @@ def measurements_from_arrays(
         rows: Line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: Name of the data for messages.
         units: Units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: position, quaternion, distance, socket, camera_point, pixel, point, target, payload,
+        **columns: position, quaternion, distance, anchor, socket, camera_point, pixel, point, target, payload,
             temperature, time, approach, sigma, shaped as in `Measurements`; None is absent.
 
     Returns:
-        The measurements; target is "tool" in each row unless given, quaternions are normalised.
+        The measurements; target is "tool" (of a camera's readings "camera") in each row unless given, quaternions are
+        normalised.
 
     Raises:
         MeasurementError: Unknown column, wrong shape, value that can't be, or two kinds of measurement.
@@ -165,12 +168,14 @@ def validated(
     """Return the measurements of these arrays, which are checked but not copied."""
     count = len(arrays["q"])
     arrays.setdefault("rows", np.arange(2, count + 2))
-    arrays.setdefault("target", np.broadcast_to(np.array("tool"), count))
+    is_camera = "camera_point" in arrays or "pixel" in arrays
+    arrays.setdefault("target", np.broadcast_to(np.array("camera" if is_camera else "tool"), count))
     kinds = [name for name in KINDS if name in arrays]
     if len(kinds) > 1:
         found = " and ".join(" ".join(FIELDS[name][1]) for name in kinds)
         raise MeasurementError(f"{source}: two kinds of measurement ({found}); expected one, ignore the others")
-    for needs, needed in (("quaternion", "position"), ("camera_point", "point"), ("pixel", "point")):
+    pairs = (("quaternion", "position"), ("anchor", "distance"), ("camera_point", "point"), ("pixel", "point"))
+    for needs, needed in pairs:
         if needs in arrays and needed not in arrays:
             got, missing = (" ".join(FIELDS[name][1]) for name in (needs, needed))
             raise MeasurementError(f"{source}: {got} without {missing}; add what is missing, or ignore {got}")

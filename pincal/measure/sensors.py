@@ -13,8 +13,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.errors import MeasurementError
-from pincal.measure.measurements import Measurements
 from pincal.model.chain import FRAME_SYMBOLS
 from pincal.model.effects import Parameter
 
@@ -25,13 +23,30 @@ class Block:
 
     Attributes:
         name: "position", "orientation" or "distance".
-        unit: "m" or "rad".
+        unit: "m", "rad" or "px".
         size: number of components.
+        rounding: of a prediction; noise is never taken to be less.
     """
 
     name: str
     unit: str
     size: int
+    rounding: float = 1e-12
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """C facts on a sensor's own parameters, as if they were readings.
+
+    Attributes:
+        residuals: shape (C,), known minus predicted.
+        jacobian: shape (own, C), derivative of the predicted.
+        sigma: shape (C,), standard deviations.
+    """
+
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    sigma: np.ndarray
 
 
 class Sensor(ABC):
@@ -39,9 +54,13 @@ class Sensor(ABC):
 
     kind: ClassVar[str]
     blocks: ClassVar[tuple[Block, ...]]
-    base_symbols: ClassVar[tuple[str, ...]]
     tool_symbols: ClassVar[tuple[str, ...]]
     twist_rows: ClassVar[int]
+
+    @property
+    def base_symbols(self) -> tuple[str, ...]:
+        """Coordinates of the base frame that the readings can depend on."""
+        return FRAME_SYMBOLS
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -58,6 +77,33 @@ class Sensor(ABC):
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters that the sensor owns; none unless it says so."""
         return ()
+
+    @property
+    def held(self) -> np.ndarray:
+        """Which of its own parameters are known and stay as they are, shape (own,)."""
+        return np.zeros(len(self.parameters), bool)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the rows make sense only together, so that they can't be worked on in pieces."""
+        return False
+
+    def beliefs(self, own: np.ndarray) -> Beliefs | None:
+        """Return what is known of the sensor's own parameters beside the readings, None where nothing is."""
+        return None
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return where to the target is off its prediction, as far as the reading tells.
+
+        Args:
+            residuals: shape (m, N), as :meth:`residuals` has them.
+            poses: shape (N, 3, 4), the target in the instrument's frame.
+            own: values of the sensor's parameters.
+
+        Returns:
+            Shape (N, 3) [m], in the instrument's axes.
+        """
+        return residuals[:3].T
 
     @abstractmethod
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -92,7 +138,6 @@ class PositionSensor(Sensor):
     position: np.ndarray
     kind: ClassVar[str] = "position"
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
-    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     twist_rows: ClassVar[int] = 3
 
@@ -124,7 +169,6 @@ class PoseSensor(Sensor):
     rotation: np.ndarray
     kind: ClassVar[str] = "pose"
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3), Block("orientation", "rad", 3))
-    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 6
 
@@ -154,59 +198,6 @@ class PoseSensor(Sensor):
         for i, row in enumerate(_inverse_right_jacobian(turn).transpose(1, 2, 0)):
             out[:, 3 + i] = row[0] * motion[:, 3] + row[1] * motion[:, 4] + row[2] * motion[:, 5]
         return out
-
-
-@dataclass(frozen=True)
-class DistanceSensor(Sensor):
-    """1D: the distance, shape (N,) [m], from the instrument's point to the target.
-
-    The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
-    """
-
-    distance: np.ndarray
-    kind: ClassVar[str] = "distance"
-    blocks: ClassVar[tuple[Block, ...]] = (Block("distance", "m", 1),)
-    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
-    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
-    twist_rows: ClassVar[int] = 3
-
-    def __len__(self) -> int:
-        return len(self.distance)
-
-    def select(self, rows: slice | np.ndarray) -> DistanceSensor:
-        """Return the readings of some rows."""
-        return replace(self, distance=self.distance[rows])
-
-    def shifted(self, change: np.ndarray) -> DistanceSensor:
-        """Return distances longer by ``change``, shape (1, N) [m]."""
-        return replace(self, distance=self.distance + change[0])
-
-    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction, shape (1, N) [m]."""
-        return np.asarray(self.distance - np.linalg.norm(poses[:, :, 3], axis=1))[None]
-
-    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion along the line of sight."""
-        direction = poses[:, :, 3] / np.linalg.norm(poses[:, :, 3], axis=1, keepdims=True)
-        return np.asarray(np.einsum("ni,pin->pn", direction, motion)[:, None])
-
-
-def sensor_of(measurements: Measurements) -> Sensor:
-    """Return the sensor that made a table of measurements.
-
-    Raises:
-        MeasurementError: if no sensor of this package reads such columns.
-    """
-    if measurements.kind == "position" and measurements.position is not None:
-        return PositionSensor(measurements.position)
-    if measurements.kind == "pose" and measurements.position is not None and measurements.quaternion is not None:
-        return PoseSensor(measurements.position, rotation_matrices(measurements.quaternion))
-    if measurements.kind == "distance" and measurements.distance is not None:
-        return DistanceSensor(measurements.distance)
-    raise MeasurementError(
-        f"{measurements.source}: no sensor reads measurements of kind {measurements.kind!r}; "
-        "expected columns x y z, x y z with qx qy qz qw, or distance"
-    )
 
 
 def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:

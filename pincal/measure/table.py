@@ -21,7 +21,15 @@ from pincal.measure.fields import CONDITIONS, FIELDS
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
 from pincal.measure.sheet import open_sheet, read_cells
 
-__all__ = ["Measurements", "column_names", "concatenate", "measurements_from_arrays", "read_measurements", "write_table"]
+__all__ = [
+    "Measurements",
+    "column_names",
+    "concatenate",
+    "measurements_from_arrays",
+    "read_columns",
+    "read_measurements",
+    "write_table",
+]
 
 
 def read_measurements(
@@ -62,6 +70,34 @@ def read_measurements(
         expected = "x y z, x y z qx qy qz qw, distance, socket, cx cy cz with point, or u v with point"
         raise MeasurementError(f"{path.name}: no measurement in the table; expected columns {expected}")
     return measurements
+
+
+def read_columns(
+    path: str | os.PathLike[str], quantities: Mapping[str, str], *, optional: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
+    """Read a small table whose columns are all known; separator, decimal comma and units as in a table of measurements.
+
+    Args:
+        path: The file.
+        quantities: Columns and what they hold: "name", "length", ...
+        optional: Those that may be absent.
+
+    Returns:
+        Columns in SI units, each of shape (N,).
+
+    Raises:
+        MeasurementError: A file that can't be read, or a column, unit or value that can't be right.
+    """
+    path = Path(path)
+    with _typed_errors(path):
+        sheet = open_sheet(path)
+        columns = match_columns(sheet, (), quantities, ignore=())
+        missing = [name for name in quantities if name not in {c.name for c in columns} and name not in optional]
+        if missing:
+            expected = " ".join(name for name in quantities if name not in optional)
+            raise MeasurementError(f"{path.name}: no column {missing[0]!r}; expected columns {expected}")
+        cells, _ = read_cells(sheet, columns)
+        return {column.name: converted(cells.pop(column.name), column) for column in columns}
 
 
 def column_names(path: str | os.PathLike[str]) -> tuple[str, ...]:

@@ -100,7 +100,7 @@ def run_discovery(
         notes = (*notes, f"moments bend the arm as with --moment-frame {frame}: it fits better than {frames[0]}")
     held = trail.final.readings(first.test) if len(first.test) else None
     seconds = time.perf_counter() - begun
-    result = result_of(trail.final, held, seconds=seconds, train_rows=first.train.rows, notes=notes)
+    result = result_of(trail.final, held, seconds=seconds, tables=(first.train, first.test), notes=notes)
     final = replace(first, fit=trail.final, result=result, notes=notes)
     gaps, traces = gaps_of(trail, final.test), traces_of(trail)
     return Discovery(final, trail, discovery_report(final, trail, traces), gaps, traces)
@@ -161,10 +161,11 @@ def discovery_report(calibration: Calibration, trail: Trail, traces: tuple[Trace
     scatter = find_scatter(final)
     sigma = float(noise_floor(final)[0])
     size = final.problem.sensor.blocks[0].size
-    floor = float(sigma * np.sqrt(size) * 1e3)
+    to_mm = 1e3 * final.problem.metres_per_reading(final.values)
+    floor = float(sigma * np.sqrt(size) * to_mm)
     after = _gap(calibration, final)
     misfit = _is_misfit(final)
-    unexplained = float(np.sqrt(max(final.solution.estimated[0] ** 2 - sigma**2, 0.0) * size) * 1e3)
+    unexplained = float(np.sqrt(max(final.solution.estimated[0] ** 2 - sigma**2, 0.0) * size) * to_mm)
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.name == "unnamed"}
     effects = [entry for step in trail.steps for entry in _entries(calibration, trail, step, periods)]
     return {

@@ -10,7 +10,7 @@ from pincal.identify.problem import Problem
 from pincal.report.run import Calibration
 
 # Units of readings -> factor and unit in which people read their errors.
-_READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+_READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,14 @@ from pincal.report.advice import not_told
 from pincal.report.discovery import Discovery
 from pincal.report.glossary import TERMS, effect_meaning
 from pincal.report.illustrations import Picture, illustrations
+from pincal.report.lack_of_fit import lack_words, pure_words
 from pincal.report.nutshell import next_steps, verdict_of
+from pincal.report.replicates import ANGLE_WORDS, cycle_words
 from pincal.report.result import ParameterRow, Result
 from pincal.report.run import Calibration
 from pincal.report.shrink import gap_names
 from pincal.report.units import digits, small_unit
-from pincal.report.words import effect_words
+from pincal.report.words import effect_words, noise_words
 
 log = logging.getLogger(__name__)
 
@@ -73,11 +75,16 @@ def report_page(
         calibration=calibration,
         robot=calibration.robot,
         result=result,
+        noise_words=noise_words,
         part=part,
         glance=_glance(result, part),
         verdict=verdict_of(result, discovery),
         steps=next_steps(calibration, discovery),
         errors=_error_rows(result),
+        cycle_words=cycle_words,
+        lack_words=lack_words,
+        pure_words=pure_words,
+        angle_words=ANGLE_WORDS,
         parameters=[(row, *_readable(row)) for row in result.parameters],
         untold=not_told(result.parameters),
         notes=notes,

@@ -6,20 +6,24 @@ import contextlib
 import json
 import os
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pincal.errors import ModelFileError, OutputError
+from pincal.errors import MeasurementError, ModelFileError, OutputError
 from pincal.identify.calibrate import Fit
+from pincal.identify.problem import Problem, problem_of
+from pincal.measure.measurements import Measurements
+from pincal.measure.setup import Setup
 from pincal.model.catalogue import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed, variable
 from pincal.model.effects import Conditions, Parameter
 from pincal.model.model import Model
 from pincal.report.json_section import Section
 from pincal.report.model_json import model_from_json, model_to_json, parameters_from_json, parameters_to_json
+from pincal.report.setup_json import setup_from_json, setup_to_json
 
 FORMAT_VERSION = 1
 # What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
@@ -87,6 +91,7 @@ class CalibratedModel:
         covered: the range of the training rows.
         sigma: shape (blocks,), noise of one component of each block of readings that the fit used [m, rad].
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
+        setup: named points and the camera that it was calibrated with.
 
     Example:
         >>> from pincal.model.chain import Chain
@@ -108,6 +113,20 @@ class CalibratedModel:
     covered: Covered
     sigma: np.ndarray
     provenance: dict[str, Any]
+    setup: Setup = field(default_factory=Setup)
+
+    def readings(self, measurements: Measurements) -> Problem:
+        """Return the model over measurements.
+
+        Raises:
+            MeasurementError: if they are of another kind than those of the calibration, or of points that it did not have.
+        """
+        if self.setup.points and self.sensor_kind != measurements.kind:
+            raise MeasurementError(
+                f"{measurements.source}: measurements of kind {measurements.kind}; expected {self.sensor_kind}, "
+                "as this model was calibrated with"
+            )
+        return problem_of(self.model, measurements, self.payload_centre, self.setup)
 
     def predict(self, conditions: Conditions) -> np.ndarray:
         """Return the target's poses in the instrument's frame, shape (N, 3, 4): rotation and translation [m]."""
@@ -180,6 +199,7 @@ def calibrated_model_of(fit: Fit, provenance: dict[str, Any]) -> CalibratedModel
         covered=Covered.of(problem.conditions),
         sigma=np.array(fit.solution.sigma, float),
         provenance=dict(provenance),
+        setup=fit.options.setup,
     )
 
 
@@ -204,6 +224,7 @@ def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> Non
         "values": calibrated.values.tolist(),
         "covariance": calibrated.covariance.tolist(),
         "model": model_to_json(calibrated.model),
+        "setup": setup_to_json(calibrated.setup),
     }
     try:
         lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in content.items()]
@@ -240,6 +261,7 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
         covered=Covered(covered.at("q").numbers(model.chain.robot.n_joints, 2), covered.at("payload").numbers(2)),
         sigma=whole.at("sigma").numbers(-1),
         provenance=provenance.value,
+        setup=setup_from_json(whole.at("setup")),
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pincal.report.advice import narrow_joints
 from pincal.report.discovery import Discovery
+from pincal.report.lack_of_fit import MISFIT
 from pincal.report.result import Result
 from pincal.report.run import Calibration
 from pincal.report.words import effect_words
@@ -41,6 +42,8 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
         return Verdict("not converged", "The fit did not settle; its numbers are not to be used.")
     if discovery is not None:
         return _of_discovery(discovery.report)
+    if result.chi2_p_value is None and result.lack_of_fit is not None:
+        return _of_lack(result.lack_of_fit)
     if result.chi2_p_value is None:
         return Verdict(
             "not judged",
@@ -52,6 +55,17 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
         words = f"What is left is {ratio:.2f} times the declared noise: the robot does something that this model lacks."
         return Verdict("not adequate", words)
     return Verdict("adequate", "What is left is no more than the declared noise of the instrument.")
+
+
+def _of_lack(lack: dict[str, Any]) -> Verdict:
+    """Return the verdict that visits of the same pose give, whatever the instrument's noise."""
+    if lack["p_value"] < MISFIT:
+        return Verdict(
+            "not adequate",
+            "Poses are off their predictions by more than visits of the same pose differ by: the robot does something that "
+            "this model lacks.",
+        )
+    return Verdict("adequate", "What is left is no more than visits of the same pose differ by.")
 
 
 def _of_discovery(report: dict[str, Any]) -> Verdict:

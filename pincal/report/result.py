@@ -11,6 +11,9 @@ from scipy.special import chdtrc
 from pincal.identify.calibrate import Fit
 from pincal.identify.explain import explain
 from pincal.identify.problem import Problem
+from pincal.measure.measurements import Measurements
+from pincal.report.lack_of_fit import MISFIT, lack_of_fit, lack_words
+from pincal.report.replicates import Visits, iso9283, same_poses
 from pincal.report.validation import error_table
 
 # Correlations below this are not worth a reader's time.
@@ -47,7 +50,8 @@ class ParameterRow:
 class Result:
     """All that ``result.json`` says, as one object.
 
-    Attributes are those of the file (contract): see :meth:`to_dict`.
+    Attributes are those of the file (contract): see :meth:`to_dict`. ``iso9283`` and ``lack_of_fit`` are None where no pose
+    was visited more than once, and then not in the file.
     """
 
     noise: dict[str, Any]
@@ -65,14 +69,22 @@ class Result:
     stages: tuple[dict[str, Any], ...]
     error: dict[str, dict[str, dict[str, float]]]
     warnings: tuple[str, ...]
+    iso9283: dict[str, Any] | None = None
+    lack_of_fit: dict[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        return asdict(self)
+        absent = {name for name in ("iso9283", "lack_of_fit") if getattr(self, name) is None}
+        return {name: value for name, value in asdict(self).items() if name not in absent}
 
 
 def result_of(
-    fit: Fit, test: Problem | None, *, seconds: float, train_rows: np.ndarray, notes: tuple[str, ...] = ()
+    fit: Fit,
+    test: Problem | None,
+    *,
+    seconds: float,
+    tables: tuple[Measurements, Measurements],
+    notes: tuple[str, ...] = (),
 ) -> Result:
     """Put a calibration's result together.
 
@@ -80,14 +92,16 @@ def result_of(
         fit: the calibration.
         test: held-out rows under the calibrated model, or None.
         seconds: how long it took.
-        train_rows: shape (N,), line of each training row in its file.
+        tables: the training rows, and the held-out ones.
         notes: warnings from elsewhere that belong to the result.
     """
     solution = fit.solution
     declared = fit.noise.declared[0] is not None
     parameters = parameter_rows(fit)
     p_value = float(chdtrc(solution.degrees, solution.chi2)) if declared else None
-    outliers = tuple(int(line) for line in train_rows[solution.weights == 0.0])
+    outliers = tuple(int(line) for line in tables[0].rows[solution.weights == 0.0])
+    visits = _visits(fit, test, tables)
+    lack = lack_of_fit(visits, fit.values, solution.sigma, spent=solution.posterior.effective)
     error: dict[str, dict[str, dict[str, float]]] = {}
     for name, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
         error[name] = {"train": error_table(fit.problem, values)}
@@ -108,8 +122,33 @@ def result_of(
         correlations=_correlations(fit, parameters),
         stages=tuple(asdict(stage) for stage in fit.stages),
         error=error,
-        warnings=(*notes, *_warnings(fit, p_value, outliers, test)),
+        warnings=(*notes, *_warnings(fit, p_value, outliers, test), *_of_visits(lack, p_value)),
+        iso9283=iso9283(visits, {"nominal": fit.nominal.values, "calibrated": fit.values}),
+        lack_of_fit=lack,
     )
+
+
+def _visits(fit: Fit, test: Problem | None, tables: tuple[Measurements, Measurements]) -> list[Visits]:
+    """Return fitted and held-out rows by the poses that they visit."""
+    train_poses, test_poses = same_poses(tables)
+    found = [Visits("train", tables[0], fit.problem, train_poses, fit.solution.weights > 0.0)]
+    if test is not None and len(test):
+        found.append(Visits("test", tables[1], test, test_poses, np.ones(len(test), bool)))
+    return found
+
+
+def _of_visits(lack: dict[str, Any] | None, p_value: float | None) -> list[str]:
+    """Say what visits of the same pose tell of the model."""
+    if lack is None:
+        return []
+    if lack["p_value"] < MISFIT:
+        return [f"lack of fit against visits of the same pose: {lack_words(lack)}"]
+    if p_value is not None and p_value < _MISFIT:
+        return [
+            f"visits of the same pose differ as much as the residuals do ({lack_words(lack)}): it is the noise that is "
+            "larger than declared, or the robot repeats badly, not the model that misses something"
+        ]
+    return []
 
 
 def _noise(fit: Fit) -> dict[str, Any]:
@@ -117,7 +156,7 @@ def _noise(fit: Fit) -> dict[str, Any]:
     for block, sigma, declared, estimated in zip(
         fit.problem.sensor.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True
     ):
-        name = "sigma_m" if block.unit == "m" else "sigma_rad"
+        name = f"sigma_{block.unit}"
         noise[name] = float(sigma if declared is None else declared)
         noise[f"residual_{name}"] = float(estimated)
     return noise

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.identify.agreement import check_agreement
-from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.calibrate import Fit, Options, calibrate, doubts_lens
 from pincal.identify.problem import Problem
 from pincal.identify.split import Split, hold_out
 from pincal.measure.checks import TableFindings, check_measurements
+from pincal.measure.fields import nearest_first
 from pincal.measure.measurements import Measurements
+from pincal.measure.served import limits_of_knowledge, served_rows
+from pincal.measure.setup import Setup, point_names
 from pincal.report.result import Result, result_of
 from pincal.robot.robot import Robot
 
@@ -86,30 +90,72 @@ def run_calibration(
     """
     begun = time.perf_counter()
     options = Options() if options is None else options
-    check_count(robot, measurements)
+    check_gaps(options.setup, [measurements] if holdout is None else [measurements, holdout])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        measurements = served_rows(measurements, options.setup)
+        check_count(robot, measurements, options.setup)
         check_table(robot, measurements)
-        train, test = (
-            (measurements, holdout) if holdout is not None else hold_out(measurements, test_fraction, split=split, seed=seed)
-        )
-        if holdout is not None:
-            check_table(robot, holdout, minimum=1)
+        if holdout is None:
+            train, test = hold_out(measurements, test_fraction, split=split, seed=seed)
+            train = served_rows(train, options.setup)
+            test = _readable_after(train, test, options.setup)
+        else:
+            train, test = measurements, _readable_after(measurements, holdout, options.setup)
+            check_table(robot, test, minimum=1)
     fit = calibrate(robot, train, options)
     check_agreement(robot, train, fit)
     notes = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, PincalWarning)))
-    notes = (*robot.notes, *notes, *_few_rows(fit))
+    notes = (*robot.notes, *notes, *limits_of_knowledge(train, options.setup), *_few_rows(fit))
+    if options.setup.lens is not None and doubts_lens(fit):
+        notes = (*notes, "the images call for another camera than the given one: --fit-camera finds its parameters")
     held = fit.readings(test) if len(test) else None
-    result = result_of(fit, held, seconds=time.perf_counter() - begun, train_rows=train.rows, notes=notes)
+    result = result_of(fit, held, seconds=time.perf_counter() - begun, tables=(train, test), notes=notes)
     return Calibration(robot, train, test, fit, result, notes)
 
 
-def check_count(robot: Robot, measurements: Measurements) -> None:
+def _readable_after(train: Measurements, test: Measurements, setup: Setup) -> Measurements:
+    """Return the held-out rows that the fit of ``train`` can be judged by.
+
+    A socket that it does not know is judged by the mean of its rows; any other point that it does not know can't be.
+    """
+    names, known = point_names(test), point_names(train)
+    if names is None or known is None or not len(test):
+        return test
+    seen = np.isin(names, known)
+    if test.socket is None:
+        places = np.array([setup.points.get(str(name)) is not None for name in names], bool)
+        return test.select(seen | places)
+    count = dict(zip(*np.unique(names, return_counts=True), strict=True))
+    return test.select(seen | np.array([count[name] > 1 for name in names], bool))
+
+
+def check_gaps(setup: Setup, tables: Sequence[Measurements]) -> None:
+    """Refuse a known distance to a point that nobody knows.
+
+    Raises:
+        MeasurementError: naming it.
+    """
+    found = [point_names(table) for table in tables]
+    known = {str(name) for names in found if names is not None for name in np.unique(names)} | set(setup.points)
+    for gap in setup.gaps:
+        for name in (gap.first, gap.second):
+            if name not in known:
+                near = ", ".join(nearest_first([name], sorted(known))[:6]) if known else "none"
+                raise MeasurementError(f"a known distance names {name!r}; expected one of the points, nearest first: {near}")
+
+
+def check_count(robot: Robot, measurements: Measurements, setup: Setup | None = None) -> None:
     """Refuse a table that could not even tell where instrument and tool stand."""
-    size = {"position": 3, "pose": 6, "distance": 1}.get(measurements.kind, 3)
+    kind, names = measurements.kind, point_names(measurements)
+    size = {"position": 3, "pose": 6, "distance": 1, "camera_pixel": 2}.get(kind, 3)
     targets = len(np.unique(measurements.target)) if len(measurements) else 1
-    frames = {"position": 6 + 3 * targets, "pose": 6 + 6 * targets, "distance": 3 + 3 * targets}.get(measurements.kind, 9)
-    needed = -(-(frames + robot.n_joints) // size)
+    tool = 6 if kind in ("pose", "camera_point", "camera_pixel") else 3
+    base = {"position": 6, "pose": 6, "distance": 3}.get(kind, 0)
+    if names is not None:
+        points = (setup or Setup()).named(np.unique(names))
+        base = len(points.parameters) + 6 * bool(points.known.any())
+    needed = -(-(base + tool * targets + robot.n_joints) // size)
     if len(measurements) < needed:
         raise MeasurementError(
             f"{measurements.source}: {len(measurements)} rows of kind {measurements.kind}; expected at least {needed} "

@@ -113,6 +113,7 @@ def trace_of(fit: Fit, effect: Effect) -> Trace:
         length = np.linalg.norm(change, axis=0)
         direction = change / np.maximum(length, 1e-300)
         sigma = float(fit.solution.estimated[0])
+        sigma *= fit.problem.metres_per_reading(fit.values)
         parts = [np.sum(direction * r, axis=0) * sigma for r in (without, left)]
         fitted, weights, unit = length * sigma, np.full(int(rows.sum()), sigma**-2.0), "m"
     else:

@@ -15,14 +15,15 @@ from pincal.identify.agreement import check_agreement
 from pincal.identify.calibrate import Fit, Options, foresee, refit
 from pincal.identify.explain import explain
 from pincal.measure.measurements import Measurements
+from pincal.measure.served import limits_of_knowledge, served_rows
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
-from pincal.report.run import check_count, check_table
+from pincal.report.run import check_count, check_gaps, check_table
 from pincal.report.validation import error_table
 from pincal.robot.robot import Robot
 
-# Noise of a good laser tracker in a hall, where nothing else is known of it [m or rad].
-_ASSUMED = 5e-5
+# Noise of a good laser tracker in a hall, or of a camera, where nothing else is known of it.
+_ASSUMED = {"m": 5e-5, "rad": 5e-5, "px": 0.1}
 # Degrees of freedom below which residuals say nothing of the noise.
 _FEWEST = 10.0
 
@@ -83,7 +84,7 @@ class Outlook:
 
     Attributes:
         model: "elastic" or "geometric": what is fitted along with every effect.
-        sigma_m: the noise that it rests on [m].
+        sigma_m: the noise that it rests on [m]; of an image, at the distance of its points.
         source: "declared", "estimated" or "assumed".
         alpha: chance of any false name.
         power: chance with which an effect of the size told is found.
@@ -144,21 +145,24 @@ def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey
     Raises:
         BadInputError: as a calibration would.
     """
-    check_count(robot, measurements)
+    check_gaps(options.setup, [measurements])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        measurements = served_rows(measurements, options.setup)
+        check_count(robot, measurements, options.setup)
         check_table(robot, measurements)
     fit = foresee(robot, measurements, options)
     check_agreement(robot, measurements, fit)
     notes = [str(w.message) for w in caught if issubclass(w.category, PincalWarning)]
+    notes += limits_of_knowledge(measurements, options.setup)
     posterior = fit.solution.posterior
-    sigma = options.sigma
+    sigma, unit = options.sigma, f"sigma_{fit.problem.sensor.blocks[0].unit}"
     return Survey(
         kind=measurements.kind,
         rows=len(measurements),
         joints=_ranges(robot, measurements),
         nominal=error_table(fit.problem, fit.nominal.values),
-        noise={"sigma_m": float(fit.solution.sigma[0]), "source": "declared" if sigma else "foreseen by a fit"},
+        noise={unit: float(fit.solution.sigma[0]), "source": "declared" if sigma else "foreseen by a fit"},
         rank=posterior.told,
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
@@ -172,8 +176,9 @@ def _outlook(robot: Robot, fit: Fit) -> Outlook:
     """Return what could be found beyond the elastic model, or the geometric one of an arm without masses."""
     base = refit(fit, GEOMETRIC if robot.massless else ELASTIC)
     declared = fit.noise.declared
+    assumed = np.array([_ASSUMED[block.unit] for block in base.problem.sensor.blocks])
     degrees = base.solution.degrees
-    estimated = base.solution.estimated if degrees >= _FEWEST else np.full(len(declared), _ASSUMED)
+    estimated = base.solution.estimated if degrees >= _FEWEST else assumed
     sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])
     source = "declared" if declared[0] is not None else ("estimated" if degrees >= _FEWEST else "assumed")
     conditions = fit.problem.conditions
@@ -188,7 +193,8 @@ def _outlook(robot: Robot, fit: Fit) -> Outlook:
         Sight(*_which(effect), "", "", None, None, None, reason)
         for effect, reason in untestable(base.model.chain, conditions)
     ]
-    return Outlook("geometric" if robot.massless else "elastic", float(sigma[0]), source, ALPHA, POWER, tuple(sights))
+    sigma_m = float(sigma[0]) * fit.problem.metres_per_reading(fit.nominal.values)
+    return Outlook("geometric" if robot.massless else "elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
 
 
 def _which(effect: Effect) -> tuple[str, str | None, str | None, int | None, str | None]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.identify.problem import Problem
 
-_BLOCK_UNITS = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+_READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
 
 
 @dataclass(frozen=True)
@@ -55,29 +55,33 @@ class Errors:
 
 
 def pose_errors(problem: Problem, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the size of the error at each row, in mm for what is measured in metres and in mrad for angles.
+    """Return the size of the error at each row, in mm for what is measured in metres, in mrad for angles, in px for images.
 
     Args:
         problem: model and readings.
         values: shape (P,), its parameters.
 
     Returns:
-        Block name ("position", "orientation", "distance") -> shape (N,).
+        Block name ("position", "orientation", "distance", "image") -> shape (N,). An image's errors also stand as
+        "position": what they are across the view at the distance of the point.
     """
     residuals = problem.residuals(values)
     ends = np.cumsum([0, *(block.size for block in problem.sensor.blocks)])
-    return {
-        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * _BLOCK_UNITS[block.unit][0]
+    found = {
+        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * _READ[block.unit][0]
         for block, a in zip(problem.sensor.blocks, ends, strict=False)
     }
+    if problem.sensor.blocks[0].unit == "m":
+        return found
+    return {"position": np.linalg.norm(problem.displacements(values), axis=1) * _READ["m"][0]} | found
 
 
 def statistics(problem: Problem, values: np.ndarray) -> list[Errors]:
-    """Return the statistics of each block's errors; empty without rows."""
+    """Return the statistics of the errors as :func:`pose_errors` has them, those in mm first; empty without rows."""
     if len(problem) == 0:
         return []
-    errors = pose_errors(problem, values)
-    return [Errors.of(errors[b.name], _BLOCK_UNITS[b.unit][1]) for b in problem.sensor.blocks]
+    units = {block.name: _READ[block.unit][1] for block in problem.sensor.blocks}
+    return [Errors.of(errors, units.get(name, "mm")) for name, errors in pose_errors(problem, values).items()]
 
 
 def error_table(problem: Problem, values: np.ndarray) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -86,3 +87,11 @@ def region_words(region: Region, robot: Robot) -> tuple[str, str]:
     where = f"from {first}" if region.variable == "reach" else f"above {first}"
     rows = f"{100 * region.rows:.0f} % of the poses"
     return name, f"it shows where the tip is {region.lower:.2f} to {region.upper:.2f} m {where}, in {rows}"
+
+
+def noise_words(noise: Mapping[str, Any]) -> str:
+    """Return the noise of the first block of readings in words, from its ``sigma_m`` or ``sigma_px``."""
+    if "sigma_px" in noise:
+        return f"{noise['sigma_px']:.4g} px a coordinate"
+    sigma_mm = noise["sigma_m"] * 1e3
+    return f"{sigma_mm:.4f} mm a coordinate" if sigma_mm >= 1e-3 else f"{sigma_mm:.2g} mm a coordinate"

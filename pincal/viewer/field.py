@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.problem import Problem, conditions_of, problem_of
+from pincal.identify.calibrate import PLACES
+from pincal.identify.problem import Problem, conditions_of
 from pincal.identify.solve import Noise, Priors, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensors import PoseSensor, PositionSensor
@@ -21,6 +22,13 @@ from pincal.viewer.workspace import workspace_poses
 
 # Poses over which nominal base and tool are laid onto the calibrated robot where there are no measurements.
 _ENOUGH = 400
+# What an arrow ends at, where the instrument does not see the whole position.
+_SEEN = {
+    "distance": "the part along the line of sight",
+    "socket": "the socket",
+    "camera_point": "where the camera would have to be for its reading",
+    "camera_pixel": "the part across the view that the image tells",
+}
 
 
 @dataclass(frozen=True)
@@ -139,28 +147,14 @@ def deviation_fields(
 def _measured_layers(
     calibrated: CalibratedModel, measurements: Measurements, conditions: Conditions, nominal: np.ndarray
 ) -> Iterator[Layer]:
-    model, values = calibrated.model, calibrated.values[: calibrated.model.n_parameters]
-    tails = {"before": _positions(model, nominal[: len(values)], conditions), "after": _positions(model, values, conditions)}
-    words = {"before": "nominal, base and tool fitted", "after": "calibrated"}
-    heads = {name: _measured_heads(measurements, tail) for name, tail in tails.items()}
-    if heads["before"] is None:
-        vectors = tails["after"] - tails["before"]
-        yield Layer("deviations/before", "measured", tails["before"], vectors, "from nominal to calibrated prediction")
-    for name, head in heads.items():
-        if head is not None:
-            kind = "the part along the line of sight" if measurements.kind == "distance" else "measured"
-            yield Layer(f"deviations/{name}", "measured", tails[name], head - tails[name], f"from {words[name]} to {kind}")
-    yield from _explained("deviations", "measured", model, values, conditions, tails["after"])
-
-
-def _measured_heads(measurements: Measurements, predicted: np.ndarray) -> np.ndarray | None:
-    """Return where the target was found, as far as the reading tells, shape (N, 3) [m]."""
-    if measurements.position is not None:
-        return measurements.position
-    if measurements.distance is None:
-        return None
-    ray = predicted / np.linalg.norm(predicted, axis=1, keepdims=True)
-    return np.asarray(ray * measurements.distance[:, None])
+    model, values = calibrated.model, calibrated.values
+    problem = calibrated.readings(measurements)
+    kind = _SEEN.get(measurements.kind, "measured")
+    for name, of, words in (("before", nominal, "nominal, base and tool fitted"), ("after", values, "calibrated")):
+        tails = _positions(model, of[: model.n_parameters], conditions)
+        yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), f"from {words} to {kind}")
+    own = values[: model.n_parameters]
+    yield from _explained("deviations", "measured", model, own, conditions, _positions(model, own, conditions))
 
 
 def _workspace_layers(calibrated: CalibratedModel, over: Conditions, nominal: np.ndarray) -> Iterator[Layer]:
@@ -204,14 +198,14 @@ def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.n
 
 
 def _is_frame(calibrated: CalibratedModel) -> np.ndarray:
-    return np.array([p.effect in ("base_frame", "tool_frame") for p in calibrated.parameters], bool)
+    return np.array([p.effect in PLACES for p in calibrated.parameters], bool)
 
 
 def _nominal_from_data(
     calibrated: CalibratedModel, measurements: Measurements, held_out: np.ndarray | None
 ) -> tuple[np.ndarray, list[str]]:
     """Return the values with only base and tool fitted, to the rows that the calibration was fitted to."""
-    problem = problem_of(calibrated.model, measurements, np.array(calibrated.payload_centre))
+    problem = calibrated.readings(measurements)
     fitted = np.ones(len(problem), bool) if held_out is None else ~held_out
     if fitted.sum() < min(len(problem), 6):
         words = "base and tool of the nominal robot are fitted to the rows shown: none of them was fitted before"

@@ -1,0 +1,200 @@
+"""Lack of fit against pure error: whether a model misses something, whatever was declared of the noise.
+
+Visits of one pose differ by what the instrument and the robot do at random, whatever the model is. If poses are off their
+predictions by more than that, the model misses something: an F test on the sums of squares (Draper and Smith, Applied
+Regression Analysis, 2.1). What a pose means is told in :mod:`pincal.report.replicates`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import fdtrc
+
+from pincal.identify.normal import accumulate, block_rows
+from pincal.identify.problem import Problem
+from pincal.measure.measurements import Measurements
+from pincal.report.model_file import CalibratedModel
+from pincal.report.replicates import Visits, iso9283, same_poses
+
+MISFIT = 1e-3
+"""Chance below which a lack of fit counts as one."""
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Squares of residuals in units of the variances, and what visits of one pose differ by among themselves.
+
+    Attributes:
+        total: sum of squares.
+        readings: number of readings in it.
+        pure: sum of squares about the poses' means.
+        degrees: its degrees of freedom.
+        poses: number of poses visited more than once.
+        by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each block.
+    """
+
+    total: float
+    readings: int
+    pure: float
+    degrees: int
+    poses: int
+    by_block: np.ndarray
+
+
+def squares_of(visits: Visits, values: np.ndarray, sigma: np.ndarray) -> Squares:
+    """Return the squares of the rows that are no outliers.
+
+    Args:
+        visits: rows of one part; visits of a pose in another part are not held against them.
+        values: shape (P,).
+        sigma: shape (blocks,), standard deviations of one component.
+    """
+    rows = np.flatnonzero(visits.counted)
+    weight = visits.problem.weights[rows] ** 2
+    residuals = visits.problem.residuals(values)[:, rows]
+    _, pose = np.unique(visits.pose[rows], return_inverse=True)
+    count, mass = np.bincount(pose), np.bincount(pose, weight)
+    again = count > 1
+    degrees = int((count[again] - 1).sum())
+    total, by_block = 0.0, []
+    for block, sd in zip(block_rows(visits.problem), sigma, strict=True):
+        r = residuals[block]
+        means = np.stack([np.bincount(pose, weight * component) / mass for component in r])
+        apart = (weight * (r - means[:, pose]) ** 2).sum(axis=0)[again[pose]]
+        total += float((weight * r**2).sum()) / sd**2
+        by_block.append((float(apart.sum()), degrees * len(r)))
+    found = np.array(by_block).reshape(-1, 2)
+    pure = float((found[:, 0] / sigma**2).sum())
+    return Squares(total, residuals.size, pure, int(found[:, 1].sum()), int(again.sum()), found)
+
+
+def lack_of_fit(visits: Sequence[Visits], values: np.ndarray, sigma: np.ndarray, *, spent: float) -> dict[str, Any] | None:
+    r"""Return whether the fitted rows are off by more than visits of the same pose differ by: an F test.
+
+    .. math:: F = \frac{(SS - SS_{pure}) / (N - p - f_{pure})}{SS_{pure} / f_{pure}}
+
+    No declared noise enters, only the ratio of those of position and orientation. Pure error is that of all parts.
+
+    Args:
+        visits: the fitted rows, then the held-out ones.
+        values: shape (P,), the fit.
+        sigma: shape (blocks,), standard deviations that it used.
+        spent: number p of parameters that the data pay for.
+
+    Returns:
+        What ``result.json`` has under this key: F, its degrees of freedom and p value, number of poses visited more than
+        once, and the standard deviation of one component among visits. None where no pose was visited twice, or nothing
+        but rounding is between the visits.
+    """
+    parts = [squares_of(v, values, sigma) for v in visits]
+    fitted = parts[0]
+    return _f_test(parts, visits[0].problem, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
+
+
+def lack_of_prediction(
+    visits: Visits, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray
+) -> dict[str, Any] | None:
+    r"""Return the same of rows that the fit has not seen: whether predictions are off by more than they may.
+
+    The residuals' covariance is that of the noise, as large as visits of one pose say, and what the calibration left
+    uncertain: :math:`s^2 D + J C J^T`.
+
+    Args:
+        visits: the rows.
+        values: shape (P,), the calibrated values.
+        sigma: shape (blocks,), standard deviations of one component in the calibration; only their ratio counts.
+        covariance: shape (P, P), of the values.
+    """
+    found = squares_of(visits, values, sigma)
+    if not _is_enough([found], visits.problem):
+        return None
+    scale = found.pure / found.degrees
+    free = np.diag(covariance) > 0.0
+    normal = accumulate(visits.problem, values, free, visits.counted.astype(float))
+    G = np.einsum("b,bij->ij", 1.0 / (scale * sigma**2), normal.G)
+    g = np.einsum("b,bi->i", 1.0 / (scale * sigma**2), normal.g)
+    explained = explained_by_uncertainty(G, g, covariance[np.ix_(free, free)])
+    return _f_test([found], visits.problem, found.total - found.pure - scale * explained, found.readings - found.degrees)
+
+
+def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarray) -> float:
+    """Return by how much r' r exceeds r' (1 + J C J')^-1 r, for G = J' J and g = J' r, by Woodbury's identity."""
+    size, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(size, 0.0))
+    inner = np.eye(len(size)) + root.T @ G @ root
+    return float((root.T @ g) @ np.linalg.solve(inner, root.T @ g))
+
+
+def _is_enough(parts: Sequence[Squares], problem: Problem) -> bool:
+    """Return whether visits differ by more than rounding."""
+    pure = np.sum([part.by_block for part in parts], axis=0)
+    sizes = [np.sqrt(squares / degrees) if degrees else 0.0 for squares, degrees in pure]
+    return any(size > 10.0 * block.rounding for size, block in zip(sizes, problem.sensor.blocks, strict=True))
+
+
+def _f_test(parts: Sequence[Squares], problem: Problem, misfit: float, degrees: float) -> dict[str, Any] | None:
+    if not _is_enough(parts, problem) or degrees < 1.0:
+        return None
+    free = sum(part.degrees for part in parts)
+    noise = sum(part.pure for part in parts) / free
+    ratio = max(misfit, 0.0) / degrees / noise
+    blocks = np.sum([part.by_block for part in parts], axis=0)
+    return {
+        "F": float(ratio),
+        "p_value": float(fdtrc(degrees, free, ratio)),
+        "degrees": {"misfit": float(degrees), "pure_error": free},
+        "poses": sum(part.poses for part in parts),
+        "pure_error": {
+            f"sigma_{block.unit}": float(np.sqrt(squares / count))
+            for block, (squares, count) in zip(problem.sensor.blocks, blocks, strict=True)
+        },
+    }
+
+
+def lack_words(found: Mapping[str, Any]) -> str:
+    """Return what the test says, in a sentence.
+
+    Example:
+        >>> lack_words({"F": 1.02, "p_value": 0.4, "degrees": {"misfit": 60.0, "pure_error": 870}})
+        'F(60, 870) = 1.02, p 0.4: what is left is no more than visits of one pose differ by'
+    """
+    degrees = found["degrees"]
+    test = f"F({degrees['misfit']:.0f}, {degrees['pure_error']}) = {found['F']:.3g}, p {found['p_value']:.2g}"
+    if found["p_value"] < MISFIT:
+        return f"{test}: what is left is more than visits of one pose differ by; the model misses something"
+    return f"{test}: what is left is no more than visits of one pose differ by"
+
+
+def pure_words(found: Mapping[str, Any]) -> str:
+    """Return what visits of one pose differ by, in words.
+
+    Example:
+        >>> pure_words({"pure_error": {"sigma_m": 5.02e-5, "sigma_rad": 1e-4}, "poses": 8})
+        '0.0502 mm and 0.1 mrad a coordinate at 8 poses'
+    """
+    units = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
+    sizes = [(sigma, *units[name.removeprefix("sigma_")]) for name, sigma in found["pure_error"].items()]
+    return f"{' and '.join(f'{s * factor:.3g} {unit}' for s, factor, unit in sizes)} a coordinate at {found['poses']} poses"
+
+
+def found_in_visits(calibrated: CalibratedModel, table: Measurements, problem: Problem) -> dict[str, Any]:
+    """Return what rows that a calibrated model has not seen tell of it, as far as poses were visited more than once.
+
+    Args:
+        calibrated: the model.
+        table: the rows.
+        problem: the model over them.
+
+    Returns:
+        ``iso9283`` and ``lack_of_fit`` as in ``result.json``, those that there are.
+    """
+    visits = Visits("test", table, problem, same_poses([table])[0], np.ones(len(table), bool))
+    found = {
+        "iso9283": iso9283([visits], {"calibrated": calibrated.values}),
+        "lack_of_fit": lack_of_prediction(visits, calibrated.values, calibrated.sigma, calibrated.covariance),
+    }
+    return {name: value for name, value in found.items() if value is not None}

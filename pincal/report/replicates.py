@@ -1,0 +1,246 @@
+r"""Visits of the same pose: accuracy and repeatability by ISO 9283.
+
+Rows are visits of one pose if they have the same joint positions (to 1e-5 rad), target, named point, payload and direction
+of approach, and temperatures within 4 K: the standard allows :math:`\pm 2` K. Time may differ, as visits take time: a robot
+that drifts repeats badly. With l_j the distance of visit j from the mean of n visits,
+
+.. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|, \quad RP_a = 3 S_a
+
+(ISO 9283:1998, 7.2; S with n - 1; a, b, c turn about x, y, z). The standard's commanded pose is here the one that the model
+predicts for the joints that were read: AP is the accuracy of a controller that uses this model. Both come from residuals,
+so that joints that come to rest a little differently do not count as the arm's own error.
+
+A pose that the fit has seen in any of its visits does not count as held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pincal.identify.problem import Problem
+from pincal.measure.fields import FIELDS
+from pincal.measure.measurements import Measurements
+
+CYCLES = 30
+"""Visits of a pose that ISO 9283 asks for."""
+
+# Joints that differ by less read the same pose [rad or m]: encoders are finer, controllers hold it better.
+_SAME = 1e-5
+# Payloads and temperatures that count as the same [kg, K].
+_SAME_LOAD, _SAME_CLIMATE = 1e-3, 4.0
+_ANGLES = "abc"
+
+ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axis in zip(_ANGLES, "xyz", strict=True)}
+"""What each kind of accuracy is given in."""
+
+
+@dataclass(frozen=True)
+class Visits:
+    """Rows of one table under a model.
+
+    Attributes:
+        part: "train" or "test".
+        table: the rows.
+        problem: model and readings.
+        pose: shape (N,), number of the pose that each row visits; the tables of one calibration share the numbers.
+        counted: shape (N,), rows that are not outliers.
+    """
+
+    part: str
+    table: Measurements
+    problem: Problem
+    pose: np.ndarray
+    counted: np.ndarray
+
+
+def same_poses(tables: Sequence[Measurements]) -> list[np.ndarray]:
+    """Return the number of the pose that each row of some tables visits.
+
+    Args:
+        tables: tables of the same joints.
+
+    Returns:
+        For each table shape (N,), whole numbers from 0.
+
+    Example:
+        >>> from pincal.measure.measurements import measurements_from_arrays
+        >>> q, load = [[0.1], [0.5], [0.100001], [0.1]], [0.0, 0.0, 0.0, 80.0]
+        >>> same_poses([measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)])[0].tolist()
+        [0, 1, 0, 2]
+    """
+    keys = [_same_joints(np.vstack([table.q for table in tables]))]
+    for name, (quantity, _) in FIELDS.items():
+        columns = [getattr(table, name) for table in tables]
+        if quantity == "name" and any(column is not None for column in columns):
+            names = [np.full(len(t), "") if c is None else c for t, c in zip(tables, columns, strict=True)]
+            keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
+    keys.append(np.round(_stacked(tables, "payload") / _SAME_LOAD).astype(int))
+    if any(table.approach is not None for table in tables):
+        sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
+        keys.append(np.unique(np.vstack(sides), axis=0, return_inverse=True)[1].ravel())
+    poses = _numbered(np.column_stack(keys))
+    climate = _same_climate(_stacked(tables, "temperature"), poses)
+    poses = _numbered(np.column_stack([poses, climate]))
+    return np.split(poses, np.cumsum([len(table) for table in tables])[:-1])
+
+
+def _stacked(tables: Sequence[Measurements], name: str) -> np.ndarray:
+    """Return a column of numbers, 0 where a table has none."""
+    columns = [getattr(table, name) for table in tables]
+    return np.concatenate([np.zeros(len(t)) if c is None else c for t, c in zip(tables, columns, strict=True)])
+
+
+def _numbered(keys: np.ndarray) -> np.ndarray:
+    """Return a number for each distinct row, in the order of their first appearance."""
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), int)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return np.asarray(rank[inverse.ravel()])
+
+
+def _same_joints(q: np.ndarray) -> np.ndarray:
+    """Return a number for rows with the same joint positions: cells of a grid, those that touch joined."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    cells, inverse = np.unique(np.floor(q / _SAME), axis=0, return_inverse=True)
+    pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    count, label = connected_components(links, directed=False)
+    low, high = np.full((count, q.shape[1]), np.inf), np.full((count, q.shape[1]), -np.inf)
+    np.minimum.at(low, label, cells)
+    np.maximum.at(high, label, cells)
+    # A slow motion links cell to cell over a long way: its rows are not visits of one pose.
+    is_motion = np.any(high - low > 1.5, axis=1)[label]
+    label = np.where(is_motion, count + np.arange(len(cells)), label)
+    return np.asarray(label[inverse.ravel()])
+
+
+def _same_climate(temperature: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return, within each pose, the number of the window of temperature that a row falls into."""
+    window = np.zeros(len(poses), int)
+    order = np.lexsort((temperature, poses))
+    lowest = np.inf
+    for before, row in zip(np.r_[-1, order[:-1]], order, strict=True):
+        if before < 0 or poses[before] != poses[row]:
+            lowest = temperature[row]
+        elif temperature[row] - lowest > _SAME_CLIMATE:
+            lowest, window[row] = temperature[row], window[before] + 1
+            continue
+        else:
+            window[row] = window[before]
+    return window
+
+
+# Accuracy and repeatability
+
+
+def position_accuracy(residuals: np.ndarray) -> tuple[float, float]:
+    """Return AP and RP of one pose.
+
+    Args:
+        residuals: attained minus predicted position in n >= 2 visits, shape (3, n) [m].
+
+    Returns:
+        Pose accuracy AP and pose repeatability RP [m].
+
+    Example:
+        >>> position_accuracy(np.array([[1.0, 3.0], [0.0, 0.0], [0.0, 0.0]]))
+        (2.0, 1.0)
+    """
+    mean = residuals.mean(axis=1)
+    distance = np.linalg.norm(residuals - mean[:, None], axis=0)
+    return float(np.linalg.norm(mean)), float(distance.mean() + 3.0 * distance.std(ddof=1))
+
+
+def angle_accuracy(residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return AP and RP of one pose's orientation about each axis, shape (3,) [rad], for residuals as above [rad]."""
+    return np.abs(residuals.mean(axis=1)), 3.0 * residuals.std(axis=1, ddof=1)
+
+
+def iso9283(visits: Sequence[Visits], models: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+    """Return accuracy and repeatability of all poses that were visited more than once.
+
+    Args:
+        visits: fitted and held-out rows; outliers count in neither.
+        models: name of a model -> shape (P,), its values; the last one's figures stand pose by pose.
+
+    Returns:
+        What ``result.json`` has under this key: number of poses and cycles, mean and largest AP and RP by model and part
+        [mm, mrad], and the poses one by one. None without any such pose, or where no position is measured.
+    """
+    if visits[0].problem.sensor.kind not in ("position", "pose"):
+        return None
+    by_model = {model: _all_poses(visits, values) for model, values in models.items()}
+    poses = by_model[list(models)[-1]]
+    if not poses:
+        return None
+    cycles = [pose["cycles"] for pose in poses]
+    found: dict[str, Any] = {
+        "poses": {part: sum(pose["rows"] == part for pose in poses) for part in dict.fromkeys(p["rows"] for p in poses)},
+        "cycles": {"min": min(cycles), "max": max(cycles), "standard": CYCLES},
+    }
+    for model, entries in by_model.items():
+        found[model] = {part: _summary([e for e in entries if e["rows"] == part]) for part in found["poses"]}
+    return found | {"per_pose": poses}
+
+
+def _all_poses(visits: Sequence[Visits], values: np.ndarray) -> list[dict[str, Any]]:
+    """Return AP and RP of each pose with at least two visits, in the order of the tables."""
+    residuals = np.hstack([v.problem.residuals(values) for v in visits])
+    pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in visits])
+    rows = [(v, i) for v in visits for i in range(len(v.table))]
+    found = []
+    for members in _groups(pose):
+        visited, i = rows[members[0]]
+        table, is_fitted = visited.table, any(rows[member][0].part == "train" for member in members)
+        entry: dict[str, Any] = {
+            "file": table.source,
+            "line": int(table.rows[i]),
+            "rows": "train" if is_fitted else "test",
+            "target": str(table.target[i]),
+            "payload_kg": None if table.payload is None else float(table.payload[i]),
+            "cycles": len(members),
+        }
+        found.append(entry | _figures(residuals[:, members]))
+    return found
+
+
+def _groups(pose: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each pose with at least two visits; -1 is no pose."""
+    order = np.argsort(pose, kind="stable")
+    cuts = np.flatnonzero(np.diff(pose[order])) + 1
+    return [rows for rows in np.split(order, cuts) if len(rows) > 1 and pose[rows[0]] >= 0]
+
+
+def _figures(residuals: np.ndarray) -> dict[str, float]:
+    """Return AP and RP by name [mm, mrad], of residuals of a position, shape (3, n), or a pose, shape (6, n)."""
+    accuracy, repeatability = position_accuracy(residuals[:3])
+    found = {"AP_mm": 1e3 * accuracy, "RP_mm": 1e3 * repeatability}
+    if len(residuals) == 6:
+        for axis, a, r in zip(_ANGLES, *angle_accuracy(residuals[3:]), strict=True):
+            found |= {f"AP_{axis}_mrad": 1e3 * float(a), f"RP_{axis}_mrad": 1e3 * float(r)}
+    return found
+
+
+def _summary(poses: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    names = [name for name in poses[0] if name.startswith(("AP", "RP"))]
+    values = {name: [pose[name] for pose in poses] for name in names}
+    return {name: {"mean": float(np.mean(found)), "max": float(np.max(found))} for name, found in values.items()}
+
+
+def cycle_words(iso: Mapping[str, Any]) -> str:
+    """Return how many visits there were, and whether that is what the standard asks for.
+
+    Example:
+        >>> cycle_words({"poses": {"train": 4, "test": 1}, "cycles": {"min": 3, "max": 5, "standard": 30}})
+        '5 poses, 3 to 5 visits each; ISO 9283 asks for 30, so AP and above all RP are rough'
+    """
+    poses, least, most = sum(iso["poses"].values()), iso["cycles"]["min"], iso["cycles"]["max"]
+    words = f"{poses} pose{'s' * (poses > 1)}, {least if least == most else f'{least} to {most}'} visits each"
+    return words if least >= CYCLES else f"{words}; ISO 9283 asks for {CYCLES}, so AP and above all RP are rough"
