@@ -18,7 +18,8 @@ from pincal import GEOMETRIC, Measurements, Options, Robot, measurements_from_ar
 from pincal.builtin import kuka_urdf_path
 from pincal.report.discovery import run_discovery
 from pincal.simulate import HIDDEN_EFFECTS, HiddenEffect, TrueMachine, plan_poses
-from pincal.simulate.campaign import Campaign, draw_conditions, draw_instrument, draw_targets, spread_payloads
+from pincal.simulate.campaign import Campaign, draw_conditions, spread_payloads
+from pincal.simulate.sensors import SetupOptions, draw_setup
 from pincal.simulate.typical import (
     NEEDED_COLUMNS,
     SIZE_UNITS,
@@ -54,9 +55,7 @@ def measure(machine: TrueMachine, effect: str, rng: np.random.Generator) -> tupl
         q=q,
         conditions=conditions,
         payload_com=LOAD_COM,
-        instrument=draw_instrument(machine, rng),
-        targets=draw_targets(machine, 1, rng),
-        sigma=NOISE,
+        setup=draw_setup("position", machine, rng, SetupOptions(sigma=NOISE)),
     )
     table = campaign.measure(machine, rng)
     position = np.column_stack([table[axis] for axis in "xyz"])

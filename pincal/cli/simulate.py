@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +10,31 @@ import numpy as np
 
 from pincal.cli import show_progress
 from pincal.cli.common import output_options, print_json, provenance
-from pincal.cli.simulate_options import RECORDED, campaign_options, machine_options
-from pincal.errors import BadInputError, OutputError
+from pincal.cli.simulate_options import RECORDED, campaign_options, machine_options, setup_options
+from pincal.cli.simulate_setup import (
+    known_beside,
+    noise_words,
+    point_columns,
+    settle_options,
+    setup_of,
+    write_files,
+    write_json,
+)
+from pincal.errors import BadInputError
 
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
   pincal simulate robot.urdf --poses 300 --payload 0,80 --masses-off 3 \\
       --effect gear_eccentricity:joint_3:size=1e-4,order=1 --out tracker.csv --truth truth.json
   pincal simulate robot.urdf --poses 500 --pose-seed 1 --noise 0mm --out exact.csv   # the same machine
+Other sensors:
+  pincal simulate robot.urdf --sensor pose --noise-angle 0.05mrad --poses 200 --out poses.csv
+  pincal simulate robot.urdf --sensor camera_point --points-out object.csv --out seen.csv   # as in the paper
+  pincal simulate robot.urdf --sensor camera_pixel --object grid --poses 60 --noise 0.1px \\
+      --points-out grid.csv --camera-out camera.json --out image.csv
+  pincal simulate robot.urdf --sockets 6 --poses 240 --points-out sockets.csv --out contacts.csv
+  pincal simulate robot.urdf --anchors 3 --poses 200 --points-out anchors.csv --out wires.csv
+  pincal simulate robot.urdf --ball-bar 300mm --anchors 2 --poses 200 --out bar.csv
 Then:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
 
@@ -44,6 +59,7 @@ class _Command(click.Command):
 @click.option("--truth", metavar="FILE.json", type=click.Path(path_type=Path),
               help="Write what was put in: errors, effects, noise, seeds.")  # fmt: skip
 @campaign_options
+@setup_options
 @machine_options
 @output_options
 def simulate(robot: str, out: Path, truth: Path | None, as_json: bool, quiet: bool, **chosen: Any) -> int:
@@ -52,10 +68,9 @@ def simulate(robot: str, out: Path, truth: Path | None, as_json: bool, quiet: bo
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
 
+    settle_options(chosen)
     if (chosen["poses"] is None) == (chosen["at"] is None):
         raise click.UsageError("give either --poses N or --at FILE.csv")
-    if truth is not None and truth.absolute() == out.absolute():
-        raise OutputError(f"{out}: named by --out and --truth; expected two files")
     if chosen["pose_seed"] is None:
         chosen["pose_seed"] = chosen["seed"]
     arm = Robot.from_urdf(robot, tip=chosen["tip"], base=chosen["base"])
@@ -63,11 +78,17 @@ def simulate(robot: str, out: Path, truth: Path | None, as_json: bool, quiet: bo
     campaign = _campaign(arm, machine, chosen)
     table = campaign.measure(machine, _rng(chosen["pose_seed"], _NOISE))
     found = _truth(arm, machine, campaign, chosen)
-    _write(truth, found | {"made_by": provenance([Path(arm.source)])}, lambda: write_table(out, table))
+    origin = {"made_by": provenance([Path(arm.source)])}
+    write_files({
+        "--out": (out, lambda path: write_table(path, table)),
+        "--truth": (truth, lambda path: write_json(path, found | origin)),
+        "--points-out": (chosen["points_out"], lambda path: write_table(path, point_columns(campaign.setup))),
+        "--camera-out": (chosen["camera_out"], lambda path: write_json(path, found["camera"])),
+    })  # fmt: skip
     if as_json:
         print_json({"rows": len(table[machine.names[0]]), "columns": list(table), "out": str(out)} | found)
     else:
-        _tell(robot, out, truth, table, found, chosen)
+        _tell(robot, out, truth, table, campaign, found, chosen)
     return 0
 
 
@@ -104,30 +125,15 @@ def _machine(arm: Any, chosen: dict[str, Any]) -> Any:
 
 
 def _campaign(arm: Any, machine: Any, chosen: dict[str, Any]) -> Any:
-    """Return poses, conditions and instrument."""
-    from pincal.simulate.campaign import Campaign, draw_instrument, draw_targets
+    """Return poses, conditions and set-up."""
+    from pincal.simulate.campaign import Campaign
 
-    q, conditions = _poses(arm, machine, chosen)
-    rng = _rng(chosen["seed"], _PLACES)
-    instrument, targets = draw_instrument(machine, rng), draw_targets(machine, chosen["targets"], rng)
-    if chosen["tool"]:
-        if len(targets) > 1:
-            raise BadInputError("--tool places one target; leave it out or use --targets 1")
-        next(iter(targets.values()))[:3, 3] = chosen["tool"]
-    return Campaign(
-        q=q,
-        conditions=conditions,
-        payload_com=chosen["payload_com"],
-        instrument=np.eye(4) if chosen["instrument"] == "base" else instrument,
-        targets=targets,
-        sensor=chosen["sensor"],
-        sigma=chosen["noise"],
-        sigma_angle=chosen["noise_angle"],
-        hidden=chosen["hide"],
-    )
+    setup = setup_of(machine, chosen, _rng(chosen["seed"], _PLACES))
+    q, conditions = _poses(arm, machine, setup, chosen)
+    return Campaign(q=q, conditions=conditions, payload_com=chosen["payload_com"], setup=setup, hidden=chosen["hide"])
 
 
-def _poses(arm: Any, machine: Any, chosen: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _poses(arm: Any, machine: Any, setup: Any, chosen: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return joint positions and the conditions under which they are measured."""
     from pincal.simulate.campaign import draw_conditions, spread_payloads
     from pincal.simulate.typical import NEEDED_COLUMNS
@@ -137,46 +143,61 @@ def _poses(arm: Any, machine: Any, chosen: dict[str, Any]) -> tuple[np.ndarray, 
         from pincal.cli.inputs import load_table
 
         rows = load_table(arm, chosen["at"], joints_only=True)
+        rows = rows.select(_visits(rows))
         q = rows.q
         given = {name: value for name in (*RECORDED, "payload") if (value := getattr(rows, name)) is not None}
     else:
-        q = _random_poses(machine, chosen)
+        q = _planned_poses(machine, setup, chosen)
     needed = {NEEDED_COLUMNS[e.effect] for e in machine.effects if e.effect in NEEDED_COLUMNS} | set(chosen["recorded"])
     names = [name for name in RECORDED if name in needed]
-    drawn = draw_conditions(names, len(q), len(machine.names), _rng(chosen["pose_seed"], _CONDITIONS))
+    cycles, poses = chosen["cycles"], len(q)
+    drawn = draw_conditions(names, cycles * poses, len(machine.names), _rng(chosen["pose_seed"], _CONDITIONS))
     loads = chosen["payload"]
     if loads is not None:
-        given |= {"payload": spread_payloads(loads, len(q), order=chosen["payload_order"])}
-    return q, drawn | given
+        given |= {"payload": spread_payloads(loads, poses, order=chosen["payload_order"])}
+    if "approach" in drawn:
+        # Every round comes to a pose from the same side, as ISO 9283 has it.
+        given = {"approach": drawn["approach"][:poses]} | given
+    again = {name: np.tile(value, (cycles, *[1] * (value.ndim - 1))) for name, value in given.items()}
+    return np.tile(q, (cycles, 1)), drawn | again
 
 
-def _random_poses(machine: Any, chosen: dict[str, Any]) -> np.ndarray:
-    from pincal.simulate.planning import plan_poses
+def _visits(rows: Any) -> np.ndarray:
+    """Return which rows of a table begin a visit of a pose: several targets or points are seen in one, shape (N,)."""
+    labels = rows.target if rows.point is None else rows.point
+    begins, seen = np.ones(len(rows), bool), set[str]()
+    for i, label in enumerate(labels):
+        begins[i] = i == 0 or label in seen or not np.array_equal(rows.q[i], rows.q[i - 1])
+        seen = {label} if begins[i] else seen | {label}
+    return begins
 
+
+def _planned_poses(machine: Any, setup: Any, chosen: dict[str, Any]) -> np.ndarray:
     if chosen["poses"] < 1:
         raise BadInputError(f"--poses {chosen['poses']}; expected 1 or more")
     floor = None if chosen["no_floor"] else chosen["floor"]
     try:
-        return plan_poses(machine.nominal, chosen["poses"], _rng(chosen["pose_seed"], _POSES), min_height=floor)
-    except BadInputError:
+        q: np.ndarray = setup.plan(machine, chosen["poses"], _rng(chosen["pose_seed"], _POSES), min_height=floor)
+    except BadInputError as error:
         raise BadInputError(
-            f"--floor {floor}: hardly any pose keeps the arm above it; expected a lower one, or --no-floor"
+            f"{error}; a lower --floor, or --no-floor, gives the arm more room, another --seed another place"
         ) from None
+    return q
 
 
 def _truth(arm: Any, machine: Any, campaign: Any, chosen: dict[str, Any]) -> dict[str, Any]:
     """Return what was put in, for programs."""
     names = machine.names
     ends = (*names, arm.tip)
-    return {
+    found = {
         "robot": arm.name,
         "base": arm.base,
         "tip": arm.tip,
         "poses": len(campaign.q),
-        "sensor": campaign.sensor,
+        "sensor": campaign.setup.kind,
         "seed": chosen["seed"],
         "pose_seed": chosen["pose_seed"],
-        "noise": {"sigma_m": campaign.sigma, "sigma_rad": campaign.sigma_angle if campaign.sensor == "pose" else None},
+        "noise": _noise(campaign.setup),
         "effects": [_entry(machine, campaign, effect) for effect in machine.effects],
         "geometry": {
             "placement_errors": {
@@ -194,10 +215,14 @@ def _truth(arm: Any, machine: Any, campaign: Any, chosen: dict[str, Any]) -> dic
         "com_errors_m": dict(zip(names, machine.com_errors.tolist(), strict=True)),
         "gravity": list(machine.gravity),
         "payload_com": list(campaign.payload_com),
-        "T_instrument_base": campaign.instrument.tolist(),
-        "targets": {name: place.tolist() for name, place in campaign.targets.items()},
         "not_recorded": list(campaign.hidden),
     }
+    return found | dict(campaign.setup.truth())
+
+
+def _noise(setup: Any) -> dict[str, float | None]:
+    sigmas = {"sigma_m": setup.sigma, "sigma_rad": setup.sigma_angle if setup.kind == "pose" else None}
+    return sigmas if setup.kind != "camera_pixel" else {"sigma_m": None, "sigma_rad": None, "sigma_px": setup.sigma}
 
 
 def _entry(machine: Any, campaign: Any, effect: Any) -> dict[str, Any]:
@@ -209,40 +234,26 @@ def _entry(machine: Any, campaign: Any, effect: Any) -> dict[str, Any]:
     return {"effect": effect.effect} | values | {"unit": SIZE_UNITS[effect.effect], "moves_target_rms_mm": shift}
 
 
-def _write(truth: Path | None, contents: dict[str, Any], write_rows: Any) -> None:
-    """Write the table, and the truth where it is wanted: both whole or neither."""
-    if truth is None:
-        write_rows()
-        return
-    if truth.is_dir():
-        raise OutputError(f"{truth}: is a folder; expected a file to write to")
-    draft = truth.with_name(f".{truth.name}.{os.getpid()}")
-    try:
-        draft.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")
-        write_rows()
-        os.replace(draft, truth)
-    except OSError as error:
-        raise OutputError(f"{truth}: can't be written ({error.strerror}); choose another --truth") from None
-    finally:
-        if draft.exists():
-            draft.unlink()
-
-
-def _tell(robot: str, out: Path, truth: Path | None, table: Any, found: dict[str, Any], chosen: dict[str, Any]) -> None:
-    rows = len(next(iter(table.values())))
-    noise = f"noise {found['noise']['sigma_m'] * 1e3:g} mm"
-    click.echo(f"{rows} rows of {found['robot']} ({found['base']} to {found['tip']}): {found['sensor']}, {noise}")
+def _tell(robot: str, out: Path, truth: Path | None, table: Any, campaign: Any, found: dict[str, Any],
+          chosen: dict[str, Any]) -> None:  # fmt: skip
+    rows, noise = len(next(iter(table.values()))), noise_words(campaign.setup)
+    click.echo(
+        f"{rows} rows in {found['poses']} poses of {found['robot']} ({found['base']} to {found['tip']}): "
+        f"{found['sensor']}, noise {noise}"
+    )
     for entry in found["effects"]:
         place = f" of {entry['joint']}" if entry["joint"] else ""
         place += f" by {entry['source']}" if "source" in entry else ""
         unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
         moved = f"moves the target by {entry['moves_target_rms_mm']:.3f} mm rms"
         click.echo(f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}")
-    click.echo(f"written to {out}" + (f", what was put in to {truth}" if truth else ""))
+    beside = {"what was put in": truth, "named points": chosen["points_out"], "the camera": chosen["camera_out"]}
+    click.echo(f"written to {out}" + "".join(f", {what} to {path}" for what, path in beside.items() if path))
     words = [f"pincal discover {robot} {out} --out results"]
     words += [f"--{name} {chosen[name]}" for name in ("tip", "base") if chosen[name]]
-    words += [f"--noise {chosen['noise'] * 1e3:g}mm"] if chosen["noise"] else []
+    words += [f"--noise {noise}"] if chosen["noise"] else []
     words += [f"--noise-angle {chosen['noise_angle'] * 1e3:g}mrad"] if found["noise"]["sigma_rad"] else []
+    words += known_beside(campaign.setup, chosen)
     for name in ("payload_com", "gravity"):
         if chosen[name] not in (None, (0.0, 0.0, 0.0)):
             words.append(f"--{name.replace('_', '-')} {' '.join(f'{value:g}' for value in chosen[name])}")

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from pincal.cli.common import ANGLE, LENGTH, Quantity, options
+from pincal.cli.simulate_setup import parse_lens
 
 RECORDED = ("temperature", "time", "approach")
 """Columns that a campaign may record of its conditions."""
@@ -29,6 +30,34 @@ class _Level(click.ParamType[float]):
         except ValueError:
             is_zero = False
         return 0.0 if is_zero else self._quantity.convert(value, param, ctx)
+
+
+class _Noise(click.ParamType[tuple[float, str]]):
+    """A length or a number of pixels, with the unit that it was given in: "m", "px", or none for zero."""
+
+    name = "noise"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
+        text = str(value).strip()
+        if not text.endswith("px"):
+            number = _Level(LENGTH).convert(text, param, ctx)
+            return number, "m" if number else ""
+        try:
+            number = float(text.removesuffix("px"))
+        except ValueError:
+            number = math.nan
+        if not (math.isfinite(number) and number >= 0.0):
+            self.fail(f"{text!r} is not a number of pixels, such as 0.1px", param, ctx)
+        return number, "px"
+
+
+class _Lens(click.ParamType[dict[str, float]]):
+    """Intrinsics of a camera."""
+
+    name = "lens"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
+        return value if isinstance(value, dict) else parse_lens(str(value))
 
 
 class _Loads(click.ParamType[tuple[float, ...]]):
@@ -79,6 +108,8 @@ campaign_options = options(
     click.option("--poses", type=int, metavar="N", help="Number of random poses."),
     click.option("--at", type=click.Path(path_type=Path), metavar="FILE.csv",
                  help="Joint positions (and payload, temperature, ...) from this table instead."),
+    click.option("--cycles", type=click.IntRange(1, 1000), default=1, show_default=True, metavar="N",
+                 help="Visits of every pose, one round after the other: repeatability (ISO 9283) needs 30."),
     click.option("--floor", type=float, default=0.0, show_default=True, metavar="Z",
                  help="Height in the base frame above which random poses keep the arm [m]."),
     click.option("--no-floor", is_flag=True, help="Random poses anywhere within the joint limits."),
@@ -91,18 +122,40 @@ campaign_options = options(
                  help="A column to record, whether an effect needs it or not."),
     click.option("--hide", multiple=True, type=click.Choice([*RECORDED, "payload"]),
                  help="A column that has its effect but is not recorded."),
-    click.option("--sensor", default="position", show_default=True, metavar="KIND",
-                 help="What is measured: position, pose or distance."),
-    click.option("--noise", type=_Level(LENGTH), default="0.05mm", show_default=True,
-                 help="Standard deviation of a coordinate or of the distance; 0mm for exact readings."),
+    click.option("--seed", type=int, default=0, show_default=True, help="Of the machine, the instrument and all else."),
+    click.option("--pose-seed", type=int, help="Of poses, conditions and noise; that of the machine unless given."),
+)  # fmt: skip
+
+setup_options = options(
+    click.option("--sensor", metavar="KIND",
+                 help="What is measured: position, pose, distance, socket, camera_point or camera_pixel.  "
+                      "[default: position, or what --sockets, --anchors and --ball-bar stand for]"),
+    click.option("--noise", type=_Noise(), metavar="LEVEL",
+                 help="Standard deviation of a coordinate, of the distance, of the point in its socket, or of image "
+                      "coordinates; 0mm for exact readings.  [default: 0.05mm, 0.1px]"),
     click.option("--noise-angle", type=_Level(ANGLE), default="0.1mrad", show_default=True,
                  help="Likewise of an orientation (pose)."),
     click.option("--targets", type=click.IntRange(1, 20), default=1, show_default=True, metavar="K",
                  help="Number of targets on the tool, each measured in every pose."),
     click.option("--tool", nargs=3, type=float, metavar="X Y Z",
-                 help="The target in the tip frame [m]; drawn unless given."),
+                 help="Target, tool point or camera in the tip frame [m]; drawn unless given."),
     click.option("--instrument", type=click.Choice(["drawn", "base"]), default="drawn", show_default=True,
                  help="Where it stands: anywhere in the hall, or in the robot's base frame."),
-    click.option("--seed", type=int, default=0, show_default=True, help="Of the machine, the instrument and all else."),
-    click.option("--pose-seed", type=int, help="Of poses, conditions and noise; that of the machine unless given."),
+    click.option("--sockets", type=click.IntRange(1, 100), metavar="K",
+                 help="Number of sockets that the tool point is held in; --poses are shared out among them.  [default: 4]"),
+    click.option("--socket-spacing", type=LENGTH, metavar="LENGTH",
+                 help="Sockets come in pairs so far apart.  [default: 50mm]"),
+    click.option("--anchors", type=click.IntRange(1, 100), metavar="K",
+                 help="Number of fixed points from which distances are measured; one without a name unless given."),
+    click.option("--ball-bar", type=LENGTH, metavar="LENGTH",
+                 help="A bar of this length holds the tool point on a sphere about each anchor; --poses are shared out."),
+    click.option("--object", type=click.Choice(["paper", "grid"]),
+                 help="What the camera sees: two sides with three fields of 25 points each, --poses shared out among "
+                      "them, 12 unless given; or a plane grid of 63 points.  [default: paper]"),
+    click.option("--lens", type=_Lens(), metavar="KEY=VALUE,...",
+                 help="Of the camera: fx fy u0 v0 [px], k1 k2 k3 p1 p2, width height [px]; drawn unless given."),
+    click.option("--points-out", type=click.Path(path_type=Path), metavar="FILE.csv",
+                 help="Write the named points: sockets and anchors in the instrument's frame, an object's in its own."),
+    click.option("--camera-out", type=click.Path(path_type=Path), metavar="FILE.json",
+                 help="Write the camera (camera_pixel)."),
 )  # fmt: skip

@@ -37,6 +37,10 @@ TERMS = (
         "repeatability",
         "how far visits of the same pose lie apart. No calibration improves it; it limits what one can reach.",
     ),
+    (
+        "lack of fit",
+        "poses are off their predictions by more than visits of one pose differ by: the model misses something.",
+    ),
     ("residual", "measured minus predicted: what the model does not explain."),
     ("held out", "poses that the fit never saw. Only these show what to expect of new poses."),
     ("noise", "what the instrument itself scatters by; no model can be better than this."),

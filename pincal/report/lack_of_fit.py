@@ -18,7 +18,7 @@ from pincal.identify.normal import accumulate, block_rows
 from pincal.identify.problem import Problem
 from pincal.measure.measurements import Measurements
 from pincal.report.model_file import CalibratedModel
-from pincal.report.replicates import Visits, iso9283, same_poses
+from pincal.report.replicates import Visits, groups, iso9283, same_poses
 
 MISFIT = 1e-3
 """Chance below which a lack of fit counts as one."""
@@ -35,6 +35,7 @@ class Squares:
         degrees: its degrees of freedom.
         poses: number of poses visited more than once.
         by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each block.
+        spread: of :func:`spread_of`.
     """
 
     total: float
@@ -43,6 +44,7 @@ class Squares:
     degrees: int
     poses: int
     by_block: np.ndarray
+    spread: np.ndarray
 
 
 def squares_of(visits: Visits, values: np.ndarray, sigma: np.ndarray) -> Squares:
@@ -60,16 +62,61 @@ def squares_of(visits: Visits, values: np.ndarray, sigma: np.ndarray) -> Squares
     count, mass = np.bincount(pose), np.bincount(pose, weight)
     again = count > 1
     degrees = int((count[again] - 1).sum())
-    total, by_block = 0.0, []
-    for block, sd in zip(block_rows(visits.problem), sigma, strict=True):
-        r = residuals[block]
-        means = np.stack([np.bincount(pose, weight * component) / mass for component in r])
-        apart = (weight * (r - means[:, pose]) ** 2).sum(axis=0)[again[pose]]
-        total += float((weight * r**2).sum()) / sd**2
-        by_block.append((float(apart.sum()), degrees * len(r)))
-    found = np.array(by_block).reshape(-1, 2)
-    pure = float((found[:, 0] / sigma**2).sum())
-    return Squares(total, residuals.size, pure, int(found[:, 1].sum()), int(again.sum()), found)
+    means = np.stack([np.bincount(pose, weight * component) / mass for component in residuals])
+    apart = np.sqrt(weight) * (residuals - means[:, pose])
+    blocks = block_rows(visits.problem)
+    by_block = np.array([((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks])
+    scale = np.repeat(sigma, [b.stop - b.start for b in blocks])[:, None]
+    return Squares(
+        total=float((weight * (residuals / scale) ** 2).sum()),
+        readings=residuals.size,
+        pure=float((by_block[:, 0] / sigma**2).sum()),
+        degrees=int(by_block[:, 1].sum()),
+        poses=int(again.sum()),
+        by_block=by_block,
+        spread=spread_of(apart / scale, pose),
+    )
+
+
+def spread_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    r"""Return what says how evenly readings scatter over poses and components, to be added over tables.
+
+    With S the covariance in a pose of n = f + 1 > 2 visits, unbiased
+    :math:`\widehat{tr \Sigma^2} = \frac{f^2}{(f - 1)(f + 2)} (tr S^2 - (tr S)^2 / f)`.
+
+    Args:
+        apart: shape (m, N), differences from the poses' means.
+        pose: shape (N,), numbers of the poses.
+
+    Returns:
+        Sums over the poses of tr S, of the estimate of tr Sigma^2, of the variance of tr S, and of m; shape (4,).
+    """
+    sums = np.zeros(4)
+    for rows in groups(pose):
+        f = len(rows) - 1
+        if f > 1:
+            S = apart[:, rows] @ apart[:, rows].T / f
+            square = f**2 / ((f - 1.0) * (f + 2.0)) * (np.sum(S * S) - np.trace(S) ** 2 / f)
+            sums += [np.trace(S), square, 2.0 * square / f, len(S)]
+    return sums
+
+
+def evenness(spread: np.ndarray) -> float:
+    """Return the factor on the degrees of freedom of sums of squares of readings that scatter unevenly or together.
+
+    A robot scatters more where it is stretched out, and its errors in x, y and z go together; sums of squares then vary
+    more than those of independent readings (Box, Ann. Math. Stat. 25, 1954, Eq. 3.1).
+
+    Args:
+        spread: shape (4,), sums of :func:`spread_of`.
+
+    Returns:
+        1 where all readings scatter alike and each by itself, down to 1 / readings.
+    """
+    trace, square, variance, readings = spread
+    if square <= 0.0:
+        return 1.0
+    return float(np.clip((trace**2 - variance) / (readings * square), 1.0 / readings, 1.0))
 
 
 def lack_of_fit(visits: Sequence[Visits], values: np.ndarray, sigma: np.ndarray, *, spent: float) -> dict[str, Any] | None:
@@ -77,7 +124,8 @@ def lack_of_fit(visits: Sequence[Visits], values: np.ndarray, sigma: np.ndarray,
 
     .. math:: F = \frac{(SS - SS_{pure}) / (N - p - f_{pure})}{SS_{pure} / f_{pure}}
 
-    No declared noise enters, only the ratio of those of position and orientation. Pure error is that of all parts.
+    No declared noise enters, only the ratio of those of position and orientation. Pure error is that of all parts; the
+    degrees of freedom are corrected for readings that scatter unevenly, see :func:`evenness`.
 
     Args:
         visits: the fitted rows, then the held-out ones.
@@ -86,9 +134,9 @@ def lack_of_fit(visits: Sequence[Visits], values: np.ndarray, sigma: np.ndarray,
         spent: number p of parameters that the data pay for.
 
     Returns:
-        What ``result.json`` has under this key: F, its degrees of freedom and p value, number of poses visited more than
-        once, and the standard deviation of one component among visits. None where no pose was visited twice, or nothing
-        but rounding is between the visits.
+        What ``result.json`` has under this key: F, its p value and degrees of freedom, their correction, number of poses
+        visited more than once, and the standard deviation of one component among visits. None where no pose was visited
+        twice, or nothing but rounding is between the visits.
     """
     parts = [squares_of(v, values, sigma) for v in visits]
     fitted = parts[0]
@@ -140,13 +188,14 @@ def _f_test(parts: Sequence[Squares], problem: Problem, misfit: float, degrees: 
     if not _is_enough(parts, problem) or degrees < 1.0:
         return None
     free = sum(part.degrees for part in parts)
-    noise = sum(part.pure for part in parts) / free
-    ratio = max(misfit, 0.0) / degrees / noise
+    ratio = max(misfit, 0.0) / degrees / (sum(part.pure for part in parts) / free)
+    even = evenness(np.sum([part.spread for part in parts], axis=0))
     blocks = np.sum([part.by_block for part in parts], axis=0)
     return {
         "F": float(ratio),
-        "p_value": float(fdtrc(degrees, free, ratio)),
-        "degrees": {"misfit": float(degrees), "pure_error": free},
+        "p_value": float(fdtrc(even * degrees, even * free, ratio)),
+        "degrees": {"misfit": float(even * degrees), "pure_error": float(even * free)},
+        "evenness": even,
         "poses": sum(part.poses for part in parts),
         "pure_error": {
             f"sigma_{block.unit}": float(np.sqrt(squares / count))
@@ -159,11 +208,11 @@ def lack_words(found: Mapping[str, Any]) -> str:
     """Return what the test says, in a sentence.
 
     Example:
-        >>> lack_words({"F": 1.02, "p_value": 0.4, "degrees": {"misfit": 60.0, "pure_error": 870}})
+        >>> lack_words({"F": 1.02, "p_value": 0.4, "degrees": {"misfit": 60.0, "pure_error": 870.0}})
         'F(60, 870) = 1.02, p 0.4: what is left is no more than visits of one pose differ by'
     """
     degrees = found["degrees"]
-    test = f"F({degrees['misfit']:.0f}, {degrees['pure_error']}) = {found['F']:.3g}, p {found['p_value']:.2g}"
+    test = f"F({degrees['misfit']:.0f}, {degrees['pure_error']:.0f}) = {found['F']:.3g}, p {found['p_value']:.2g}"
     if found["p_value"] < MISFIT:
         return f"{test}: what is left is more than visits of one pose differ by; the model misses something"
     return f"{test}: what is left is no more than visits of one pose differ by"

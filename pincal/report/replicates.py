@@ -116,9 +116,9 @@ def _same_joints(q: np.ndarray) -> np.ndarray:
     np.minimum.at(low, label, cells)
     np.maximum.at(high, label, cells)
     # A slow motion links cell to cell over a long way: its rows are not visits of one pose.
+    label = label[inverse.ravel()]
     is_motion = np.any(high - low > 1.5, axis=1)[label]
-    label = np.where(is_motion, count + np.arange(len(cells)), label)
-    return np.asarray(label[inverse.ravel()])
+    return np.asarray(np.where(is_motion, count + np.arange(len(q)), label))
 
 
 def _same_climate(temperature: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -196,7 +196,7 @@ def _all_poses(visits: Sequence[Visits], values: np.ndarray) -> list[dict[str, A
     pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in visits])
     rows = [(v, i) for v in visits for i in range(len(v.table))]
     found = []
-    for members in _groups(pose):
+    for members in groups(pose):
         visited, i = rows[members[0]]
         table, is_fitted = visited.table, any(rows[member][0].part == "train" for member in members)
         entry: dict[str, Any] = {
@@ -211,8 +211,15 @@ def _all_poses(visits: Sequence[Visits], values: np.ndarray) -> list[dict[str, A
     return found
 
 
-def _groups(pose: np.ndarray) -> list[np.ndarray]:
-    """Return the rows of each pose with at least two visits; -1 is no pose."""
+def groups(pose: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each pose with at least two visits.
+
+    Args:
+        pose: shape (N,), the number of each row's pose; -1 for none.
+
+    Returns:
+        Indices of rows, an array a pose.
+    """
     order = np.argsort(pose, kind="stable")
     cuts = np.flatnonzero(np.diff(pose[order])) + 1
     return [rows for rows in np.split(order, cuts) if len(rows) > 1 and pose[rows[0]] >= 0]

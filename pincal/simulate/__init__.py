@@ -1,7 +1,8 @@
 """The true machine: an independent oracle that measures a robot whose errors are known."""
 
 from pincal.simulate.arm import Arm, read_arm
-from pincal.simulate.camera import Lens, measure_camera, plan_camera_poses
+from pincal.simulate.calibration_object import CalibrationObject, grid_object, paper_object
+from pincal.simulate.camera import measure_camera, plan_camera_poses
 from pincal.simulate.contact import measure_contacts
 from pincal.simulate.drive import (
     AxisWobble,
@@ -24,21 +25,25 @@ from pincal.simulate.elastic import (
     NonlinearElasticity,
 )
 from pincal.simulate.hidden import HIDDEN_EFFECTS, hidden_effect
+from pincal.simulate.lens import Lens
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.measure import measure
 from pincal.simulate.paper_machine import paper_moments, paper_positions, paper_transform
 from pincal.simulate.planning import plan_poses
+from pincal.simulate.sensors import SENSORS, SetupOptions, draw_setup
 from pincal.simulate.state import Poses
 from pincal.simulate.surroundings import BaseDrift, MeasurementScale, PayloadError, ThermalExpansion
 
 __all__ = [
     "HIDDEN_EFFECTS",
+    "SENSORS",
     "Arm",
     "AxisWobble",
     "Backlash",
     "BaseDrift",
     "BaseElasticity",
     "BearingElasticity",
+    "CalibrationObject",
     "GearEccentricity",
     "GearRatio",
     "GravityCompensator",
@@ -53,15 +58,19 @@ __all__ = [
     "NonlinearElasticity",
     "PayloadError",
     "Poses",
+    "SetupOptions",
     "ThermalExpansion",
     "ThermalOffset",
     "TransmissionError",
     "TrueMachine",
+    "draw_setup",
+    "grid_object",
     "hidden_effect",
     "measure",
     "measure_camera",
     "measure_contacts",
     "paper_moments",
+    "paper_object",
     "paper_positions",
     "paper_transform",
     "plan_camera_poses",

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.simulate.effect import MeasuringEffect
+from pincal.simulate.lens import Lens
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.measure import Table, noise
-from pincal.simulate.planning import plan_poses, reach
+from pincal.simulate.measure import Table, noise, pose_columns, scatter_of
+from pincal.simulate.planning import is_clear, plan_poses, reach
 
-
-@dataclass(frozen=True, kw_only=True)
-class Lens:
-    """Pinhole camera with radial distortion.
-
-    Attributes:
-        focal: Focal length [px].
-        centre: Principal point (u, v) [px].
-        k1: Radial distortion: r_image = r (1 + k1 r^2), r the tangent of the angle to the optical axis [-].
-    """
-
-    focal: float = 2000.0
-    centre: tuple[float, float] = (1024.0, 768.0)
-    k1: float = 0.0
+# Points on a plate seen more slantingly than this (cosine of the angle to its normal) can't be made out.
+_SLANTED = 0.25
+# Random goals in one round, at least.
+_TRIES = 16
 
 
 def measure_camera(
@@ -35,11 +26,14 @@ def measure_camera(
     *,
     camera_pose: np.ndarray,
     points: Mapping[str, Any],
+    normals: Mapping[str, Any] | None = None,
     noise_sigma: float = 0.0,
     rng: np.random.Generator | None = None,
     lens: Lens | None = None,
-    payload: Any = None,
+    in_metres: bool = False,
     payload_com: Any = (0.0, 0.0, 0.0),
+    hide: Collection[str] = (),
+    **conditions: Any,
 ) -> Table:
     """Measure points of a fixed calibration object with a camera at the tip.
 
@@ -49,38 +43,66 @@ def measure_camera(
         camera_pose: Transform from the camera frame (z along the view, x to the right) to the tip frame,
             shape (4, 4).
         points: Position of each named point in the robot's base frame [m], shape (3,).
-        noise_sigma: Standard deviation of each coordinate [m], with a lens [px].
+        normals: Direction in which the plate of each point looks, shape (3,); points seen from behind or at a
+            glancing angle are left out. Without it points are seen from everywhere.
+        noise_sigma: Standard deviation of each coordinate, [px] for image coordinates, else [m].
         rng: Source of noise and scatter.
-        lens: Gives image coordinates ``u v`` of the points in front of the camera; without it ``cx cy cz``.
-        payload: Declared mass at the tip [kg].
-        payload_com: Its centre of mass in the tip frame [m].
+        lens: Gives image coordinates ``u v`` of the points in the image; without it ``cx cy cz`` of all points.
+        in_metres: Give ``cx cy cz`` even with a lens, of the points in its image.
+        payload_com: Centre of mass of the payload in the tip frame [m].
+        hide: Columns that the table does not show.
+        **conditions: ``payload``, ``temperature``, ``time`` and ``approach`` as in
+            :func:`pincal.simulate.measure.measure`.
 
     Returns:
-        Columns: joints, ``payload`` if declared, ``point``, and ``cx cy cz`` or ``u v``.
+        Columns: joints, conditions, ``point``, and ``cx cy cz`` or ``u v``.
+
+    Raises:
+        BadInputError: If no point is seen in any pose.
     """
-    scatter = None if rng is None else rng.spawn(1)[0].standard_normal(np.shape(q))
-    poses = machine.poses(q, payload=payload, payload_com=payload_com, scatter=scatter)
+    poses = machine.poses(q, payload_com=payload_com, scatter=scatter_of(machine, q, rng), **conditions)
     camera = machine.equilibrium(poses).tip @ np.asarray(camera_pose, float)
-    places = np.array([*points.values()], float)
-    seen = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3]).reshape(-1, 3)
-    rows = np.repeat(poses.q, len(points), axis=0)
-    table = dict(zip(machine.names, rows.T, strict=True))
-    if payload is not None:
-        table["payload"] = np.repeat(poses.payload, len(points))
-    table["point"] = np.tile(np.array(list(points)), len(poses.q))
-    if lens is None:
-        return table | dict(zip(("cx", "cy", "cz"), (seen + noise(seen.shape, noise_sigma, rng)).T, strict=True))
-    visible = seen[:, 2] > 0.0
-    table = {name: column[visible] for name, column in table.items()}
-    image = _image(lens, seen[visible])
-    return table | dict(zip("uv", (image + noise(image.shape, noise_sigma, rng)).T, strict=True))
+    seen = in_camera(camera, np.array([*points.values()], float)).reshape(-1, 3)
+    visible = np.ones(len(seen), bool) if lens is None else lens.sees(seen)
+    if normals is not None:
+        visible &= _faces(camera, seen, np.array([*normals.values()], float))
+    if not visible.any():
+        raise BadInputError("the camera sees no point of the object in any pose; take poses that look at it")
+    table = pose_columns(machine, poses, conditions, repeat=len(points)) | {
+        "point": np.tile(np.array(list(points)), len(poses.q))
+    }
+    table = {name: column[visible] for name, column in table.items() if name not in hide}
+    reading, names = _true_readings(machine, seen[visible], None if in_metres else lens)
+    return table | dict(zip(names, (reading + noise(reading.shape, noise_sigma, rng)).T, strict=True))
 
 
-def _image(lens: Lens, seen: np.ndarray) -> np.ndarray:
-    slope = seen[:, :2] / seen[:, 2:]
-    stretch = 1.0 + lens.k1 * (slope**2).sum(axis=1, keepdims=True)
-    image: np.ndarray = np.asarray(lens.centre) + lens.focal * stretch * slope
-    return image
+def _true_readings(machine: TrueMachine, seen: np.ndarray, lens: Lens | None) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return what the camera reads of points in its frame without noise, and the columns that this makes."""
+    for effect in machine.effects:
+        if isinstance(effect, MeasuringEffect):
+            seen = effect.reading(seen)
+    return (seen, ("cx", "cy", "cz")) if lens is None else (lens.project(seen), ("u", "v"))
+
+
+def in_camera(camera: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return points of the base frame in that of each camera.
+
+    Args:
+        camera: Transforms from camera to base frame, shape (N, 4, 4).
+        places: Points in the base frame [m], shape (K, 3).
+
+    Returns:
+        Shape (N, K, 3) [m].
+    """
+    seen: np.ndarray = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3])
+    return seen
+
+
+def _faces(camera: np.ndarray, seen: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return whether the plate of each point, seen as in :func:`in_camera`, looks at the camera, shape (N * K,)."""
+    facing = np.einsum("nab,ka->nkb", camera[:, :3, :3], normals).reshape(-1, 3)
+    cosine = -np.sum(facing * seen, axis=1) / np.maximum(np.linalg.norm(seen, axis=1), 1e-12)
+    return np.asarray(cosine > _SLANTED)
 
 
 def plan_camera_poses(
@@ -93,6 +115,9 @@ def plan_camera_poses(
     distance: tuple[float, float] = (0.3, 0.6),
     tilt: float = 0.6,
     facing: Any = (0.0, 0.0, 1.0),
+    min_height: float | None = 0.1,
+    accept: Callable[[np.ndarray], np.ndarray] | None = None,
+    patience: int = 20,
 ) -> np.ndarray:
     """Find poses in which the camera looks at a point.
 
@@ -105,6 +130,10 @@ def plan_camera_poses(
         distance: Smallest and largest distance of the camera from it [m].
         tilt: Largest angle between view and the object's normal [rad].
         facing: Normal of the object in the base frame, towards the camera, shape (3,).
+        min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
+        accept: What else is asked of a pose: gets transforms from camera to base frame, shape (N, 4, 4), says
+            which will do, shape (N,).
+        patience: Rounds of random goals before giving up.
 
     Returns:
         Joint positions, shape (n, number of joints).
@@ -113,13 +142,15 @@ def plan_camera_poses(
         BadInputError: If the arm hardly reaches such poses.
     """
     arm, found = machine.nominal, np.empty((0, len(machine.names)))
-    for _ in range(20):
-        views = _views(len(seed := plan_poses(arm, 4 * n, rng)), rng, np.asarray(facing, float), tilt)
+    for _ in range(patience):
+        seed = plan_poses(arm, max(4 * n, _TRIES), rng, min_height=min_height)
         goals = np.tile(np.eye(4), (len(seed), 1, 1))
-        goals[:, :3, :3] = views
-        goals[:, :3, 3] = np.asarray(look_at) - rng.uniform(*distance, (len(seed), 1)) * views[:, :, 2]
-        q, reached = reach(arm, seed, goals @ np.linalg.inv(camera_pose))
-        found = np.vstack((found, q[reached]))
+        goals[:, :3, :3] = _views(len(seed), rng, np.asarray(facing, float), tilt)
+        goals[:, :3, 3] = np.asarray(look_at) - rng.uniform(*distance, (len(seed), 1)) * goals[:, :3, 2]
+        wanted = np.ones(len(seed), bool) if accept is None else accept(goals)
+        q, reached = reach(arm, seed[wanted], goals[wanted] @ np.linalg.inv(camera_pose))
+        q = q[reached]
+        found = np.vstack((found, q[is_clear(arm, q, min_height)]))
         if len(found) >= n:
             return found[:n]
     raise BadInputError(f"only {len(found)} of {n} camera poses are within reach; move the object or widen the tilt")

@@ -1,54 +1,42 @@
-"""A measuring campaign: where the instrument stands, what hangs on the flange, and under which conditions it measures."""
+"""A measuring campaign: a set-up, the poses that it measures in, what hangs on the flange, and under which conditions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.effect import HiddenEffect
+from pincal.simulate.effect import HiddenEffect, MeasuringEffect
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.measure import KINDS, Table, measure
-from pincal.simulate.typical import arm_reach
+from pincal.simulate.measure import Table, scatter_of
+from pincal.simulate.setup import Setup
 
 # Time from one pose to the next: drive, settle, measure [s].
 _INTERVAL = 40.0
 # A machine that warms up: from the first temperature by so much, with draughts [deg C].
 _COLD, _WARMING, _DRAUGHT = 20.0, 10.0, 0.7
-# Where an instrument stands and a target sits, in reaches of the arm: distance and height; off the last axis and along it.
-_DISTANCE, _HEIGHT = (1.5, 2.5), (0.0, 0.7)
-_OFF_AXIS, _ALONG = (0.03, 0.07), (0.02, 0.08)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Campaign:
-    """Poses, conditions and instrument; everything but the machine that is measured.
+    """Poses, conditions and set-up; everything but the machine that is measured.
 
     Attributes:
-        q: Recorded joint positions [rad or m], shape (N, n).
+        q: Joint positions to measure in [rad or m], shape (N, n); where contact decides, near which.
         conditions: Of ``payload`` [kg], ``temperature`` [deg C], ``time`` [s], each shape (N,), and ``approach``
             (-1, 0, 1), shape (N, n), those that apply.
         payload_com: Centre of mass of the payload in the tip frame [m].
-        instrument: Transform from the robot's base frame to the instrument's frame, shape (4, 4).
-        targets: Place of each target in the tip frame [m], by its name, shape (4, 4).
-        sensor: A key of ``SENSORS``.
-        sigma: Noise of each coordinate, or of the distance [m].
-        sigma_angle: Noise of the orientation about each axis [rad].
-        hidden: Columns that have an effect but are not recorded.
+        setup: What measures.
+        hidden: Of the conditions, those that have their effect but are not recorded.
     """
 
     q: np.ndarray
     conditions: dict[str, np.ndarray]
-    payload_com: tuple[float, float, float]
-    instrument: np.ndarray
-    targets: dict[str, np.ndarray]
-    sensor: str = "position"
-    sigma: float = 0.0
-    sigma_angle: float = 0.0
+    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    setup: Setup
     hidden: tuple[str, ...] = ()
 
     def measure(self, machine: TrueMachine, rng: np.random.Generator) -> Table:
@@ -59,99 +47,35 @@ class Campaign:
             rng: Source of noise and scatter.
 
         Raises:
-            BadInputError: If there is no such sensor, or the machine has effects that no arm survives.
+            BadInputError: If the set-up can't measure it, or the machine has effects that no arm survives.
         """
-        if self.sensor not in SENSORS:
-            raise BadInputError(f"sensor {self.sensor!r}; expected one of {', '.join(SENSORS)}")
-        table = SENSORS[self.sensor](self, machine, rng)
+        approaches = [f"approach_{name}" for name in machine.names] if "approach" in self.hidden else []
+        hide = (*self.hidden, *approaches)
+        table = self.setup.measure(machine, self.q, rng, payload_com=self.payload_com, hide=hide, **self.conditions)
         for name, column in table.items():
             if column.dtype.kind == "f" and not np.isfinite(column).all():
                 raise BadInputError(f"column {name}: not finite; make errors and effects smaller")
         return table
 
     def shift(self, machine: TrueMachine, effect: HiddenEffect) -> float:
-        """Return how far an effect moves the first target, rms over the poses [m].
+        """Return how far an effect moves what is looked at, rms over the poses [m].
 
         Args:
             machine: The machine with all of its effects, one of them ``effect``.
             effect: The effect.
         """
         without = replace(machine, effects=tuple(e for e in machine.effects if e is not effect))
-        name = next(iter(self.targets))
-        exact = replace(self, sensor="position", sigma=0.0, targets={name: self.targets[name]}, hidden=())
-        tables = [exact.measure(m, np.random.default_rng(0)) for m in (machine, without)]
-        moved = np.array([tables[0][axis] - tables[1][axis] for axis in "xyz"])
-        return float(np.sqrt((moved**2).sum(axis=0).mean()))
+        moved = self._sight(machine) - self._sight(without)
+        return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
-
-def _beside(campaign: Campaign, machine: TrueMachine, rng: np.random.Generator, *, kind: str) -> Table:
-    """Measure with an instrument beside the robot."""
-    hidden = [f"approach_{n}" for n in machine.names] if "approach" in campaign.hidden else []
-    conditions: dict[str, Any] = dict(campaign.conditions)
-    return measure(
-        machine,
-        campaign.q,
-        kind=kind,
-        base_pose=campaign.instrument,
-        targets=campaign.targets,
-        payload_com=campaign.payload_com,
-        noise_sigma=campaign.sigma,
-        noise_angle=campaign.sigma_angle,
-        rng=rng,
-        hide=(*campaign.hidden, *hidden),
-        **conditions,
-    )
-
-
-SENSORS: dict[str, Callable[[Campaign, TrueMachine, np.random.Generator], Table]] = {
-    kind: partial(_beside, kind=kind) for kind in KINDS
-}
-"""How each kind of measurement is made."""
-
-
-def draw_instrument(machine: TrueMachine, rng: np.random.Generator) -> np.ndarray:
-    """Stand an instrument somewhere in the hall, turned in any way.
-
-    Args:
-        machine: The machine beside which it stands.
-        rng: Source of randomness.
-
-    Returns:
-        Transform from the robot's base frame to the instrument's frame, shape (4, 4).
-    """
-    from scipy.spatial.transform import Rotation
-
-    direction, reach = rng.uniform(-np.pi, np.pi), arm_reach(machine)
-    ground = rng.uniform(*_DISTANCE) * np.array([np.cos(direction), np.sin(direction)])
-    place = reach * np.append(ground, rng.uniform(*_HEIGHT))
-    transform = np.eye(4)
-    transform[:3, :3] = Rotation.random(rng=rng).as_matrix()
-    transform[:3, 3] = -transform[:3, :3] @ place
-    return transform
-
-
-def draw_targets(machine: TrueMachine, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Mount targets at the tip, off the last axis (of which nothing could be seen otherwise) and away from each other.
-
-    Args:
-        machine: The machine.
-        count: How many, at least 1.
-        rng: Source of randomness.
-
-    Returns:
-        Transforms from target to tip frame by name, shape (4, 4).
-    """
-    from scipy.spatial.transform import Rotation
-
-    reach, start = arm_reach(machine), rng.uniform(-np.pi, np.pi)
-    found = {}
-    for i in range(count):
-        angle, radius = start + 2.0 * np.pi * i / count, reach * rng.uniform(*_OFF_AXIS)
-        transform = np.eye(4)
-        transform[:3, :3] = Rotation.random(rng=rng).as_matrix()
-        transform[:3, 3] = radius * np.cos(angle), radius * np.sin(angle), reach * rng.uniform(*_ALONG)
-        found[f"target_{i + 1}"] = transform
-    return found
+    def _sight(self, machine: TrueMachine) -> np.ndarray:
+        """Return what the set-up looks at as it reads it without noise [m], shape (N, 3)."""
+        scatter = scatter_of(machine, self.q, np.random.default_rng(0))
+        seen = self.setup.sight(machine.tip(self.q, payload_com=self.payload_com, scatter=scatter, **self.conditions))
+        for effect in machine.effects:
+            if isinstance(effect, MeasuringEffect):
+                seen = effect.reading(seen)
+        return seen
 
 
 def draw_conditions(names: Sequence[str], poses: int, joints: int, rng: np.random.Generator) -> dict[str, Any]:

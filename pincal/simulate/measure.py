@@ -32,6 +32,7 @@ def measure(
     time: Any = None,
     approach: Mapping[str, Any] | np.ndarray | None = None,
     kind: str = "position",
+    anchors: Mapping[str, Any] | None = None,
     noise_free: bool = False,
     hide: Collection[str] = (),
     declare_sigma: bool = False,
@@ -58,13 +59,15 @@ def measure(
         time: Time [s], shape (N,) or one number.
         approach: Direction from which the joints arrived (-1, 0, 1), shape (N, n), or by joint name.
         kind: One of ``KINDS``.
+        anchors: Distances from several fixed points, one row each: their positions in the robot's base frame
+            [m], shape (3,), by name; the instrument's origin if None.
         noise_free: Leave out noise and scatter.
         hide: Columns that the table does not show.
         declare_sigma: Add the column ``sigma``.
 
     Returns:
         Columns of the table by name: joints, ``x y z`` (with ``qx qy qz qw`` or without) or ``distance``, and
-        those of ``target``, ``payload``, ``temperature``, ``time``, ``approach_<joint>`` and ``sigma`` that
+        those of ``target``, ``anchor``, ``payload``, ``temperature``, ``time``, ``approach_<joint>`` and ``sigma`` that
         apply.
 
     Raises:
@@ -72,25 +75,38 @@ def measure(
     """
     if kind not in KINDS:
         raise BadInputError(f"kind {kind!r}; expected one of {', '.join(KINDS)}")
-    conditions = {"payload": payload, "temperature": temperature, "time": time}
-    scatter = _scatter(machine, q, None if noise_free else rng)
-    poses = machine.poses(q, payload_com=payload_com, approach=approach, scatter=scatter, **conditions)
+    if anchors is not None and kind != "distance":
+        raise BadInputError(f"anchors with kind {kind!r}; expected 'distance', or no anchors")
+    conditions = {"payload": payload, "temperature": temperature, "time": time, "approach": approach}
+    scatter = scatter_of(machine, q, None if noise_free else rng)
+    poses = machine.poses(q, payload_com=payload_com, scatter=scatter, **conditions)
     frame = np.eye(4) if base_pose is None else np.asarray(base_pose, float)
     named = dict(targets) if isinstance(targets, Mapping) else {"": targets}
     offsets = np.array([_transform(target) for target in named.values()])
-    seen = (frame @ machine.equilibrium(poses).tip)[:, None] @ offsets
-    table = _pose_columns(machine, poses, conditions, approach is not None, repeat=len(named))
+    seen = ((frame @ machine.equilibrium(poses).tip)[:, None] @ offsets).reshape(-1, 4, 4)
+    table = pose_columns(machine, poses, conditions, repeat=len(named))
     if len(named) > 1:
         table["target"] = np.tile(np.array(list(named)), len(poses.q))
+    if anchors is not None:
+        table, seen = _from_anchors(table, seen, anchors, frame)
     sigmas = (0.0, 0.0) if noise_free else (noise_sigma, noise_angle)
-    table |= _readings(machine, seen.reshape(-1, 4, 4), kind, sigmas, rng)
+    table |= _readings(machine, seen, kind, sigmas, rng)
     if declare_sigma:
-        table["sigma"] = np.full(seen.shape[0] * seen.shape[1], noise_sigma)
+        table["sigma"] = np.full(len(seen), noise_sigma)
     return {name: column for name, column in table.items() if name not in hide}
 
 
-def _scatter(machine: TrueMachine, q: np.ndarray, rng: np.random.Generator | None) -> np.ndarray | None:
-    """Draw scatter from a child of the generator, so that the noise does not depend on it."""
+def _from_anchors(table: Table, seen: np.ndarray, anchors: Mapping[str, Any], frame: np.ndarray) -> tuple[Table, np.ndarray]:
+    """Return every row once for each anchor, and transforms from target to a frame at the anchor."""
+    places = np.array([*anchors.values()], float) @ frame[:3, :3].T + frame[:3, 3]
+    from_anchor = np.repeat(seen, len(places), axis=0)
+    from_anchor[:, :3, 3] -= np.tile(places, (len(seen), 1))
+    table = {name: np.repeat(column, len(places)) for name, column in table.items()}
+    return table | {"anchor": np.tile(np.array(list(anchors)), len(seen))}, from_anchor
+
+
+def scatter_of(machine: TrueMachine, q: np.ndarray, rng: np.random.Generator | None) -> np.ndarray | None:
+    """Return scatter for poses q, drawn from a child of the generator, so that the noise does not depend on it."""
     if rng is None:
         return None
     return rng.spawn(1)[0].standard_normal((len(q), len(machine.names)))
@@ -107,15 +123,23 @@ def _transform(target: Any) -> np.ndarray:
     return transform
 
 
-def _pose_columns(
-    machine: TrueMachine, poses: Poses, conditions: Mapping[str, Any], has_approach: bool, *, repeat: int
-) -> Table:
-    """Return joints, declared conditions and approach, each row repeated for every target."""
+def pose_columns(machine: TrueMachine, poses: Poses, conditions: Mapping[str, Any], *, repeat: int = 1) -> Table:
+    """Return the part of a table that doesn't depend on the sensor.
+
+    Args:
+        machine: The machine.
+        poses: The poses that it measures in.
+        conditions: Of ``payload``, ``temperature``, ``time`` and ``approach``, those declared.
+        repeat: Rows for every pose.
+
+    Returns:
+        Joints, declared conditions and ``approach_<joint>``, each row repeated.
+    """
     table = dict(zip(machine.names, poses.q.T, strict=True))
-    for name, value in conditions.items():
-        if value is not None:
-            table[name] = np.broadcast_to(np.asarray(value, float), len(poses.q))
-    if has_approach and poses.approach is not None:
+    for name in ("payload", "temperature", "time"):
+        if conditions.get(name) is not None:
+            table[name] = np.broadcast_to(np.asarray(conditions[name], float), len(poses.q))
+    if poses.approach is not None:
         table |= {f"approach_{name}": poses.approach[:, j] for j, name in enumerate(machine.names)}
     return {name: np.repeat(column, repeat) for name, column in table.items()}
 

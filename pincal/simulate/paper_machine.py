@@ -7,7 +7,7 @@ deployment of industrial robots as measurement instruments". Equation numbers ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
@@ -58,6 +58,7 @@ PAYLOAD_COM = (0.08, -0.05, 0.22)
 """Its centre of mass in the flange frame S_6 [m]; chosen here."""
 
 Vector = Sequence[float]
+Geometry = Mapping[str, Sequence[float]]
 
 
 def paper_positions(
@@ -95,28 +96,36 @@ def paper_transform(
     with_elasticity: bool = True,
     payload_mass: float | np.ndarray = PAYLOAD_MASS,
     payload_com: Vector = PAYLOAD_COM,
+    geometry: Geometry = REAL,
+    elasticity: Geometry = ELASTICITY,
 ) -> np.ndarray:
-    """Return true flange poses of the paper's robot.
+    """Return true flange poses of the paper's robot, or of another of its make.
 
     Args:
         q: Joint positions [rad], shape (N, 6).
         with_elasticity: Whether the joints give way (DH,s,e) or not (DH,s).
         payload_mass: Mass at the flange [kg], one number or shape (N,).
         payload_com: Its centre of mass in the flange frame [m], shape (3,).
+        geometry: ``REAL`` or other values of the same parameters [rad, m].
+        elasticity: ``ELASTICITY`` or other elastic constants [rad/(N m)].
 
     Returns:
         Transforms from the flange frame S_6 to the base frame S_0 [m], shape (N, 4, 4).
     """
     q = np.asarray(q, float)
     if not with_elasticity:
-        return link_frames(q, REAL)[-1]
-    moments = paper_moments(q, payload_mass=payload_mass, payload_com=payload_com)
-    constants = np.array([ELASTICITY[name] for name in ("k_x", "k_y", "k_z")]).T
-    return link_frames(q, REAL, gamma=constants * moments)[-1]
+        return link_frames(q, geometry)[-1]
+    moments = paper_moments(q, payload_mass=payload_mass, payload_com=payload_com, geometry=geometry)
+    constants = np.array([elasticity[name] for name in ("k_x", "k_y", "k_z")]).T
+    return link_frames(q, geometry, gamma=constants * moments)[-1]
 
 
 def paper_moments(
-    q: np.ndarray, *, payload_mass: float | np.ndarray = PAYLOAD_MASS, payload_com: Vector = PAYLOAD_COM
+    q: np.ndarray,
+    *,
+    payload_mass: float | np.ndarray = PAYLOAD_MASS,
+    payload_com: Vector = PAYLOAD_COM,
+    geometry: Geometry = REAL,
 ) -> np.ndarray:
     """Return the static moments of Eq. (3) on the geometry DH,s.
 
@@ -124,12 +133,13 @@ def paper_moments(
         q: Joint positions [rad], shape (N, 6).
         payload_mass: Mass at the flange [kg], one number or shape (N,).
         payload_com: Its centre of mass in the flange frame [m], shape (3,).
+        geometry: ``REAL`` or other values of the same parameters [rad, m].
 
     Returns:
         (n_x, n_y, n_z) of each joint in its frame after s_x, s_y and before q [N m], shape (N, 6, 3).
     """
     q = np.asarray(q, float)
-    frames = link_frames(q, REAL)
+    frames = link_frames(q, geometry)
     masses, centres = link_bodies()
     payload = np.broadcast_to(np.asarray(payload_mass, float), len(q))
     moments = np.zeros((len(q), 6, 3))
@@ -138,14 +148,12 @@ def paper_moments(
         total = _weigh(frames[6], payload, np.asarray(payload_com, float), origin)
         for k in range(i, 6):
             total = total + _weigh(frames[k + 1], np.full(len(q), masses[k]), centres[k], origin)
-        axes = frames[i][:, :3, :3] @ (_rotate("x", REAL["s_x"][i]) @ _rotate("y", REAL["s_y"][i]))[:3, :3]
+        axes = frames[i][:, :3, :3] @ (_rotate("x", geometry["s_x"][i]) @ _rotate("y", geometry["s_y"][i]))[:3, :3]
         moments[:, i] = (np.swapaxes(axes, 1, 2) @ total[..., None])[..., 0]
     return moments
 
 
-def link_frames(
-    q: np.ndarray, geometry: dict[str, tuple[float, ...]], *, gamma: np.ndarray | None = None
-) -> list[np.ndarray]:
+def link_frames(q: np.ndarray, geometry: Geometry, *, gamma: np.ndarray | None = None) -> list[np.ndarray]:
     """Return the frames S_0 to S_6 of the model DH,s,e.
 
     Args:

@@ -12,8 +12,10 @@ _DRAWS = 2000
 # Largest joint step of the inverse kinematics [rad or m] and its damping, relative to a reach of about a
 # metre.
 _STEP, _DAMPING = 0.3, 1e-4
-# What counts as reached on the nominal arm [m or rad].
-_REACHED = 1e-9
+# What counts as reached on the nominal arm [m or rad], and the steps after which a goal is given up: most take ten.
+_REACHED, _REACHING = 1e-9, 60
+# Part of the joint range that is used: the true arm needs a little more or less than the nominal one.
+_SPAN = 0.95
 
 
 def plan_poses(
@@ -23,7 +25,7 @@ def plan_poses(
     *,
     min_height: float | None = 0.1,
     max_radius: float | None = None,
-    span: float = 0.95,
+    span: float = _SPAN,
 ) -> np.ndarray:
     """Draw random joint positions within the limits, with the arm off the floor.
 
@@ -46,16 +48,31 @@ def plan_poses(
     found = np.empty((0, len(arm.names)))
     for _ in range(_DRAWS):
         q = middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names)))
-        origins = frames(arm, q)[:, 1:, :3, 3]
-        fits = np.ones(len(q), bool)
-        if min_height is not None:
-            fits &= origins[:, min(2, origins.shape[1] - 1) :, 2].min(axis=1) > min_height
+        fits = is_clear(arm, q, min_height)
         if max_radius is not None:
-            fits &= np.linalg.norm(origins[:, -1], axis=1) < max_radius
+            fits &= np.linalg.norm(frames(arm, q)[:, -1, :3, 3], axis=1) < max_radius
         found = np.vstack((found, q[fits]))
         if len(found) >= n:
             return found[:n]
     raise BadInputError(f"only {len(found)} of {n} poses above {min_height} m and within {max_radius} m; relax these limits")
+
+
+def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
+    """Return whether an arm keeps off the floor.
+
+    Args:
+        arm: The arm.
+        q: Joint positions [rad or m], shape (N, n).
+        min_height: Smallest z of the tip and of the origins of the third joint and all after it in the base
+            frame [m]; None for no floor.
+
+    Returns:
+        Shape (N,).
+    """
+    if min_height is None:
+        return np.ones(len(q), bool)
+    heights = frames(arm, q)[:, 1:, 2, 3]
+    return np.asarray(heights[:, min(2, heights.shape[1] - 1) :].min(axis=1) > min_height)
 
 
 def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
@@ -94,18 +111,21 @@ def reach(
         tool: Tool point in the tip frame [m]; used with positions only.
 
     Returns:
-        Joint positions, shape (N, n), and whether each reaches its goal within the joint limits, shape (N,).
+        Joint positions, shape (N, n), and whether each reaches its goal well within the joint limits, shape (N,).
     """
-    q = np.array(seed, float)
-    error = np.full(len(q), np.inf)
-    for _ in range(200):
-        places = frames(arm, q)
-        missing, jacobian = _missing(arm, places, goal, tool)
-        error = np.linalg.norm(missing, axis=1)
-        if np.all(error < _REACHED):
+    q, error = np.array(seed, float), np.full(len(seed), np.inf)
+    for _ in range(_REACHING):
+        left = np.flatnonzero(error >= _REACHED)
+        if len(left) == 0:
             break
-        q = q + newton_step(jacobian, missing)
-    return q, (error < _REACHED) & np.all((q >= arm.lower) & (q <= arm.upper), axis=1)
+        missing, jacobian = _missing(arm, frames(arm, q[left]), goal[left], tool)
+        error[left] = np.linalg.norm(missing, axis=1)
+        q[left] += newton_step(jacobian, missing) * (error[left] >= _REACHED)[:, None]
+    # A turn more or less changes nothing but the limits.
+    turns = np.where(arm.prismatic, 0.0, 2.0 * np.pi * np.round((q - 0.5 * (arm.lower + arm.upper)) / (2.0 * np.pi)))
+    q = np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns)
+    middle, half = 0.5 * (arm.lower + arm.upper), 0.5 * _SPAN * (arm.upper - arm.lower)
+    return q, (error < _REACHED) & np.all(np.abs(q - middle) <= half, axis=1)
 
 
 def newton_step(jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:

@@ -1,0 +1,162 @@
+"""The sensors by name, and how each is set up around a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.simulate.calibration_object import OBJECTS
+from pincal.simulate.contact import Point
+from pincal.simulate.eye_in_hand import EyeInHand
+from pincal.simulate.held import BallBar, Sockets
+from pincal.simulate.lens import draw_lens
+from pincal.simulate.machine import TrueMachine
+from pincal.simulate.places import (
+    draw_camera,
+    draw_fixed_points,
+    draw_instrument,
+    draw_object,
+    draw_targets,
+    place_beside,
+)
+from pincal.simulate.setup import Beside, Setup
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetupOptions:
+    """What may be chosen of a measuring set-up; the rest is drawn.
+
+    Attributes:
+        sigma: Noise of a coordinate or distance [m], of image coordinates [px].
+        sigma_angle: Noise of an orientation about each axis [rad].
+        targets: Number of targets on the tool.
+        tool: Target, tool point or camera in the tip frame [m]; drawn if None.
+        at_base: Whether positions are given in the robot's base frame instead of an instrument's drawn one.
+        sockets: Number of sockets.
+        spacing: Distance of the two sockets of a pair [m].
+        anchors: Number of points from which distances are measured; 0: from the instrument's origin.
+        ball_bar: Length of a bar between anchor and tool point [m]; None without one.
+        seen: What a camera looks at, a key of :data:`pincal.simulate.calibration_object.OBJECTS`.
+        lens: Given intrinsics of the camera, see :attr:`pincal.simulate.lens.Lens.intrinsics`.
+        min_height: Height of the floor in the base frame [m]; None for no floor.
+    """
+
+    sigma: float = 0.0
+    sigma_angle: float = 0.0
+    targets: int = 1
+    tool: Point | None = None
+    at_base: bool = False
+    sockets: int = 4
+    spacing: float = 0.05
+    anchors: int = 0
+    ball_bar: float | None = None
+    seen: str = "paper"
+    lens: dict[str, float] = field(default_factory=dict)
+    min_height: float | None = 0.0
+
+
+def draw_setup(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
+    """Set a sensor up around a machine.
+
+    Args:
+        kind: A key of ``SENSORS``.
+        machine: The machine.
+        rng: Source of randomness.
+        options: What is chosen.
+
+    Returns:
+        The set-up.
+
+    Raises:
+        BadInputError: If there is no such sensor, or no place for it.
+    """
+    if kind not in SENSORS:
+        raise BadInputError(f"sensor {kind!r}; expected one of {', '.join(SENSORS)}")
+    return SENSORS[kind](kind, machine, rng, options)
+
+
+def _beside(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
+    if options.ball_bar is not None:
+        return _ball_bar(machine, rng, options)
+    instrument, targets = _instrument_and_targets(machine, rng, options)
+    anchors = {f"anchor_{i + 1}": place_beside(machine, rng) for i in range(options.anchors)}
+    return Beside(
+        reads=kind,
+        instrument=instrument,
+        targets=targets,
+        anchors=anchors,
+        sigma=options.sigma,
+        sigma_angle=options.sigma_angle,
+    )
+
+
+def _sockets(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
+    instrument, tool = _instrument_and_tool(machine, rng, options)
+    places = draw_fixed_points(
+        machine, options.sockets, rng, tool=tool, spacing=options.spacing, min_height=options.min_height
+    )
+    fixed = {f"socket_{i + 1}": place for i, place in enumerate(places)}
+    return Sockets(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma)
+
+
+def _ball_bar(machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
+    instrument, tool = _instrument_and_tool(machine, rng, options)
+    length = 0.0 if options.ball_bar is None else options.ball_bar
+    places = draw_fixed_points(
+        machine, max(options.anchors, 1), rng, tool=tool, radius=length, min_height=options.min_height
+    )
+    fixed = {f"anchor_{i + 1}": place for i, place in enumerate(places)}
+    return BallBar(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
+
+
+def _eye_in_hand(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
+    camera = draw_camera(machine, rng)
+    if options.tool is not None:
+        camera[:3, 3] = options.tool
+    setup = EyeInHand(
+        seen=OBJECTS[options.seen](),
+        object_pose=np.eye(4),
+        camera_pose=camera,
+        lens=draw_lens(rng, **options.lens),
+        in_metres=kind == "camera_point",
+        sigma=options.sigma,
+    )
+
+    def is_seen(pose: np.ndarray) -> bool:
+        return replace(setup, object_pose=pose).is_in_reach(machine, rng, min_height=options.min_height)
+
+    return replace(setup, object_pose=draw_object(machine, rng, is_seen=is_seen))
+
+
+SENSORS: dict[str, Callable[[str, TrueMachine, np.random.Generator, SetupOptions], Setup]] = {
+    "position": _beside,
+    "pose": _beside,
+    "distance": _beside,
+    "socket": _sockets,
+    "camera_point": _eye_in_hand,
+    "camera_pixel": _eye_in_hand,
+}
+"""How each kind of measurement is set up, by the names of :attr:`pincal.measure.measurements.Measurements.kind`."""
+
+
+def _instrument_and_targets(
+    machine: TrueMachine, rng: np.random.Generator, options: SetupOptions
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Return where the instrument stands and the targets are, the chosen one at its place."""
+    instrument, targets = draw_instrument(machine, rng), draw_targets(machine, options.targets, rng)
+    if options.tool is not None:
+        if len(targets) > 1:
+            raise BadInputError(f"tool {options.tool} places one target; expected targets 1, not {len(targets)}")
+        next(iter(targets.values()))[:3, 3] = options.tool
+    return np.eye(4) if options.at_base else instrument, targets
+
+
+def _instrument_and_tool(machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, Point]:
+    """Return the frame in which fixed points are known, and the tool point."""
+    instrument, targets = _instrument_and_targets(machine, rng, replace(options, targets=1))
+    x, y, z = (float(value) for value in next(iter(targets.values()))[:3, 3])
+    return instrument, (x, y, z)
