@@ -1,0 +1,188 @@
+"""Compensation: from wanted poses, or a nominal program, to the joint positions that reach them by the calibrated model.
+
+The fourth step of the paper (Radkhah, Hemker, Friedmann, von Stryk, Fig. 1): what identification has found is used to make
+the robot go where it was meant to go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from pincal.compensate.frames import Frame, base_in_instrument, compose, in_base_frame, program_poses
+from pincal.compensate.reach import reach
+from pincal.compensate.task import Task
+from pincal.errors import BadInputError
+from pincal.model.effects import Conditions
+from pincal.report.model_file import CalibratedModel
+from pincal.robot.robot import Robot
+
+Orientation = Literal["keep", "free"]
+# Rows worked on at once: some 100 MB, and enough for the few rows that need more steps to share their cost.
+_PIECE = 32768
+# How far a rotation matrix may be from one: what is left of six decimals.
+_ORTHONORMAL = 1e-5
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """Joint positions to command, row by row.
+
+    Attributes:
+        q: shape (N, n), within the limits [rad or m].
+        status: shape (N,), "ok": reached to 1e-9 m and 1e-9 rad; "singular": a small correction would take a large motion
+            of joints, so they stay within 0.1 rad of the seed and keep the position, the orientation as near as it goes;
+            "joint_limit": a joint stops at its limit before; "unreachable": no joint positions were found.
+        error: shape (N,), distance from the wanted position by the model [m].
+        turn: shape (N,), angle from the wanted orientation by the model [rad]; 0 where none was wanted.
+        seed_error: shape (N,), distance of the seeds from the wanted position by the model [m]: the error of a program that
+            is not compensated.
+        wanted: shape (N, 3, 4), the wanted poses of the target in ``frame``.
+        frame: "instrument" or "base".
+    """
+
+    q: np.ndarray
+    status: np.ndarray
+    error: np.ndarray
+    turn: np.ndarray
+    seed_error: np.ndarray
+    wanted: np.ndarray
+    frame: Frame
+
+    @property
+    def is_ok(self) -> np.ndarray:
+        """Which rows are reached, shape (N,)."""
+        return np.asarray(self.status == "ok")
+
+
+def compensate_poses(
+    calibrated: CalibratedModel,
+    wanted: np.ndarray,
+    conditions: Conditions,
+    *,
+    frame: Frame = "instrument",
+    orientation: Orientation = "keep",
+    limits: bool = True,
+) -> Compensation:
+    """Return the joint positions that bring the target to wanted poses by the calibrated model.
+
+    Of all joint positions that reach a pose the ones closest to the seed are returned, in the sum of squares of all joints
+    [rad, m], if the seed stands within 5 cm and 0.1 rad of the pose; no joint that turns then moves by more than 0.35 rad.
+    From a seed that is farther away they are some that reach it, as close to the seed as the search comes.
+
+    Args:
+        calibrated: the calibrated model.
+        wanted: shape (N, 3, 4), poses of the target, or shape (N, 3), positions alone [m].
+        conditions: the N rows; their joint positions are the seeds.
+        frame: in which the wanted poses are given: the instrument's or the robot's base.
+        orientation: of wanted positions: "keep" the one that the nominal robot has at the seed, since that is what the
+            program meant; or "free". An arm with fewer than six joints keeps it as near as it can.
+        limits: whether to stay within the joint limits of the URDF.
+
+    Returns:
+        The joint positions, each row on its own.
+
+    Raises:
+        BadInputError: for wanted poses or seeds of a wrong shape or not finite, or an unknown frame or orientation; or if an
+            effect of the model needs a column that the conditions lack.
+
+    Example:
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> from pincal.model.chain import Chain
+        >>> from pincal.model.effects import JointOffset
+        >>> from pincal.model.model import Model
+        >>> from pincal.report.model_file import Covered
+        >>> from pincal.robot.robot import Robot
+        >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), (JointOffset(),))
+        >>> offset, covered = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0]), Covered(np.zeros((6, 2)), np.zeros(2))
+        >>> known = CalibratedModel(
+        ...     model, offset, np.zeros((6, 6)), model.parameters, "pose", np.zeros(3), covered, np.zeros(1), {}
+        ... )
+        >>> program = Conditions.at(np.array([[0.3, 1.2, -1.1, 0.4, 0.7, -0.5]]))
+        >>> found = compensate_program(known, program)
+        >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))
+        (['ok'], -0.002)
+    """
+    _check_choice("frame", frame, get_args(Frame))
+    _check_choice("orientation", orientation, get_args(Orientation))
+    _check_seeds(conditions.q, calibrated.model.chain.robot)
+    poses = _as_poses(wanted, len(conditions))
+    if np.ndim(wanted) == 2 and orientation == "keep":
+        poses[:, :, :3] = _orientation_of_seeds(calibrated, conditions, frame)
+    known = in_base_frame(calibrated) if frame == "base" else calibrated
+    turns = np.ndim(wanted) == 3 or orientation == "keep"
+    task = Task.of(known.model, known.values[: known.model.n_parameters], conditions, poses, turns=turns)
+    robot, none = known.model.chain.robot, np.full(conditions.q.shape[1], np.inf)
+    lower, upper = (robot.lower, robot.upper) if limits else (-none, none)
+    q, status = np.empty_like(conditions.q, dtype=float), np.empty(len(conditions), dtype="<U12")
+    for start in range(0, len(task), _PIECE):
+        rows = slice(start, start + _PIECE)
+        q[rows], status[rows] = reach(task.select(rows), conditions.q[rows], lower, upper)
+    error, turn = task.distances(task.missing(q))
+    return Compensation(q, status, error, turn, task.distances(task.missing(conditions.q))[0], poses, frame)
+
+
+def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True) -> Compensation:
+    """Return the joint positions at which the real robot does what a nominal program meant.
+
+    Wanted is where the nominal robot, with the tool that was identified, has the target at the program's joint positions.
+
+    Args:
+        calibrated: the calibrated model.
+        conditions: the N rows of the program; its joint positions are the seeds.
+        limits: whether to stay within the joint limits of the URDF.
+
+    Returns:
+        The joint positions; wanted poses are in the robot's base frame.
+
+    Raises:
+        BadInputError: as :func:`compensate_poses`.
+    """
+    return compensate_poses(calibrated, program_poses(calibrated, conditions), conditions, frame="base", limits=limits)
+
+
+def middle_of_range(robot: Robot) -> np.ndarray:
+    """Return a seed for poses that come without one: joints in the middle of their limits, 0 where there are none, (n,)."""
+    bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
+    return np.where(bounded, (np.where(bounded, robot.lower, 0.0) + np.where(bounded, robot.upper, 0.0)) / 2.0, 0.0)
+
+
+def _orientation_of_seeds(calibrated: CalibratedModel, conditions: Conditions, frame: Frame) -> np.ndarray:
+    """Return the orientation that the nominal robot gives the target at the seeds, shape (N, 3, 3)."""
+    poses = program_poses(calibrated, conditions)
+    if frame == "instrument":
+        poses = compose(base_in_instrument(calibrated, conditions), poses)
+    return np.asarray(poses[:, :, :3])
+
+
+def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
+    """Return wanted poses, shape (N, 3, 4), as an array of their own."""
+    given = np.asarray(wanted, float)
+    if given.shape not in ((count, 3), (count, 3, 4)):
+        raise BadInputError(f"wanted poses have shape {given.shape}; expected ({count}, 3, 4) or ({count}, 3)")
+    if not np.isfinite(given).all():
+        row = int(np.flatnonzero(~np.isfinite(given.reshape(count, -1)).all(axis=1))[0])
+        raise BadInputError(f"wanted pose {row} is not finite; expected numbers")
+    poses = np.zeros((count, 3, 4))
+    poses[:, :, :3] = np.eye(3)
+    if given.ndim == 3:
+        turns = given[:, :, :3]
+        off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turns) - 1.0)
+        if off.max(initial=0.0) > _ORTHONORMAL:
+            raise BadInputError(f"wanted pose {int(off.argmax())}: its first three columns are no rotation; expected one")
+        poses[:] = given
+    else:
+        poses[:, :, 3] = given
+    return poses
+
+
+def _check_seeds(q: np.ndarray, robot: Robot) -> None:
+    if q.ndim != 2 or q.shape[1] != robot.n_joints or not np.isfinite(q).all():
+        raise BadInputError(f"seeds have shape {q.shape}; expected (N, {robot.n_joints}), all of them numbers")
+
+
+def _check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise BadInputError(f"{name} {value!r}; expected one of {', '.join(known)}")

@@ -1,0 +1,107 @@
+"""In which frame and by which model a pose is meant: calibrated in the robot's base, nominal, or as a false target.
+
+All of it by leaving effects out of the calibrated model: without what places the instrument it predicts in the robot's
+base frame, with nothing but its tool it is the nominal robot carrying the tool that was identified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect
+from pincal.model.model import Model
+from pincal.report.model_file import CalibratedModel
+
+Frame = Literal["instrument", "base"]
+FalseTarget = Literal["tip", "target"]
+
+# Effects that belong to the instrument and not to the robot: where it stands, how it drifts, how it reads lengths.
+_PLACING = ("base_frame", "base_drift")
+_OF_INSTRUMENT = (*_PLACING, "measurement_scale")
+_OF_TOOL = ("tool_frame",)
+
+
+def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
+    """Return the calibrated model that predicts in the robot's base frame, whatever the instrument does."""
+    return _with_effects(calibrated, lambda effect: effect.name not in _OF_INSTRUMENT, np.eye(3))
+
+
+def nominal_model(calibrated: CalibratedModel) -> CalibratedModel:
+    """Return the nominal robot that carries the calibrated tool; it predicts in the robot's base frame."""
+    return _with_effects(calibrated, lambda effect: effect.name in _OF_TOOL, np.eye(3))
+
+
+def _with_effects(
+    calibrated: CalibratedModel, is_kept: Callable[[Effect], bool], base_rotation: np.ndarray
+) -> CalibratedModel:
+    model = calibrated.model
+    sizes = [len(effect.parameters(model.chain)) for effect in model.effects]
+    places = np.flatnonzero(np.repeat([is_kept(effect) for effect in model.effects], sizes))
+    chain = model.chain.with_references(base_rotation, model.chain.tool_rotations)
+    return replace(
+        calibrated,
+        model=model.with_chain(chain).with_effects([effect for effect in model.effects if is_kept(effect)]),
+        values=calibrated.values[places],
+        covariance=calibrated.covariance[np.ix_(places, places)],
+        parameters=tuple(calibrated.parameters[p] for p in places),
+    )
+
+
+def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
+    """Return where a nominal program wants the target: where the nominal robot has it at these joint positions.
+
+    Args:
+        calibrated: the calibrated model.
+        conditions: the N poses of the program.
+
+    Returns:
+        Poses of the target in the robot's base frame, shape (N, 3, 4) [m].
+    """
+    return nominal_model(calibrated).predict(conditions)
+
+
+def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
+    """Return the pose of the robot's base in the instrument's frame at each of N poses, shape (N, 3, 4) [m].
+
+    It differs from row to row only where the base drifts.
+    """
+    placed = _with_effects(calibrated, lambda effect: effect.name in _PLACING, calibrated.model.chain.base_rotation)
+    bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
+    return compose(placed.predict(conditions), inverse(bare.predict(conditions)))
+
+
+def compose(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return the products of transforms, shape (N, 3, 4) each."""
+    R = A[:, :, :3]
+    return np.concatenate([R @ B[:, :, :3], R @ B[:, :, 3:] + A[:, :, 3:]], axis=2)
+
+
+def inverse(A: np.ndarray) -> np.ndarray:
+    """Return the inverses of transforms, shape (N, 3, 4)."""
+    turned = A[:, :, :3].swapaxes(1, 2)
+    return np.concatenate([turned, -turned @ A[:, :, 3:]], axis=2)
+
+
+def false_targets(calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip") -> np.ndarray:
+    """Return the poses to give to a controller that only has the nominal model, so that it commands these joints.
+
+    The controller has to choose the same branch (and, with seven joints, the same elbow) as the joint positions do.
+
+    Args:
+        calibrated: the calibrated model.
+        conditions: the N poses, their joint positions those to command.
+        of: "tip", the tip link of the nominal robot, for a controller without a tool; or "target", for one that has the
+            calibrated tool.
+
+    Returns:
+        Poses in the robot's base frame, shape (N, 3, 4) [m].
+    """
+    if of == "target":
+        return nominal_model(calibrated).predict(conditions)
+    bare = Model(Chain.of(calibrated.model.chain.robot), ())
+    return bare.predict(np.zeros(0), replace(conditions, target=np.zeros(len(conditions), int)))
