@@ -1,0 +1,295 @@
+"""Which poses to measure: from a robot and constraints to a list of poses and what they will tell."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pincal.design.foresight import Foresight
+from pincal.design.observability import Observed
+from pincal.design.reach import Draw, Limits, Reach, Rig
+from pincal.design.refine import Refinement
+from pincal.design.route import length, short_route, travel
+from pincal.design.study import Criterion, CurvePoint, Quality, Study, Wish, total
+from pincal.errors import BadInputError, PincalWarning
+from pincal.identify.calibrate import Options
+from pincal.measure.measurements import Measurements
+from pincal.model.effects import Conditions
+from pincal.robot.robot import Robot
+
+CANDIDATES = 1500
+# Readings beyond the directions that they could tell, below which little is left to judge a fit by.
+_COMFORTABLE = 1.5
+
+
+@dataclass(frozen=True)
+class Design:
+    """Poses to measure, in an order of short ways, and what they will tell.
+
+    Attributes:
+        robot: the arm.
+        conditions: the N poses; payload and approach where they were part of the design.
+        rig: with what they are measured.
+        criterion: "task", "determinant" or "tell apart".
+        rivals: the effects to be told apart, as they were named; none with the other criteria.
+        foresight: the parameters and their priors.
+        drawn: the candidates, and what the constraints removed.
+        found: the design beside random poses.
+        before: the poses measured before alone; None without any.
+        bound: predicted error that no choice of N of the candidates can fall below, by the criterion task [m]; else None.
+        curve: designs of other numbers of poses and of this one, all chosen among the candidates and not refined.
+        needed: smallest number of candidates that reaches the accuracy asked for; None where none was.
+        observability: indices O1 to O5 of the poses, those measured before among them.
+        observability_random: their medians of random poses.
+        rank: directions that such poses tell better than the priors do, base and tool among them.
+        way: length of the way through the poses, in ranges of the joint that moves farthest.
+        way_unordered: in the order in which they were found.
+        settings: columns beside the joints that belong to the poses: "payload", "approach", "target".
+        notes: what the user should know, in words.
+        seconds: that it took.
+    """
+
+    robot: Robot
+    conditions: Conditions
+    rig: Rig
+    criterion: str
+    rivals: tuple[str, ...]
+    foresight: Foresight
+    drawn: Draw
+    found: CurvePoint
+    before: Quality | None
+    bound: float | None
+    curve: tuple[CurvePoint, ...]
+    needed: int | None
+    observability: dict[str, float]
+    observability_random: dict[str, float]
+    rank: int
+    way: float
+    way_unordered: float
+    settings: tuple[str, ...]
+    notes: tuple[str, ...]
+    seconds: float
+
+    @property
+    def q(self) -> np.ndarray:
+        """Joint positions, shape (N, n) [rad or m]."""
+        return self.conditions.q
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the table to be filled in: joints, and target, payload and approach where they belong to the poses."""
+        columns: dict[str, np.ndarray] = dict(zip(self.robot.joint_names, self.q.T, strict=True))
+        if "target" in self.settings:
+            columns["target"] = np.array(self.foresight.model.chain.targets)[self.conditions.target]
+        if "payload" in self.settings:
+            columns["payload"] = self.conditions.payload
+        if "approach" in self.settings and self.conditions.approach is not None:
+            for name, column in zip(self.robot.joint_names, self.conditions.approach.T, strict=True):
+                columns[f"approach_{name}"] = column.astype(int)
+        return columns
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, without the poses."""
+        return {
+            "robot": self.robot.name,
+            "base": self.robot.base,
+            "tip": self.robot.tip,
+            "sensor": self.rig.sensor,
+            "tool": self.rig.target(self.robot).tolist(),
+            "instrument": None if self.rig.instrument is None else list(self.rig.instrument),
+            "criterion": self.criterion,
+            "rivals": list(self.rivals),
+            "noise": self.foresight.sigma.tolist(),
+            "parameters": self.foresight.n_free,
+            "rank": self.rank,
+            "candidates": {"found": len(self.drawn.q), "drawn": self.drawn.drawn, "removed": self.drawn.removed},
+            **_plain_point(self.found),
+            "measured_before": None if self.before is None else _plain(self.before),
+            "bound_mm": None if self.bound is None else 1e3 * self.bound,
+            "needed": self.needed,
+            "curve": [_plain_point(point) for point in self.curve],
+            "observability": {"designed": self.observability, "random_median": self.observability_random},
+            "way": {"ordered": self.way, "unordered": self.way_unordered},
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+def _plain(quality: Quality) -> dict[str, Any]:
+    apart = {"noncentrality": list(quality.apart)} if quality.apart else {}
+    return {"error_rms_mm": 1e3 * quality.error} | apart
+
+
+def _plain_point(point: CurvePoint) -> dict[str, Any]:
+    return {"poses": point.poses, "designed": _plain(point.designed), "random_median": _plain(point.random)}
+
+
+def design_poses(
+    robot: Robot,
+    poses: int | None = None,
+    options: Options | None = None,
+    *,
+    rig: Rig | None = None,
+    limits: Limits | None = None,
+    criterion: Criterion = "task",
+    tell_apart: tuple[str, str] | None = None,
+    accuracy: float | None = None,
+    task: Measurements | None = None,
+    measured: Measurements | None = None,
+    payloads: Sequence[float] | None = None,
+    candidates: int | None = None,
+    refine: bool = True,
+    curve: bool = True,
+    seed: int = 0,
+) -> Design:
+    """Choose the poses that tell most.
+
+    Args:
+        robot: the arm.
+        poses: how many; unless given, as many as ``accuracy`` needs.
+        options: as for the calibration: effects, noise, moment frame, centre of mass of the payload. Base and tool are
+            taken as unknown.
+        rig: with what and from where the poses are measured.
+        limits: where the arm may go.
+        criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the priors of the fit),
+            "determinant" for the smallest volume of the parameters' uncertainty (D-optimal, with priors).
+        tell_apart: two rival effects, as in :func:`pincal.design.rivals.find_rival`, to be told apart instead.
+        accuracy: predicted error over the task to reach [m]; the smallest number of poses for it is found.
+        task: joint positions that the user cares for, with payloads where they matter; over the reach unless given.
+        measured: poses measured already, with their payloads; their information counts, and new poses are added.
+        payloads: masses at the tip [kg] to choose from, pose by pose; none unless given.
+        candidates: how many random poses to choose from; 1500, or twice ``poses``, unless given.
+        refine: whether to move the chosen poses joint by joint to where they tell more.
+        curve: whether to design for other numbers of poses, too, and to say what no choice can beat.
+        seed: of all that is drawn.
+
+    Returns:
+        The design; look at its ``notes``.
+
+    Raises:
+        BadInputError: for constraints that leave too few poses, an accuracy that no number of poses reaches, an effect that
+            is not known, or a sensor or model that a design can't be made for.
+
+    Example:
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> found = design_poses(Robot.from_urdf("ur10"), 20, Options(effects=GEOMETRIC), candidates=200, curve=False)
+        >>> found.q.shape, found.found.designed.error < found.found.random.error
+        ((20, 6), True)
+    """
+    begun = time.perf_counter()
+    candidates = max(CANDIDATES, 2 * (poses or 0)) if candidates is None else candidates
+    loads = None if payloads is None else tuple(float(load) for load in payloads)
+    wish = Wish(criterion, tell_apart, task, measured, loads, candidates, poses or 1, seed)
+    _check(poses, accuracy, wish)
+    reach = Reach(robot, Rig() if rig is None else rig, Limits() if limits is None else limits)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        study = Study.of(reach, Options() if options is None else options, wish)
+        needed = None if accuracy is None else study.smallest(accuracy)
+        n = poses or needed or 1
+        _check_count(study, n)
+    picked = study.candidates.select(np.array(study.design(n)))
+    if refine:
+        picked = Refinement(study.foresight, reach, study.W, study.H).improve(picked)
+    H, at_random = study.H + total(study.foresight.readings(picked)), study.random(n)
+    found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
+    order, unordered, ordered = _order(picked, reach)
+    observability, observability_random = _observability(study, n, H, at_random)
+    return Design(
+        robot=robot,
+        conditions=picked.select(order),
+        rig=reach.rig,
+        criterion="tell apart" if tell_apart else criterion,
+        rivals=tuple(tell_apart or ()),
+        foresight=study.foresight,
+        drawn=study.drawn,
+        found=found,
+        before=study.quality(study.H) if study.n_measured else None,
+        bound=study.bound(n) if curve and criterion == "task" and not tell_apart else None,
+        curve=study.curve(found) if curve else (),
+        needed=needed,
+        observability=observability,
+        observability_random=observability_random,
+        rank=study.rank(n),
+        way=ordered,
+        way_unordered=unordered,
+        settings=_settings(study, wish),
+        notes=(*robot.notes, *reach.bodies.notes, *_told(caught)),
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _check(poses: int | None, accuracy: float | None, wish: Wish) -> None:
+    if poses is None and accuracy is None:
+        raise BadInputError("neither a number of poses nor an accuracy is given; expected one of them")
+    if poses is not None and poses < 1:
+        raise BadInputError(f"{poses} poses; expected 1 or more")
+    if accuracy is not None and not accuracy > 0.0:
+        raise BadInputError(f"accuracy {accuracy:g} m; expected more than 0")
+    if wish.candidates < max(wish.least, 2):
+        raise BadInputError(f"{wish.candidates} candidates for {wish.least} poses; expected at least as many, better 1000")
+    if wish.criterion not in ("task", "determinant"):
+        raise BadInputError(f"criterion {wish.criterion!r}; expected task or determinant")
+    if accuracy is not None and (wish.tell_apart or wish.criterion != "task"):
+        raise BadInputError("an accuracy goes with the criterion task alone; leave it out")
+    loads = wish.payloads
+    if loads is not None and (not loads or not all(0.0 <= load < np.inf for load in loads)):
+        listed = ", ".join(f"{load:g}" for load in loads)
+        raise BadInputError(f"payloads {listed or 'none'}; expected masses of 0 kg or more")
+    for what, table in (("task", wish.task), ("measured poses", wish.measured)):
+        if table is not None and len(table) == 0:
+            raise BadInputError(f"{what}: {table.source} has no rows; expected joint positions")
+
+
+def _check_count(study: Study, n: int) -> None:
+    """Warn of fewer poses than the parameters need."""
+    size, rank, count = study.A.shape[1], study.rank(n), n + study.n_measured
+    if size * count < rank:
+        fewest, good = -(-rank // size), int(np.ceil(_COMFORTABLE * rank / size))
+        warnings.warn(
+            f"{count} poses give {size * count} readings for {rank} directions of the parameters that such poses can tell, "
+            f"so the rest stays as it was known beforehand; expected {fewest} poses or more, better {good}",
+            PincalWarning,
+            stacklevel=3,
+        )
+
+
+def _order(design: Conditions, reach: Reach) -> tuple[np.ndarray, float, float]:
+    """Return an order of short ways, load by load, and the length of the way before and after."""
+    lower, upper = reach.range
+    distances = travel(design.q, upper - lower)
+    from_middle = np.abs((design.q - 0.5 * (lower + upper)) / (upper - lower)).max(axis=1)
+    order: list[int] = []
+    for load in np.unique(design.payload):
+        rows = np.flatnonzero(design.payload == load)
+        start = distances[order[-1], rows] if order else from_middle[rows]
+        order += rows[short_route(distances[np.ix_(rows, rows)], int(np.argmin(start)))].tolist()
+    found = np.array(order)
+    return found, length(distances, np.arange(len(found))), length(distances, found)
+
+
+def _observability(
+    study: Study, n: int, H: np.ndarray, at_random: Sequence[np.ndarray]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the indices of the design, and their medians over random ones, what was measured before included."""
+    observed, n_all, prior = Observed.of(study.foresight, study.mean, n), n + study.n_measured, np.eye(len(H))
+    indices = [observed.indices(R - prior, n_all) for R in at_random]
+    return observed.indices(H - prior, n_all), {name: float(np.median([i[name] for i in indices])) for name in indices[0]}
+
+
+def _settings(study: Study, wish: Wish) -> tuple[str, ...]:
+    """Return the columns beside the joints that belong to the poses."""
+    has = {
+        "target": len(study.foresight.model.chain.targets) > 1,
+        "payload": wish.payloads is not None,
+        "approach": wish.has_sides,
+    }
+    return tuple(name for name, is_there in has.items() if is_there)
+
+
+def _told(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
+    return tuple(str(w.message) for w in caught if issubclass(w.category, PincalWarning))

@@ -1,0 +1,193 @@
+r"""Which of many candidates to take: greedy choice and Fedorov's exchange by updates of low rank.
+
+A candidate j is a pose with its m readings; A_j, shape (m, F), is their Jacobian in units of the noise and of the priors,
+so that a design has the posterior covariance
+
+.. math:: C = (H + \sum_j A_j^T A_j)^{-1}, \qquad K_j = A_j C A_j^T, \qquad L_j = A_j C W C A_j^T
+
+with H the information that is there before (priors, poses already measured). Taking candidate j in changes the criteria by
+
+.. math:: \mathrm{tr}(W C) - \mathrm{tr}(W C') = \mathrm{tr}((1 + K_j)^{-1} L_j), \qquad
+    \log\det C - \log\det C' = \log\det(1 + K_j),
+
+and changes C by rank m, from which K and L of all the candidates follow by two thin products (V. V. Fedorov, Theory of
+Optimal Experiments, 1972, ch. 3; Atkinson, Donev and Tobias, Optimum Experimental Designs, 2007, ch. 12).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+# Passes over a design after which an exchange ends even if it still finds something.
+PASSES = 10
+# Part of a pose's own information that the others must leave, below which taking it out is worked out from scratch.
+_ALONE = 1e-5
+# Relative gain below which a swap is rounding.
+_WORTH = 1e-9
+
+
+def covariance(H: np.ndarray) -> np.ndarray:
+    """Return the inverse of an information matrix, shape (F, F)."""
+    return np.asarray(cho_solve(cho_factor(H), np.eye(len(H))))
+
+
+def value(C: np.ndarray, W: np.ndarray | None) -> float:
+    """Return the criterion of a posterior covariance, smaller is better: tr(W C), or log det C without a W."""
+    return float(np.sum(W * C)) if W is not None else float(np.linalg.slogdet(C)[1])
+
+
+def gains(K: np.ndarray, L: np.ndarray | None) -> np.ndarray:
+    """Return by how much each candidate would lower the criterion, shape (M,).
+
+    Args:
+        K: shape (M, m, m).
+        L: shape (M, m, m); None for the determinant.
+    """
+    more = np.eye(K.shape[1]) + K
+    if L is None:
+        return np.asarray(np.linalg.slogdet(more)[1])
+    if K.shape[1] == 3:
+        return _traces_of_three(more, L)
+    return np.asarray(np.trace(np.linalg.solve(more, L), axis1=1, axis2=2))
+
+
+def _traces_of_three(P: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """Return tr(P^-1 L) of symmetric 3 x 3 matrices by cofactors, in a fifth of the time of solving."""
+    p, q = (np.ascontiguousarray(matrices.transpose(1, 2, 0)) for matrices in (P, L))
+    xx, yy, zz = p[1, 1] * p[2, 2] - p[1, 2] ** 2, p[0, 0] * p[2, 2] - p[0, 2] ** 2, p[0, 0] * p[1, 1] - p[0, 1] ** 2
+    xy, xz = p[0, 2] * p[1, 2] - p[0, 1] * p[2, 2], p[0, 1] * p[1, 2] - p[0, 2] * p[1, 1]
+    yz = p[0, 1] * p[0, 2] - p[0, 0] * p[1, 2]
+    trace = xx * q[0, 0] + yy * q[1, 1] + zz * q[2, 2] + 2.0 * (xy * q[0, 1] + xz * q[0, 2] + yz * q[1, 2])
+    return np.asarray(trace / (p[0, 0] * xx + p[0, 1] * xy + p[0, 2] * xz))
+
+
+def weigh(A: np.ndarray, C: np.ndarray, W: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return K and L, shape (M, m, m), of candidates A, shape (M, m, F); no L without a W."""
+    AC = A @ C
+    K = AC @ A.transpose(0, 2, 1)
+    return K, None if W is None else AC @ W @ AC.transpose(0, 2, 1)
+
+
+@dataclass(frozen=True)
+class State:
+    """A design, and what each candidate would change in it.
+
+    Attributes:
+        A: shape (M, m, F), the candidates.
+        W: shape (F, F), weights of the criterion tr(W C); None for the determinant.
+        C: shape (F, F).
+        K: shape (M, m, m).
+        L: shape (M, m, m), None without a W.
+    """
+
+    A: np.ndarray
+    W: np.ndarray | None
+    C: np.ndarray
+    K: np.ndarray
+    L: np.ndarray | None
+
+    @classmethod
+    def of(cls, A: np.ndarray, W: np.ndarray | None, H: np.ndarray) -> State:
+        """Return the state at information H, shape (F, F)."""
+        C = covariance(H)
+        return cls(A, W, C, *weigh(A, C, W))
+
+    def gains(self) -> np.ndarray:
+        """Return by how much each candidate would lower the criterion, shape (M,)."""
+        return gains(self.K, self.L)
+
+    def spare(self, j: int) -> float:
+        """Return the part of candidate j's own information that the rest of the design does not have, at worst."""
+        return float(np.linalg.eigvalsh(np.eye(self.K.shape[1]) - self.K[j])[0])
+
+    def moved(self, j: int, sign: float) -> State:
+        """Return the state with candidate j taken in (sign 1) or out (sign -1), by updates of rank m."""
+        inner = np.linalg.cholesky(np.linalg.inv(np.eye(self.K.shape[1]) + sign * self.K[j]))
+        B = self.C @ self.A[j].T @ inner
+        C = self.C - sign * (B @ B.T)
+        if self.W is None or self.L is None:
+            P = self._times(B)
+            return replace(self, C=C, K=self.K - sign * (P @ P.transpose(0, 2, 1)))
+        CWB = self.C @ (self.W @ B)
+        Z = CWB - 0.5 * sign * (B @ (B.T @ (self.W @ B)))
+        m = B.shape[1]
+        both = self._times(np.hstack([B, Z]))
+        P, S = both[:, :, :m], both[:, :, m:]
+        cross = P @ S.transpose(0, 2, 1)
+        K = self.K - sign * (P @ P.transpose(0, 2, 1))
+        return replace(self, C=C, K=K, L=self.L - sign * (cross + cross.transpose(0, 2, 1)))
+
+    def _times(self, B: np.ndarray) -> np.ndarray:
+        M, m, F = self.A.shape
+        return np.asarray((self.A.reshape(M * m, F) @ B).reshape(M, m, -1))
+
+
+def information(A: np.ndarray, chosen: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Return the sum of A_j^T A_j over the chosen candidates, shape (F, F)."""
+    rows = A[np.asarray(chosen, int)].reshape(-1, A.shape[2])
+    return np.asarray(rows.T @ rows)
+
+
+def choose_greedily(
+    A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, start: Sequence[int] = ()
+) -> tuple[list[int], list[float]]:
+    """Take in, one after the other, the candidate that lowers the criterion most.
+
+    Args:
+        A: shape (M, m, F), candidates in units of noise and priors.
+        W: shape (F, F), or None for the determinant.
+        H: shape (F, F), information that is there before.
+        n: number of candidates wanted, at most M.
+        start: candidates to begin with.
+
+    Returns:
+        The n candidates, and the criterion with the first 1, 2, ... of those that were added.
+    """
+    chosen, course = list(start), []
+    state = State.of(A, W, H + information(A, chosen))
+    free = np.ones(len(A), bool)
+    free[chosen] = False
+    while len(chosen) < n:
+        j = int(np.argmax(np.where(free, state.gains(), -np.inf)))
+        state = state.moved(j, 1.0)
+        free[j] = False
+        chosen.append(j)
+        course.append(value(state.C, W))
+    return chosen, course
+
+
+def exchange(
+    A: np.ndarray, W: np.ndarray | None, H: np.ndarray, chosen: Sequence[int], *, passes: int = PASSES
+) -> list[int]:
+    """Swap candidates of a design for better ones, one at a time, until no swap is left that helps.
+
+    Args:
+        A: shape (M, m, F), candidates in units of noise and priors.
+        W: shape (F, F), or None for the determinant.
+        H: shape (F, F), information that is there before.
+        chosen: the design to begin with; no candidate is taken twice.
+        passes: over the design, at most.
+
+    Returns:
+        The design, in the order of ``chosen``.
+    """
+    design = list(chosen)
+    for _ in range(passes):
+        state, n_swaps = State.of(A, W, H + information(A, design)), 0
+        for place, old in enumerate(design):
+            rest = design[:place] + design[place + 1 :]
+            without = state.moved(old, -1.0) if state.spare(old) > _ALONE else State.of(A, W, H + information(A, rest))
+            gain = without.gains()
+            gain[rest] = -np.inf
+            new = int(np.argmax(gain))
+            if gain[new] - gain[old] <= _WORTH * abs(gain[old]):
+                continue
+            design[place], n_swaps = new, n_swaps + 1
+            state = without.moved(new, 1.0)
+        if not n_swaps:
+            break
+    return design

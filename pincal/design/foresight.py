@@ -1,0 +1,206 @@
+r"""What a measurement at any pose would tell of the parameters, before it is made.
+
+A design works on the Jacobian of a :class:`~pincal.identify.problem.Problem`, whatever the sensor is. It is taken at the
+nominal arm, in units of the noise and of the priors that a fit has (by physical group, see
+:func:`pincal.identify.calibrate.priors_of`), so that the information of the priors is the identity. Base and tool, which a
+fit leaves without a prior, get one so wide that it says nothing: it only keeps the covariance finite where poses are few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pincal.design.reach import Rig
+from pincal.errors import BadInputError
+from pincal.identify.calibrate import Options, noise_of, priors_of
+from pincal.identify.normal import Posterior, posterior
+from pincal.identify.problem import Problem, problem_of
+from pincal.measure.measurements import measurements_from_arrays
+from pincal.measure.sensors import quaternions
+from pincal.model.chain import Chain
+from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
+from pincal.model.model import Model
+from pincal.robot.robot import Robot
+
+# Noise of a good laser tracker in a hall, where none is declared, by the unit of a reading [m, rad].
+ASSUMED_NOISE = {"m": 5e-5, "rad": 1e-4}
+# Noise below which the arithmetic of a design has no digits left [m, rad].
+_LEAST_NOISE = 1e-7
+# Width of what stands for no prior, in units of the noise: 1 m for 0.05 mm.
+_WIDE = 2e4
+# Width of the prior of an effect that is to be told from another, in sizes that are typical of it.
+RIVAL = 10.0
+
+READINGS: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
+    "position": lambda poses: {"position": poses[:, :, 3]},
+    "pose": lambda poses: {"position": poses[:, :, 3], "quaternion": quaternions(poses[:, :, :3])},
+    "distance": lambda poses: {"distance": np.linalg.norm(poses[:, :, 3], axis=1)},
+}
+"""What each kind of sensor reads of the target's poses in the instrument's frame, shape (N, 3, 4), as columns of a table."""
+
+
+@dataclass(frozen=True)
+class Foresight:
+    """The parameters of a fit, and how readings at any pose depend on them.
+
+    Attributes:
+        model: base, tool and all effects.
+        values: shape (P,), where it is linearised: the nominal arm, the target about where it sits.
+        free: shape (P,), the F parameters that these poses excite at all.
+        sizes: shape (F,), standard deviations of the priors; inf for base and tool.
+        sigma: shape (blocks,), noise of one component of each block of readings [m, rad].
+        sensor: kind of the sensor.
+        rivals: for each of the effects to be told apart, its places among the F parameters.
+        core: shape (F,), the parameters of the model as it is fitted, without rivals that were added to it.
+    """
+
+    model: Model
+    values: np.ndarray
+    free: np.ndarray
+    sizes: np.ndarray
+    sigma: np.ndarray
+    sensor: str
+    rivals: tuple[np.ndarray, ...]
+    core: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        conditions: Conditions,
+        options: Options,
+        rig: Rig,
+        *,
+        rivals: Sequence[Effect] = (),
+        targets: tuple[str, ...] = ("tool",),
+    ) -> Foresight:
+        """Return the foresight for poses like these.
+
+        Args:
+            robot: the arm.
+            conditions: N poses, by which priors are scaled as a fit scales them by its rows.
+            options: as for the calibration; ``sigma`` as for a good laser tracker unless given.
+            rig: with what and from where poses are measured.
+            rivals: effects beside the model that are to be told apart.
+            targets: names of the targets; all sit where the rig has its target.
+
+        Raises:
+            BadInputError: for a sensor that is not known or lacks the place of its instrument, elasticity of an arm
+                without masses, noise that no instrument has, or a rival that does nothing in these poses.
+        """
+        _check(robot, options, rig)
+        gravity = None if options.gravity is None else np.array(options.gravity)
+        chain = Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity, targets=targets)
+        sensor = _problem(Model(chain, ()), np.zeros(0), rig.sensor, conditions).sensor
+        frames = (BaseFrame(sensor.base_symbols), ToolFrame(sensor.tool_symbols))
+        model = Model(chain, (*frames, *options.effects), equilibrium=options.equilibrium)
+        n_core = model.n_parameters
+        for rival in rivals:
+            if any(parameter.name not in model.names for parameter in rival.parameters(chain)):
+                model = model.with_effects([*model.effects, rival])
+        values = _nominal(model, rig, rig.target(robot))
+        problem = _problem(model, values, rig.sensor, conditions)
+        free = np.ones(len(values), bool)
+        free[: model.n_parameters] = model.largest_basis(conditions)[1]
+        sizes = priors_of(problem, options).sizes[free]
+        places = _places(model, free, rivals)
+        for columns in places:
+            sizes[columns] *= RIVAL
+        core = np.flatnonzero(free) < n_core
+        return cls(model, values, free, sizes, _sigma(problem, options), rig.sensor, places, core)
+
+    @cached_property
+    def units(self) -> np.ndarray:
+        """What one unit of each parameter is in a design, shape (F,)."""
+        return np.where(np.isfinite(self.sizes), self.sizes, _WIDE * self.sigma[0])
+
+    @property
+    def n_free(self) -> int:
+        """Number F of parameters."""
+        return len(self.sizes)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the F parameters."""
+        return tuple(np.array(self.model.names)[self.free])
+
+    def readings(self, conditions: Conditions) -> np.ndarray:
+        """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
+        problem = _problem(self.model, self.values, self.sensor, conditions)
+        noise = np.repeat(self.sigma, [block.size for block in problem.sensor.blocks])
+        return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
+
+    def errors(self, conditions: Conditions) -> np.ndarray:
+        """Return how the predicted position (or distance) depends on the parameters in units of priors, shape (N, k, F) [m].
+
+        It is what the error on rows held out is taken of: the first readings that are lengths, in the instrument's frame.
+        """
+        problem = _problem(self.model, self.values, self.sensor, conditions)
+        return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
+
+    def told(self, H: np.ndarray) -> Posterior:
+        """Return what information in units of noise and priors tells, shape (F, F), with the priors left out of it."""
+        G = H / np.outer(self.units, self.units)
+        return posterior(G, np.zeros(self.n_free), self.sizes, np.zeros(self.n_free))
+
+    def _jacobian(self, problem: Problem) -> np.ndarray:
+        parts = [jacobian for _, _, jacobian in problem.linearise(self.values, self.free)]
+        return np.concatenate(parts, axis=2).transpose(2, 1, 0)
+
+
+def _problem(model: Model, values: np.ndarray, sensor: str, conditions: Conditions) -> Problem:
+    """Return the problem of the readings that a nominal arm gives."""
+    poses = model.predict(values[: model.n_parameters], conditions)
+    names = np.array(model.chain.targets)[conditions.target]
+    columns: dict[str, Any] = {"target": names} | READINGS[sensor](poses)
+    table = measurements_from_arrays(model.chain.robot.joint_names, conditions.q, **columns)
+    return replace(problem_of(model, table, conditions.payload_centre), conditions=conditions)
+
+
+def _nominal(model: Model, rig: Rig, target: np.ndarray) -> np.ndarray:
+    """Return the values of the nominal arm, its targets in place and the instrument's axes parallel to the base's."""
+    values = np.zeros(model.n_parameters)
+    instrument = np.zeros(3) if rig.instrument is None else np.array(rig.instrument)
+    for element, place in [("base", -instrument), *((name, target) for name in model.chain.targets)]:
+        for symbol, coordinate in zip("xyz", place, strict=True):
+            if f"{element}.{symbol}" in model.names:
+                values[model.index(f"{element}.{symbol}")] = coordinate
+    return values
+
+
+def _sigma(problem: Problem, options: Options) -> np.ndarray:
+    declared = noise_of(problem, options).declared
+    units = [block.unit for block in problem.sensor.blocks]
+    sigma = np.array([ASSUMED_NOISE[unit] if s is None else s for unit, s in zip(units, declared, strict=True)])
+    if np.any(sigma < _LEAST_NOISE):
+        raise BadInputError(f"noise {sigma.min():g} m (or rad); expected {_LEAST_NOISE:g} or more, as instruments have")
+    return sigma
+
+
+def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[np.ndarray, ...]:
+    """Return where the parameters of each rival stand among the free ones."""
+    place = np.cumsum(free) - 1
+    found = []
+    for rival in rivals:
+        columns = [model.index(parameter.name) for parameter in rival.parameters(model.chain)]
+        if not free[columns].any():
+            raise BadInputError(f"effect {rival.name}: it does nothing in poses like these; choose another one")
+        found.append(place[[column for column in columns if free[column]]])
+    return tuple(found)
+
+
+def _check(robot: Robot, options: Options, rig: Rig) -> None:
+    if rig.sensor not in READINGS:
+        raise BadInputError(f"sensor {rig.sensor!r}: not one to design for; expected one of {', '.join(READINGS)}")
+    if rig.sensor == "distance" and rig.instrument is None:
+        raise BadInputError("what a distance tells depends on where it is measured from; give the place of the instrument")
+    if robot.massless and any(effect.uses_moments for effect in options.effects):
+        raise BadInputError(
+            f"{robot.source}: no mass for the links {', '.join(robot.massless)}, so elasticity can't be part of the model; "
+            "add <inertial> to these links or design for the geometric model"
+        )

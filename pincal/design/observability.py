@@ -1,0 +1,72 @@
+r"""Observability indices of a set of poses, as the literature numbers them (Sun and Hollerbach 2008).
+
+With the singular values :math:`\sigma_1 \ge \dots \ge \sigma_r` of the identification Jacobian at n poses:
+
+.. math:: O_1 = \frac{(\sigma_1 \cdots \sigma_r)^{1/r}}{\sqrt n} \quad
+    O_2 = \frac{\sigma_r}{\sigma_1} \quad O_3 = \sigma_r \quad O_4 = \frac{\sigma_r^2}{\sigma_1} \quad
+    O_5 = \Big(\sum_i \frac{1}{\sigma_i}\Big)^{-1}
+
+Such indices depend on units and on the choice of parameters. Here columns are in units of the priors (so many mm, mrad),
+readings in units of the noise, and base and tool are projected out. The r directions are those that all candidates
+together, spread over n poses, tell better than the priors do: the same for all designs that are compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.design.foresight import Foresight
+from pincal.identify.normal import NULL
+
+SOURCES = {
+    "O1": "Borm and Menq 1989",
+    "O2": "Driels and Pathre 1990",
+    "O3": "Nahvi, Hollerbach and Hayward 1994",
+    "O4": "Nahvi and Hollerbach 1996",
+    "O5": "Sun and Hollerbach 2008",
+}
+"""Where each index comes from."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The directions in which poses are compared.
+
+    Attributes:
+        foresight: the parameters.
+        directions: shape (H, r), orthonormal, in units of the priors of the H parameters that have one.
+    """
+
+    foresight: Foresight
+    directions: np.ndarray
+
+    @classmethod
+    def of(cls, foresight: Foresight, mean: np.ndarray, n: int) -> Observed:
+        """Return the directions that n average candidates tell; ``mean`` is the information of one, shape (F, F)."""
+        told = foresight.told(n * mean)
+        return cls(foresight, told.directions[:, told.information > 1.0])
+
+    @property
+    def rank(self) -> int:
+        """Number r of directions."""
+        return int(self.directions.shape[1])
+
+    def indices(self, H: np.ndarray, n: int) -> dict[str, float]:
+        """Return O1 to O5 of n poses with information H, shape (F, F); empty where they tell nothing."""
+        if not self.rank:
+            return {}
+        told = self.foresight.told(H)
+        seen = self.directions.T @ told.directions
+        squares = np.linalg.eigvalsh((seen * told.information) @ seen.T)
+        if squares[0] <= NULL * squares[-1]:
+            return dict.fromkeys(SOURCES, 0.0)
+        sigma = np.sqrt(squares)
+        return {
+            "O1": float(np.exp(np.mean(np.log(sigma))) / np.sqrt(n)),
+            "O2": float(sigma[0] / sigma[-1]),
+            "O3": float(sigma[0]),
+            "O4": float(sigma[0] ** 2 / sigma[-1]),
+            "O5": float(1.0 / np.sum(1.0 / sigma)),
+        }

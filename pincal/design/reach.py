@@ -1,0 +1,262 @@
+"""Where an arm may go and can be measured: joint limits, floor, box, line of sight, self-collision; poses drawn there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pincal.design.bodies import Bodies, Kinematics
+from pincal.errors import BadInputError
+from pincal.robot.robot import Robot
+
+# Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the makers' sheets.
+CONE = np.pi / 6.0
+# The first joint with which something moves that has to keep off the floor, counted from 1.
+_OFF_THE_FLOOR = 3
+# Random poses tried for one that is wanted, and at once.
+_TRIES, _BATCH = 200, 4096
+# Where a target is taken to sit unless told: off the last axis and along it, in reaches of the arm.
+_OFF_AXIS, _ALONG = 0.05, 0.05
+
+
+@dataclass(frozen=True)
+class Rig:
+    """With what and from where poses are measured.
+
+    Attributes:
+        sensor: "position", "pose" or "distance".
+        tool: about where the target sits in the tip frame [m]; off the last axis by a twentieth of the reach unless given.
+        instrument: where the instrument stands in the robot's base frame [m]; None where it sees everything.
+        normal: where the target looks, in the tip frame; None where it is seen from all sides.
+        cone: angle off the normal at which it is still seen [rad].
+    """
+
+    sensor: str = "position"
+    tool: tuple[float, float, float] | None = None
+    instrument: tuple[float, float, float] | None = None
+    normal: tuple[float, float, float] | None = None
+    cone: float = CONE
+
+    def __post_init__(self) -> None:
+        for what, place in (("tool", self.tool), ("instrument", self.instrument), ("normal", self.normal)):
+            if place is not None and not np.isfinite(place).all():
+                raise BadInputError(f"{what} {' '.join(f'{v:g}' for v in place)}; expected three finite numbers")
+        if self.normal is not None and self.instrument is None:
+            raise BadInputError("the target has a normal, but the place of the instrument that it faces is not given")
+        if self.normal is not None and not np.any(self.normal):
+            raise BadInputError(f"normal of the target {self.normal}; expected a direction")
+        if not 0.0 < self.cone <= np.pi:
+            raise BadInputError(f"cone of {np.degrees(self.cone):g} deg about the target's normal; expected 0 to 180 deg")
+
+    def target(self, robot: Robot) -> np.ndarray:
+        """Return where the target sits in the tip frame, shape (3,) [m]."""
+        return default_target(robot) if self.tool is None else np.array(self.tool, float)
+
+
+def default_target(robot: Robot) -> np.ndarray:
+    """Return a place in the tip frame, shape (3,) [m], off the last axis: a target on it says nothing of the last joint."""
+    T_tip_joint = np.linalg.inv(robot.frames.T_last_tip) @ robot.T_link_joint[-1]
+    slides = robot.joint_types[-1] == "prismatic"
+    axis = _last_axis(robot)
+    # Away from the arm: along the axis in the sense that leads from the last joint to the tip.
+    axis = axis if axis @ T_tip_joint[:3, 3] <= 0.0 or slides else -axis
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    return np.asarray(robot.reach * (_OFF_AXIS * side / np.linalg.norm(side) + _ALONG * axis))
+
+
+def _last_axis(robot: Robot) -> np.ndarray:
+    """Return the direction of the last joint's axis in the tip frame, shape (3,)."""
+    frames = robot.frames
+    before = frames.T_base_link[-2] if robot.n_joints > 1 else frames.T_base_first
+    s_x, s_y = frames.parameters[-1, :2]
+    in_base = before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)]
+    return np.asarray((frames.T_base_link[-1] @ frames.T_last_tip)[:3, :3].T @ in_base)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where the arm may go.
+
+    Attributes:
+        span: part of the joint range that is used, about its middle.
+        floor: height in the base frame above which target and arm stay, from what moves with the third joint on [m]; None
+            for no floor.
+        box: least x, y, z and largest x, y, z of the target where it is measured, in the base frame [m]; None for no box.
+        clearance: distance that the arm keeps from itself [m].
+    """
+
+    span: float = 0.95
+    floor: float | None = 0.0
+    box: tuple[float, float, float, float, float, float] | None = None
+    clearance: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.span <= 1.0:
+            raise BadInputError(f"span {self.span:g} of the joint range; expected more than 0 and at most 1")
+        if self.floor is not None and not np.isfinite(self.floor):
+            raise BadInputError(f"floor at {self.floor:g} m; expected a finite height")
+        if not 0.0 <= self.clearance < np.inf:
+            raise BadInputError(f"clearance {self.clearance:g} m; expected 0 or more")
+        if self.box is not None and not all(low < high for low, high in zip(self.box[:3], self.box[3:], strict=True)):
+            raise BadInputError(f"box {' '.join(f'{v:g}' for v in self.box)}; expected least x y z, then larger x y z [m]")
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Random poses that keep to all constraints.
+
+    Attributes:
+        q: shape (N, n), joint positions [rad or m].
+        drawn: number of poses tried.
+        removed: constraint in words -> number of poses that it removed of those that the ones before had left.
+    """
+
+    q: np.ndarray
+    drawn: int
+    removed: dict[str, int]
+
+    def in_words(self) -> str:
+        """Return what was tried and what each constraint removed."""
+        parts = [f"{name} {count}" for name, count in self.removed.items()]
+        removed = f"removed: {', '.join(parts)}" if parts else "nothing else limits them"
+        return f"{len(self.q)} of {self.drawn} random poses within the joint limits; {removed}"
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Poses with what constraints ask of them: joint positions, frames of the bodies, tip and target in the base frame."""
+
+    q: np.ndarray
+    frames: np.ndarray
+    tips: np.ndarray
+    targets: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The poses that an arm can take, and those in which it can be measured.
+
+    Attributes:
+        robot: the arm.
+        rig: with what it is measured.
+        limits: where it may go.
+
+    Example:
+        >>> reach = Reach(Robot.from_urdf("ur10"), Rig(instrument=(3.0, 0.0, 1.0)))
+        >>> found = reach.draw(20, np.random.default_rng(0))
+        >>> bool(reach.allows(found.q).all())
+        True
+    """
+
+    robot: Robot
+    rig: Rig = Rig()
+    limits: Limits = Limits()
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """What may be in the way."""
+        return Bodies.of(self.robot, clearance=self.limits.clearance)
+
+    @cached_property
+    def _kinematics(self) -> Kinematics:
+        return Kinematics.of(self.robot)
+
+    @cached_property
+    def target(self) -> np.ndarray:
+        """Where the target sits in the tip frame, shape (3,) [m]."""
+        return self.rig.target(self.robot)
+
+    @cached_property
+    def range(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest joint positions, shape (n,) each [rad or m]; a turn where a joint has no limits."""
+        lower = np.where(np.isfinite(self.robot.lower), self.robot.lower, -np.pi)
+        upper = np.where(np.isfinite(self.robot.upper), self.robot.upper, np.pi)
+        middle, half = 0.5 * (lower + upper), 0.5 * self.limits.span * (upper - lower)
+        return middle - half, middle + half
+
+    def allows(self, q: np.ndarray) -> np.ndarray:
+        """Return whether poses, shape (N, n), keep to all constraints of a measurement, shape (N,)."""
+        allowed = self.allows_apart(q)
+        allowed[allowed] = ~self.collides(q[allowed])
+        return allowed
+
+    def allows_apart(self, q: np.ndarray) -> np.ndarray:
+        """Return the same without regard to self-collision, which takes longer than all else together."""
+        lower, upper = self.range
+        allowed = np.asarray(np.all((q >= lower - 1e-12) & (q <= upper + 1e-12), axis=1))
+        rows = np.flatnonzero(allowed)
+        for _, at_fault in self._faults(self._place(q[rows]), measured=True, colliding=False):
+            allowed[rows[at_fault]] = False
+        return allowed
+
+    def collides(self, q: np.ndarray) -> np.ndarray:
+        """Return whether the arm touches itself, shape (N,), as far as that can be checked."""
+        return np.zeros(len(q), bool) if self.bodies.collisions is None else self.bodies.collisions.hit(q)
+
+    def draw(self, n: int, rng: np.random.Generator, *, measured: bool = True) -> Draw:
+        """Draw random joint positions until ``n`` keep to all constraints, or hardly any does.
+
+        Args:
+            n: how many are wanted; fewer come back where constraints leave hardly any.
+            rng: source of randomness.
+            measured: whether they have to be in the box and in sight, too, or only within the arm's reach.
+        """
+        lower, upper = self.range
+        found, removed, drawn = np.empty((0, len(lower))), dict.fromkeys(self._names(measured), 0), 0
+        while len(found) < n and drawn < _TRIES * n + _BATCH:
+            # About as many as are still needed, by what has come out so far.
+            wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
+            placed = self._place(rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower))))
+            drawn += len(placed.q)
+            left = np.ones(len(placed.q), bool)
+            for name, at_fault in self._faults(placed, measured=measured, colliding=True):
+                removed[name] += int(np.sum(left & at_fault))
+                left &= ~at_fault
+            found = np.vstack([found, placed.q[left]])
+        return Draw(found[:n], drawn, removed)
+
+    def _place(self, q: np.ndarray) -> _Placed:
+        frames = self._kinematics.frames(q)
+        tips = frames[:, -1] @ self.robot.frames.T_last_tip
+        return _Placed(q, frames, tips, tips[:, :3, :3] @ self.target + tips[:, :3, 3])
+
+    def _names(self, measured: bool) -> list[str]:
+        """Return the constraints that there are, in words and in order."""
+        nowhere = self._place(np.empty((0, self.robot.n_joints)))
+        return [name for name, _ in self._faults(nowhere, measured=measured, colliding=True)]
+
+    def _faults(self, placed: _Placed, *, measured: bool, colliding: bool) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield each constraint and the poses that it forbids, shape (N,); those already forbidden may be left out."""
+        rig, limits = self.rig, self.limits
+        left = np.ones(len(placed.q), bool)
+        if limits.floor is not None:
+            # What comes before may stand on it, as the shoulder of a small arm does.
+            height = np.minimum(placed.targets[:, 2], self.bodies.boxes.lowest(placed.frames, _OFF_THE_FLOOR))
+            yield f"floor at {limits.floor:g} m", height < limits.floor
+            left &= height >= limits.floor
+        if measured:
+            for name, at_fault in self._unseen(placed, rig, limits):
+                yield name, at_fault
+                left &= ~at_fault
+        if colliding and self.bodies.collisions is not None:
+            at_fault = np.zeros(len(left), bool)
+            at_fault[left] = self.collides(placed.q[left])
+            yield "self-collision", at_fault
+
+    def _unseen(self, placed: _Placed, rig: Rig, limits: Limits) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield what keeps a target from being measured."""
+        if limits.box is not None:
+            low, high = np.array(limits.box[:3]), np.array(limits.box[3:])
+            yield "box", np.any((placed.targets < low) | (placed.targets > high), axis=1)
+        if rig.instrument is None:
+            return
+        eye = np.array(rig.instrument, float)
+        if rig.normal is not None:
+            normal = placed.tips[:, :3, :3] @ (np.array(rig.normal) / np.linalg.norm(rig.normal))
+            sight = eye - placed.targets
+            across = np.einsum("ni,ni->n", normal, sight) < np.cos(rig.cone) * np.linalg.norm(sight, axis=1)
+            yield f"facing the instrument within {np.degrees(rig.cone):g} deg", across
+        yield "line of sight", self.bodies.boxes.hide(placed.frames, eye, placed.targets)

@@ -1,0 +1,71 @@
+"""In which order to measure poses: short ways from one to the next."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Rounds of improvement after which an order is good enough; each mends every crossing that it finds.
+_ROUNDS = 50
+
+
+def travel(q: np.ndarray, spans: np.ndarray) -> np.ndarray:
+    """Return how far apart poses are: the largest joint step relative to the joint's range, as the slowest joint decides.
+
+    Args:
+        q: shape (N, n), joint positions [rad or m].
+        spans: shape (n,), range of each joint.
+
+    Returns:
+        Shape (N, N).
+    """
+    scaled = q / spans
+    return np.asarray(np.abs(scaled[:, None] - scaled[None]).max(axis=2))
+
+
+def short_route(distances: np.ndarray, first: int = 0) -> np.ndarray:
+    """Return an order of N places with a short open way: nearest neighbour, then reversals of stretches (2-opt; Croes 1958).
+
+    Args:
+        distances: shape (N, N), symmetric.
+        first: where to begin.
+
+    Returns:
+        Shape (N,), a permutation that begins with ``first``.
+    """
+    order = _nearest_first(distances, first)
+    for _ in range(_ROUNDS):
+        if not _reverse_stretches(order, distances):
+            break
+    return order
+
+
+def length(distances: np.ndarray, order: np.ndarray) -> float:
+    """Return the length of the way through places in an order."""
+    return float(distances[order[:-1], order[1:]].sum())
+
+
+def _nearest_first(distances: np.ndarray, first: int) -> np.ndarray:
+    order = [first]
+    left = np.ones(len(distances), bool)
+    left[first] = False
+    while left.any():
+        order.append(int(np.argmin(np.where(left, distances[order[-1]], np.inf))))
+        left[order[-1]] = False
+    return np.array(order)
+
+
+def _reverse_stretches(order: np.ndarray, d: np.ndarray) -> bool:
+    """Reverse each stretch of the order, in place, that makes the way shorter; return whether there was one."""
+    n, found = len(order), False
+    for i in range(1, n - 1):
+        # Stretch i..k: the edge into it and the edge out of it change; after the last place there is none.
+        before, inside, ends = order[i - 1], order[i], order[i + 1 :]
+        after = np.append(order[i + 2 :], -1)
+        out_now = np.where(after < 0, 0.0, d[ends, after])
+        out_then = np.where(after < 0, 0.0, d[inside, after])
+        gain = d[before, inside] + out_now - d[before, ends] - out_then
+        k = int(np.argmax(gain))
+        if gain[k] > 1e-12:
+            order[i : i + 2 + k] = order[i : i + 2 + k][::-1].copy()
+            found = True
+    return found

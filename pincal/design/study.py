@@ -1,0 +1,303 @@
+"""What all designs for one robot and one rig share: candidates, their information, and the criterion."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from pincal.design.bound import lower_bound
+from pincal.design.exchange import choose_greedily, covariance, exchange, information, value
+from pincal.design.foresight import Foresight
+from pincal.design.reach import Draw, Reach
+from pincal.design.rivals import find_rival, needs_approach, noncentrality, weights
+from pincal.errors import BadInputError, PincalWarning
+from pincal.identify.calibrate import Options
+from pincal.measure.measurements import Measurements
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect
+
+log = logging.getLogger(__name__)
+
+Criterion = Literal["task", "determinant"]
+
+RANDOM_DESIGNS = 50
+"""Random designs whose median a design is held against."""
+
+# Poses over which the task's error is averaged.
+_TASK_POSES = 400
+# Numbers of poses that the curve tells of, and how far it goes beyond the one that was asked for.
+_LADDER = (10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)
+_BEYOND, _AT_LEAST = 2.0, 100
+# Passes of an exchange that begins at a design which is nearly right.
+_FEW_PASSES = 2
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is to be designed.
+
+    Attributes:
+        criterion: "task" or "determinant".
+        tell_apart: two rival effects; the criterion is then to tell them apart.
+        task: joint positions that the user cares for; over the reach where None.
+        measured: poses measured already.
+        payloads: masses at the tip [kg] to choose from; none where None.
+        candidates: how many poses to choose from.
+        least: how many there have to be.
+        seed: of all that is drawn.
+    """
+
+    criterion: Criterion
+    tell_apart: tuple[str, str] | None
+    task: Measurements | None
+    measured: Measurements | None
+    payloads: tuple[float, ...] | None
+    candidates: int
+    least: int
+    seed: int
+
+    @property
+    def has_sides(self) -> bool:
+        """Whether the direction from which joints arrive is part of the design."""
+        return any(needs_approach(text) for text in self.tell_apart or ())
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What a set of poses will tell.
+
+    Attributes:
+        error: predicted error of a calibrated model over the task, root mean square [m]: of the position, or of the distance
+            where that is measured. What noise and priors leave of the parameters; no noise of a new measurement in it and
+            nothing that the model misses.
+        apart: for each rival of typical size the non-centrality that no refit takes up; empty without rivals.
+    """
+
+    error: float
+    apart: tuple[float, ...] = ()
+
+    @classmethod
+    def median(cls, found: Sequence[Quality]) -> Quality:
+        """Return the medians over several sets."""
+        apart = np.median([quality.apart for quality in found], axis=0)
+        return cls(float(np.median([quality.error for quality in found])), tuple(float(x) for x in apart))
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Designed poses beside random ones (the median of many draws); what was measured before counts with both."""
+
+    poses: int
+    designed: Quality
+    random: Quality
+
+
+@dataclass(frozen=True)
+class Study:
+    """Candidates and what each would tell.
+
+    Attributes:
+        foresight: the parameters.
+        drawn: the candidates' joint positions, and what the constraints removed.
+        candidates: the M poses to choose from.
+        A: shape (M, m, F), their Jacobian in units of noise and priors.
+        H: shape (F, F), information before: that of the priors and of the poses measured already.
+        n_measured: their number.
+        task: shape (F, F), mean of the squared error over the task by the parameters [m^2].
+        W: shape (F, F), of the criterion; None for the determinant.
+        rng: source of random designs.
+    """
+
+    foresight: Foresight
+    drawn: Draw
+    candidates: Conditions
+    A: np.ndarray
+    H: np.ndarray
+    n_measured: int
+    task: np.ndarray
+    W: np.ndarray | None
+    rng: np.random.Generator
+
+    @classmethod
+    def of(cls, reach: Reach, options: Options, wish: Wish) -> Study:
+        """Draw candidates, and work out what each would tell.
+
+        Raises:
+            BadInputError: for constraints that leave too few poses, a rival that is not known, or a sensor or model that a
+                design can't be made for.
+        """
+        rng = [np.random.default_rng([wish.seed, part]) for part in range(4)]
+        log.info("drawing %d candidates within the constraints", wish.candidates)
+        drawn = reach.draw(wish.candidates, rng[0])
+        _check_draw(drawn, wish)
+        poses = _Poses(options, wish)
+        candidates = poses.at(drawn.q, rng[1])
+        rivals = _rivals(reach, options, wish, candidates)
+        known = None if wish.measured is None else poses.of(wish.measured)
+        rows = candidates if known is None else _joined(candidates, known)
+        foresight = Foresight.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
+        H = np.eye(foresight.n_free)
+        if known is not None:
+            H += total(foresight.readings(known))
+        if wish.task is None:
+            cared = poses.at(reach.draw(_TASK_POSES, rng[2], measured=False).q, rng[2])
+        else:
+            cared = replace(poses.of(wish.task), target=np.zeros(len(wish.task), int))
+        E = foresight.errors(cared)
+        weight = total(E) / len(E)
+        W = weights(foresight.rivals, foresight.n_free) if rivals else (weight if wish.criterion == "task" else None)
+        count = 0 if known is None else len(known)
+        return cls(foresight, drawn, candidates, foresight.readings(candidates), H, count, weight, W, rng[3])
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """Information of one average candidate, shape (F, F)."""
+        return total(self.A) / len(self.A)
+
+    def rank(self, n: int) -> int:
+        """Return how many directions n average candidates would tell better than the priors do, base and tool included."""
+        return self.foresight.told(n * self.mean).told
+
+    def quality(self, H: np.ndarray) -> Quality:
+        """Return what information H, shape (F, F), comes to."""
+        core = np.ix_(self.foresight.core, self.foresight.core)
+        error = np.sqrt(value(covariance(H[core]), self.task[core]))
+        rivals = self.foresight.rivals
+        return Quality(float(error), noncentrality(covariance(H), rivals) if rivals else ())
+
+    def design(self, n: int) -> list[int]:
+        """Return n candidates that no single exchange makes better."""
+        chosen, _ = choose_greedily(self.A, self.W, self.H, n)
+        log.info("exchanging %d poses among %d candidates", n, len(self.A))
+        return exchange(self.A, self.W, self.H, chosen)
+
+    def random(self, n: int) -> list[np.ndarray]:
+        """Return the information of random designs of n poses, those measured before included."""
+        draws = (self.rng.choice(len(self.A), n, replace=False) for _ in range(RANDOM_DESIGNS))
+        return [self.H + information(self.A, draw) for draw in draws]
+
+    def bound(self, n: int) -> float:
+        """Return the predicted error that no choice of n candidates falls below, by the criterion task [m]."""
+        return float(np.sqrt(max(lower_bound(self.A, self.task, self.H, n), 0.0)))
+
+    def curve(self, known: CurvePoint) -> tuple[CurvePoint, ...]:
+        """Return designs of several numbers of poses, that of ``known`` among them, each begun at the one before."""
+        most = min(max(_BEYOND * known.poses, _AT_LEAST), len(self.A))
+        points, chosen = [], list[int]()
+        for n in sorted({n for n in _LADDER if n <= most} | {known.poses}):
+            log.info("designing %d poses for the curve", n)
+            chosen, _ = choose_greedily(self.A, self.W, self.H, n, chosen)
+            chosen = exchange(self.A, self.W, self.H, chosen, passes=_FEW_PASSES)
+            designed = self.quality(self.H + information(self.A, chosen))
+            at_random = known.random if n == known.poses else Quality.median([self.quality(H) for H in self.random(n)])
+            points.append(CurvePoint(n, designed, at_random))
+        return tuple(points)
+
+    def smallest(self, accuracy: float) -> int:
+        """Return the smallest number of candidates whose exchanged design reaches an accuracy [m].
+
+        Raises:
+            BadInputError: if no number of candidates does that a campaign could measure.
+        """
+        most = min(_LADDER[-1], len(self.A))
+        log.info("looking for the number of poses that gives %.4g mm", 1e3 * accuracy)
+        chosen, course = choose_greedily(self.A, self.W, self.H, most)
+        enough = np.flatnonzero(np.sqrt(course) <= accuracy)
+        if not len(enough):
+            raise BadInputError(
+                f"accuracy {1e3 * accuracy:g} mm: {most} poses come to {1e3 * np.sqrt(course[-1]):.4g} mm over the task; "
+                "expected more than that, or less noise, another sensor, fewer constraints"
+            )
+        low, high = 0, int(enough[0]) + 1
+        while high - low > 1:
+            n = (low + high) // 2
+            design = exchange(self.A, self.W, self.H, chosen[:n], passes=_FEW_PASSES)
+            is_reached = self.quality(self.H + information(self.A, design)).error <= accuracy
+            low, high = (low, n) if is_reached else (n, high)
+        return high
+
+
+def total(A: np.ndarray) -> np.ndarray:
+    """Return the sum of A_j^T A_j over all of A, shape (N, m, F); shape (F, F)."""
+    return information(A, np.arange(len(A)))
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """How joint positions become conditions: loads, directions of approach and targets."""
+
+    options: Options
+    wish: Wish
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets: of those measured before, the first is the one that is measured again."""
+        measured = self.wish.measured
+        return ("tool",) if measured is None else tuple(str(name) for name in np.unique(measured.target))
+
+    @property
+    def _loads(self) -> np.ndarray:
+        return np.array(self.wish.payloads or (0.0,), float)
+
+    def at(self, q: np.ndarray, rng: np.random.Generator) -> Conditions:
+        """Return poses with the loads in turn and, where it matters, random directions of approach."""
+        n, loads = len(q), self._loads
+        approach = rng.choice([-1.0, 1.0], q.shape) if self.wish.has_sides else None
+        centre = np.array(self.options.payload_centre, float)
+        return Conditions(q, np.zeros(n, int), loads[np.arange(n) % len(loads)], centre, approach=approach)
+
+    def of(self, table: Measurements) -> Conditions:
+        """Return the poses of a table; rows without a payload carry the first of the loads."""
+        n, targets = len(table), self.targets
+        index = np.array([targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int)
+        payload = np.full(n, self._loads[0]) if table.payload is None else np.asarray(table.payload)
+        approach = np.zeros(table.q.shape) if table.approach is None and self.wish.has_sides else table.approach
+        centre = np.array(self.options.payload_centre, float)
+        return Conditions(table.q, index, payload, centre, table.temperature, table.time, approach)
+
+
+def _joined(one: Conditions, other: Conditions) -> Conditions:
+    """Return the poses of both, one after the other; a column that only one of them has is left out."""
+
+    def both(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+        return None if a is None or b is None else np.concatenate([a, b])
+
+    return Conditions(
+        q=np.concatenate([one.q, other.q]),
+        target=np.concatenate([one.target, other.target]),
+        payload=np.concatenate([one.payload, other.payload]),
+        payload_centre=one.payload_centre,
+        temperature=both(one.temperature, other.temperature),
+        time=both(one.time, other.time),
+        approach=both(one.approach, other.approach),
+    )
+
+
+def _rivals(reach: Reach, options: Options, wish: Wish, candidates: Conditions) -> list[Effect]:
+    """Return the effects that are to be told apart."""
+    if wish.tell_apart is None:
+        return []
+    gravity = None if options.gravity is None else np.array(options.gravity)
+    chain = Chain.of(reach.robot, moment_frame=options.moment_frame, gravity=gravity)
+    rivals = [find_rival(text, chain, candidates) for text in wish.tell_apart]
+    if rivals[0] == rivals[1]:
+        raise BadInputError(f"effects {' and '.join(wish.tell_apart)}: one and the same; expected two")
+    return rivals
+
+
+def _check_draw(drawn: Draw, wish: Wish) -> None:
+    """Refuse constraints that leave too few poses, and say which of them it is."""
+    found, needed = len(drawn.q), max(wish.least, 2)
+    if found < needed:
+        raise BadInputError(
+            f"the constraints leave too few poses for {needed}: {drawn.in_words()}; relax the one that removes most"
+        )
+    if found < wish.candidates:
+        text = f"the constraints leave {found} candidates, {wish.candidates} were asked for"
+        warnings.warn(text, PincalWarning, stacklevel=4)
