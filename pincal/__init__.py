@@ -13,6 +13,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
+    from pincal.compensate.frames import false_targets
+    from pincal.design.design import Design, design_poses
+    from pincal.design.reach import Limits, Rig
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
     from pincal.identify.calibrate import Fit, Options, calibrate
     from pincal.identify.explain import explain
@@ -32,6 +36,10 @@ if TYPE_CHECKING:
 
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
 _PLACES = {
+    "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
+    "pincal.compensate.frames": ("false_targets",),
+    "pincal.design.design": ("Design", "design_poses"),
+    "pincal.design.reach": ("Limits", "Rig"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
     "pincal.identify.calibrate": ("Fit", "Options", "calibrate"),
     "pincal.identify.explain": ("explain",),
@@ -58,18 +66,22 @@ __all__ = [
     "CalibratedModel",
     "Calibration",
     "Chain",
+    "Compensation",
     "Conditions",
+    "Design",
     "Effect",
     "Fit",
     "Gap",
     "IdentificationError",
     "Lens",
+    "Limits",
     "Measurements",
     "Model",
     "Options",
     "Parameter",
     "PincalError",
     "PincalWarning",
+    "Rig",
     "Robot",
     "Setup",
     "Term",
@@ -79,8 +91,12 @@ __all__ = [
     "calibrated_model",
     "calibrated_model_of",
     "calibrated_urdf",
+    "compensate_poses",
+    "compensate_program",
     "cross_validate",
+    "design_poses",
     "explain",
+    "false_targets",
     "load_model",
     "measurements_from_arrays",
     "monte_carlo",

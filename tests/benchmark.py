@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +30,8 @@ import pinocchio as pin
 import pincal
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Model, Options, Robot
 from pincal.builtin import kuka_urdf_path
+from pincal.compensate.reach import reach
+from pincal.compensate.task import Task
 from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.simulate import paper_positions
 from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
@@ -131,6 +134,51 @@ def _check(found: Fit) -> None:
     assert found.solution.converged and 0.8 < found.solution.cost < 1.2, (found.solution.converged, found.solution.cost)
 
 
+def time_design() -> Iterator[Line]:
+    """Time the choice of poses: candidates, exchange, and then refining them joint by joint."""
+    first = ROBOT.joint_names[:3]
+    effects = (*GEOMETRIC, JointElasticity(joints=first), BearingElasticity(joints=first))
+    options = Options(effects=effects, sigma=NOISE, payload_centre=PAYLOAD_COM)
+    call = partial(pincal.design_poses, ROBOT, 50, options, payloads=[PAYLOAD_MASS], candidates=1_000, curve=False)
+    for name, refine in (("exchange alone", False), ("and refined", True)):
+        call(refine=refine)
+        taken = seconds(partial(call, refine=refine), CALLS)
+        what = f"design 50 of 1000 candidates, 45 parameters, {name}"
+        yield line(f"{what}: best", float(taken.min()), 1.0, "{:.2f} s")
+        yield line(f"{'':4s}median of {CALLS}", float(np.median(taken)), None, "{:.2f} s")
+
+
+def time_compensation() -> Iterator[Line]:
+    """Time the joints to command for whole programs: 6R and 7R, elastic, a payload a row."""
+    for name, robot in (("6R", ROBOT), ("7R", Robot.from_urdf("panda", tip="panda_link8"))):
+        model = Model(Chain.of(robot), ELASTIC)
+        rng = np.random.default_rng(1)
+        values = 1e-3 * rng.standard_normal(model.n_parameters)
+        compliances = np.array([p.unit.endswith("(N m)") for p in model.parameters])
+        values[compliances] = 1e-3 / (robot.masses.sum() * robot.reach * 9.81)
+        for (where, target), q in _programs(robot, model, rng):
+            rows = Conditions.at(q, payload_centre=(0.0, 0.0, 0.1))
+            rows = replace(rows, payload=rng.uniform(0.0, 3.0, POSES))
+            wanted = Model(Chain.of(robot), ()).predict(np.zeros(0), rows)
+            task = partial(reach, Task.of(model, values, rows, wanted, turns=True), q, robot.lower, robot.upper)
+            _, status = task()
+            taken = 1e6 * seconds(task, CALLS).min() / POSES
+            served = f"{np.sum(status == 'ok')} of {POSES} poses reached"
+            yield line(f"compensate {name}, N = {POSES}, {where}: {served}, a pose", float(taken), target, "{:.1f} us")
+
+
+def _programs(robot: Robot, model: Model, rng: np.random.Generator) -> Iterator[tuple[tuple[str, float | None], np.ndarray]]:
+    """Yield joint positions clear of limits and of what is singular, as programs are, and anywhere; each with a target."""
+    q = robot.random_configurations(2 * POSES, rng)
+    inner = 0.95 * q + 0.025 * (robot.lower + robot.upper)
+    offsets = np.isin(np.arange(model.n_parameters), [model.index(f"{joint}.theta") for joint in robot.joint_names])
+    _, J = model.linearise(np.zeros(model.n_parameters), Conditions.at(inner), free=offsets, rows=6)
+    J[:, :3] /= robot.reach / 3.0
+    least = np.linalg.svd(J, compute_uv=False)[:, -1]
+    yield ("not singular", 50.0), inner[np.argsort(least)[POSES:]]
+    yield ("anywhere", None), q[:POSES]
+
+
 def time_million() -> Iterator[Line]:
     """Time a million rows, and how much memory the fit takes beyond the table."""
     table = table_of(1_000_000, with_elasticity=False)
@@ -181,7 +229,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--million", action="store_true", help="calibrate with a million rows, too")
     chosen = parser.parse_args()
-    parts = [compare_with_pinocchio, time_calibration, *([time_million] if chosen.million else []), time_processes]
+    parts = [
+        compare_with_pinocchio,
+        time_calibration,
+        time_design,
+        time_compensation,
+        *([time_million] if chosen.million else []),
+        time_processes,
+    ]
     for part in parts:
         for name, measured, target, verdict in part():
             print(f"  {name:74s} {measured:>10s}  {target:>12s} {verdict}".rstrip(), flush=True)

@@ -91,6 +91,20 @@ def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
     assert 84.0 <= numbers(kuka_output, "predictions within their 95 % interval")[0] <= 100.0
 
 
+@pytest.mark.long
+def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
+    """From twelve views of the paper's object: exact to rounding, and as uncertain as the covariance says."""
+    text = run("kuka_camera.py", "--seeds", "2", "--draws", "30", folder=tmp_path)
+    cases = text.split("\n\n")[1:]
+
+    assert len(cases) == 4
+    for case in cases:
+        assert numbers(case, "held-out max")[0] <= 1e-10
+        assert numbers(case, "chi-square")[0] == pytest.approx(1.0, abs=0.03)
+        # The error of a robot has a few degrees of freedom that matter: over 30 robots the ratio is known to a tenth.
+        assert numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.25)
+
+
 @pytest.mark.parametrize("seed", ["3", pytest.param("8", marks=pytest.mark.long)])
 def test_any_arm_is_calibrated_to_the_noise(tmp_path: Path, seed: str) -> None:
     """A random arm is predicted to below its noise of 0.05 mm, and its URDF has the model's geometry."""
@@ -127,6 +141,22 @@ def test_a_hidden_effect_is_named_and_the_gap_closes(tmp_path: Path, effect: str
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("seed", ["1", "4"])
+def test_a_corrected_program_arrives(tmp_path: Path, seed: str) -> None:
+    """A machine with more effects than any model misses by a centimetre, and then by less than twice the noise."""
+    text = run("compensate.py", "--seed", seed, folder=tmp_path)
+    before, plain, found = (
+        numbers(text, label) for label in ("as programmed", "geometry and elasticity", "corrected by discovery")
+    )
+
+    assert before[0] > 7.0
+    assert plain[0] < 0.25
+    assert found[0] < 0.1 and found[2] < 2.0
+    assert numbers(text, "unreachable")[0] == 0.0
+    assert "backlash of joint_2" in text and "gear_eccentricity of joint_3" in text
+
+
+@pytest.mark.long
 def test_an_effect_of_ones_own_takes_part(tmp_path: Path) -> None:
     """What the catalogue can only call unnamed gets the user's name, and its parameter comes out."""
     text = run("own_effect.py", folder=tmp_path)
@@ -136,6 +166,60 @@ def test_an_effect_of_ones_own_takes_part(tmp_path: Path) -> None:
     assert "unnamed at joint_5, depends on joint_4" in alone
     assert "hose_pull at joint_5" in extended and "unnamed" not in extended
     assert abs(found - put_in) < 4.0 * sigma < 0.3 * put_in
+
+
+@pytest.fixture(scope="module")
+def camera_output(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Return the folder of a few simulated photographs and what was found in them."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    folder = tmp_path_factory.mktemp("camera")
+    return folder, run("camera_images.py", "--quick", "--out", "o", folder=folder)
+
+
+def test_corners_are_where_they_should_be(camera_output: tuple[Path, str]) -> None:
+    """Detected corners scatter as those of photographs do, lie on the truth on average, and their noise is known."""
+    text = camera_output[1]
+    rms, *bias = numbers(text, "corners off the truth")
+    corners, seen, taken = numbers(text, "corners found")
+
+    assert corners > 1000 and seen == taken
+    assert 0.03 < rms < 0.2
+    assert max(map(abs, bias)) < 0.01
+    assert numbers(text, "noise of a corner")[0] == pytest.approx(rms, rel=0.15)
+
+
+def test_photographs_calibrate_robot_and_lens(camera_output: tuple[Path, str]) -> None:
+    """The camera is where the model says, to a fifth of a millimetre on the average, and the lens is the true one."""
+    text = camera_output[1]
+    nominal, calibrated = (numbers(text, f"held out, {model} ") for model in ("nominal", "calibrated"))
+    before, after = (numbers(text, f"camera, {model} ") for model in ("nominal", "calibrated"))
+
+    for name in ("fx", "fy", "u0", "v0", "k1", "k2", "p1", "p2"):
+        value, sigma, truth = numbers(text, f"camera.{name} ")
+        assert abs(value - truth) < 5.0 * sigma, name
+    assert nominal[0] > 1.0 and calibrated[0] < 0.1
+    assert nominal[1] > 1.0 and calibrated[1] < 0.2
+    assert before[0] > 1.0 and after[0] < 0.2
+
+
+@pytest.mark.long
+def test_photographs_of_ones_own_give_the_same(camera_output: tuple[Path, str], tmp_path: Path) -> None:
+    """The photographs and their joint positions, read from files, are worth what they were when they were taken."""
+    folder, text = camera_output
+    again = run("camera_images.py", "--images", str(folder / "o"), "--squares", "12", "9", "--out", "again", folder=tmp_path)
+    files = {path.name for path in (tmp_path / "again").iterdir()}
+
+    assert files == {"robot.urdf", "measurements.csv", "points.csv"}
+    for label in ("corners found", "noise of a corner", "held out, calibrated"):
+        assert numbers(again, label) == numbers(text, label)
+
+
+def test_images_without_opencv_say_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where OpenCV can't be imported, the message names the package."""
+    (tmp_path / "cv2.py").write_text("raise ImportError", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+    assert "pip install opencv-python-headless" in run("camera_images.py", folder=tmp_path, exit_code=3)
 
 
 @pytest.mark.long

@@ -14,7 +14,20 @@ import pincal
 
 PACKAGE = Path(pincal.__file__).resolve().parent
 # From the bottom up; a layer imports itself and what stands before it.
-LAYERS = ("errors", "robot", "model", "measure", "identify", "discover", "report", "viewer", "cli", "__main__")
+LAYERS = (
+    "errors",
+    "robot",
+    "model",
+    "measure",
+    "identify",
+    "discover",
+    "design",
+    "report",
+    "compensate",
+    "viewer",
+    "cli",
+    "__main__",
+)
 # What stands beside the layers, and what it may import.
 ASIDE = {"builtin": {"errors"}, "simulate": {"errors", "builtin", "measure"}}
 HEAVY = ("pinocchio", "numba", "scipy", "polars", "matplotlib")

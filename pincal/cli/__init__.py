@@ -17,8 +17,10 @@ _COMMANDS = {
     "check": "pincal.cli.check",
     "calibrate": "pincal.cli.calibrate",
     "discover": "pincal.cli.discover",
+    "design": "pincal.cli.design",
     "validate": "pincal.cli.use",
     "predict": "pincal.cli.use",
+    "compensate": "pincal.cli.compensate",
     "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.use",
     "view": "pincal.cli.view",
@@ -38,17 +40,19 @@ class _Verbs(click.Group):
         return command
 
 
-@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+_EPILOG = """\b
+Start here:   pincal demo
+Your robot:   pincal check      ROBOT.urdf DATA.csv
+              pincal calibrate  ROBOT.urdf DATA.csv --out results
+Still off?    pincal discover   ROBOT.urdf DATA.csv --out results
+Act on it:    pincal compensate results/model.json PROGRAM.csv --out corrected.csv
+"""
+
+
+@click.group(cls=_Verbs, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="pincal")
 def pincal() -> None:
-    r"""Calibrate a serial robot into a measuring instrument.
-
-    \b
-    Start here:   pincal demo
-    Your robot:   pincal check     ROBOT.urdf DATA.csv
-                  pincal calibrate ROBOT.urdf DATA.csv --out results
-    Still off?    pincal discover  ROBOT.urdf DATA.csv --out results
-    """
+    """Calibrate a serial robot into a measuring instrument."""
 
 
 def main(arguments: list[str] | None = None) -> None:

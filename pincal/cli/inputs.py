@@ -10,7 +10,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Options
 from pincal.measure.measurements import Measurements
-from pincal.measure.setup import Gap, Setup, read_gaps, read_lens, read_points
+from pincal.measure.setup import Gap, Setup, read_gaps, read_lens, read_mount, read_points
 from pincal.measure.table import column_names, read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot, find_file
@@ -39,11 +39,10 @@ def options_of(arguments: dict[str, Any], table: Measurements) -> Options:
         BadInputError: if the noise is given in a unit that this table's readings do not have.
     """
     anchor = arguments["anchor"]
-    base = None
+    base = np.eye(4) if arguments["points_in"] == "base" else None
     if anchor:
         base = np.eye(4)
         base[:3, 3] = -np.array(anchor)
-    name = str(table.target[0]) if len(table) else "tool"
     return Options(
         effects=GEOMETRIC if arguments["model"] == "geometric" else ELASTIC,
         sigma=_sigma(arguments["noise"], table),
@@ -53,12 +52,19 @@ def options_of(arguments: dict[str, Any], table: Measurements) -> Options:
         gravity=arguments["gravity"] or None,
         payload_centre=arguments["payload_com"],
         base=base,
-        tools={name: arguments["tool"]} if arguments["tool"] else None,
+        tools=_tools(arguments, table),
         stages=arguments["stages"],
         loss=arguments["loss"],
         length_bound=arguments["length_bound"],
         setup=_setup(arguments),
     )
+
+
+def _tools(arguments: dict[str, Any], table: Measurements) -> dict[str, Any] | None:
+    mount = read_mount(arguments["camera"]) if arguments["camera"] else None
+    if mount is None:
+        mount = arguments["tool"] or None
+    return None if mount is None else {str(table.target[0]): mount}
 
 
 def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None:

@@ -11,7 +11,7 @@ from rich.table import Table
 from pincal.cli.screen import cell, console, hanging, new_table
 from pincal.cli.sights import print_outlook
 from pincal.cli.visits import print_visits
-from pincal.report.result import ParameterRow, Result
+from pincal.report.result import ParameterRow, Result, shown_parameters
 from pincal.report.shrink import Gap, gap_names
 from pincal.report.survey import Survey
 from pincal.report.words import effect_words, noise_words
@@ -37,8 +37,12 @@ def print_result(result: Result, out: Console) -> None:
     out.print(_summary(result))
     out.print(error_table(result.error))
     print_visits(result.iso9283, result.lack_of_fit, out)
-    out.print(parameter_table(result.parameters))
-    print_reasons(result.parameters, out)
+    shown = shown_parameters(result.parameters)
+    out.print(parameter_table(shown))
+    print_reasons(shown, out)
+    hidden = (len(result.parameters) - len(shown)) // 3
+    if hidden:
+        out.print(f"and the places of {hidden} named points: see result.json")
     for note in result.warnings:
         out.print(hanging("note:", note), style="yellow")
 
@@ -97,6 +101,8 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
 
 
 def _number(value: float, unit: str, *, digits: int = 4) -> str:
+    if unit == "px":
+        return f"{value:z.3f}"
     if unit not in ("mm", "mrad"):
         return f"{value:.{digits - 1}e}" if value else "0"
     return f"{value:z.{digits}f}" if digits > 2 else f"{value:#.2g}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,7 @@ def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> 
     if len(calibrated.model.chain.targets) > 1:
         columns["target"] = table.target
     columns |= {axis: found[:, i, 3] for i, axis in enumerate("xyz")}
-    if calibrated.sensor_kind == "pose":
+    if calibrated.sensor_kind in ("pose", "camera_point", "camera_pixel"):
         columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(found[:, :, :3]).T, strict=True))
     columns |= {f"sigma_{axis}": column for axis, column in zip("xyz", calibrated.position_sigma(conditions).T, strict=True)}
     write_table(out, columns)
@@ -103,15 +104,25 @@ def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> 
 
 @click.command(epilog="\b\nExample:\n  pincal export results/model.json --urdf calibrated.urdf\n")
 @_MODEL
-@click.option("--urdf", required=True, metavar="FILE.urdf", type=click.Path(path_type=Path), help="URDF to write.")
+@click.option("--urdf", metavar="FILE.urdf", type=click.Path(path_type=Path), help="URDF to write.")
+@click.option("--camera", metavar="FILE.json", type=click.Path(path_type=Path),
+              help="Camera to write: lens and mount, as calibrate reads it.")  # fmt: skip
 @output_options
-def export(model: Path, urdf: Path, as_json: bool, quiet: bool) -> int:
+def export(model: Path, urdf: Path | None, camera: Path | None, as_json: bool, quiet: bool) -> int:
     """Write the calibrated URDF: the original file with its joint origins corrected, checked against the model."""
     show_progress(quiet)
     from pincal.report.model_file import load_model
     from pincal.report.urdf_export import calibrated_urdf
 
+    if urdf is None and camera is None:
+        raise click.UsageError("give --urdf FILE.urdf, --camera FILE.json, or both")
     calibrated = load_model(model)
+    if camera is not None:
+        _write_whole(camera, (json.dumps(calibrated.camera(), indent=1) + "\n").encode())
+        if urdf is None:
+            print_json({"camera": str(camera)}) if as_json else click.echo(f"written to {camera}")
+            return 0
+    assert urdf is not None
     if not calibrated.model.chain.robot.urdf:
         raise BadInputError(f"{model}: holds no URDF to correct; calibrate again from a URDF file")
     written = calibrated_urdf(calibrated.model, calibrated.values)

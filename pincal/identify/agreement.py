@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.identify.calibrate import Fit, Options, frames_of, place, released_of
+from pincal.identify.calibrate import Fit, Options, frames_of, place, priors_of, released_of
 from pincal.identify.problem import Problem
 from pincal.identify.rows import some_rows
 from pincal.identify.solve import Noise, Priors, solve
@@ -37,7 +37,7 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
     error = _typical(fit.problem, fit.nominal.values)
     if error < _SUSPICIOUS * robot.reach:
         return
-    rows = some_rows(len(measurements), _ROWS)
+    rows = some_rows(len(measurements), _ROWS, fit.problem.sensor.groups)
     sample = measurements.select(rows)
     n = robot.n_joints
     names = robot.joint_names
@@ -87,7 +87,7 @@ def _mixed(measurements: Measurements, order: np.ndarray, sign: np.ndarray) -> M
 def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
     problem, values = place(robot, measurements, options)
     frames = frames_of(problem) & released_of(problem, options)
-    flat = Priors(np.full(len(values), np.inf), np.full(len(values), np.inf))
+    flat = Priors(np.full(len(values), np.inf), priors_of(problem, options).bounds)
     noise = Noise((None,) * len(problem.sensor.blocks))
     fitted = solve(problem, values, frames, flat, noise, loss="huber", rough=True)
     return _typical(problem, fitted.values)

@@ -14,7 +14,7 @@ from pincal.identify.normal import accumulate, posterior
 from pincal.identify.placement import Placement
 from pincal.identify.problem import Problem, conditions_of, problem_of
 from pincal.identify.rows import some_rows
-from pincal.identify.solve import Loss, Noise, Priors, Solution, rounding, solve
+from pincal.identify.solve import Loss, Noise, Priors, Solution, is_exact, rounding, solve
 from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import sensor_of
@@ -28,6 +28,8 @@ Stages = Literal["joint", "paper"]
 
 # Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real deviations.
 LENGTH_BOUND = 0.01
+# A point that seems farther away than this [m] was seen from too much the same side.
+_FARTHEST = 50.0
 # Effects of what stands around the robot; a lens's distortion would only hide the robot's own.
 PLACES = ("base_frame", "tool_frame", "named_point", "lens")
 # Chance that sound data call for a parameter that is not there.
@@ -54,7 +56,7 @@ class Options:
         gravity: shape (3,), in the robot's base frame [m/s^2]; along -z of the URDF's root unless given.
         payload_centre: centre of mass of the payload in the tip frame [m].
         base: shape (4, 4), robot base in the instrument's frame, where it is known.
-        tools: target name -> (x, y, z) in the tip frame [m], where they are known.
+        tools: target name -> (x, y, z) in the tip frame [m], or shape (4, 4), target to tip frame, where they are known.
         stages: "joint" fits everything at once, "paper" goes through the paper's sequence.
         loss: what to do with outliers: "screen", "huber" or "none".
         length_bound: largest deviation of a length [m].
@@ -69,7 +71,7 @@ class Options:
     gravity: tuple[float, float, float] | None = None
     payload_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     base: np.ndarray | None = None
-    tools: dict[str, tuple[float, float, float]] | None = None
+    tools: dict[str, tuple[float, float, float] | np.ndarray] | None = None
     stages: Stages = "joint"
     loss: Loss = "screen"
     length_bound: float = LENGTH_BOUND
@@ -251,6 +253,9 @@ def _begin(robot: Robot, measurements: Measurements, options: Options) -> tuple[
     noise = noise_of(problem, options)
     frames = frames_of(problem) & released_of(problem, options)
     nominal = solve(problem, values, frames, priors, noise, loss=options.loss, rough=True, label="base and tool")
+    bent = frames | np.array([p.effect == "lens_distortion" for p in problem.parameters]) & released_of(problem, options)
+    if np.any(bent & ~frames):
+        nominal = solve(problem, nominal.values, bent, priors, noise, loss=options.loss, rough=True, label="camera")
     return problem, nominal, priors, noise
 
 
@@ -277,7 +282,7 @@ def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[P
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     conditions = conditions_of(bare, measurements, centre)
-    sample = some_rows(len(conditions), 2000)
+    sample = some_rows(len(conditions), 2000, sensor.groups)
     tips = bare.predict(np.zeros(bare.n_parameters), conditions.select(sample))
     found = placements(sensor.select(sample), tips, conditions.target[sample], len(chain.targets))
     candidates = [_known(placement, chain, options) for placement in found]
@@ -296,10 +301,13 @@ def _known(placement: Placement, chain: Chain, options: Options) -> Placement:
     """Put in what the user knows of base and tools."""
     base = placement.base if options.base is None else np.asarray(options.base, float)
     tools = placement.tools.copy()
-    for name, xyz in (options.tools or {}).items():
+    for name, given in (options.tools or {}).items():
         if name not in chain.targets:
             raise BadInputError(f"tool {name!r} is given but no row has this target; targets: {', '.join(chain.targets)}")
-        tools[chain.targets.index(name), :3, 3] = xyz
+        if np.shape(given) == (4, 4):
+            tools[chain.targets.index(name)] = given
+        else:
+            tools[chain.targets.index(name), :3, 3] = given
     return replace(placement, base=base, tools=tools)
 
 
@@ -319,22 +327,26 @@ def _at(model: Model, measurements: Measurements, placement: Placement, options:
 
 def _settled(problem: Problem, values: np.ndarray, options: Options) -> tuple[np.ndarray, float]:
     """Return the values after a short fit of base and tool, and the median row residual; outliers don't vote."""
-    rows = some_rows(len(problem), 500)
-    sample = problem.select(rows)
-    priors = Priors(np.full(len(values), np.inf), np.full(len(values), np.inf))
+    sample = problem.select(some_rows(len(problem), 500, problem.sensor.groups))
+    priors = Priors(np.full(len(values), np.inf), priors_of(problem, options).bounds)
     free = released_of(sample, options) & frames_of(sample)
     fit = solve(sample, values, free, priors, noise_of(sample, options), loss="huber")
     return fit.values, float(np.median(np.linalg.norm(sample.residuals(fit.values), axis=0)))
 
 
 def released_of(problem: Problem, options: Options) -> np.ndarray:
-    """Return which parameters a fit may move: all but a known base and known tools."""
-    known = [] if options.base is None else ["base"]
-    known += list(options.tools or {})
-    elements = [p.name.rsplit(".", 1) for p in problem.parameters]
-    free = np.array([not (element in known and symbol in FRAME_SYMBOLS) for element, symbol in elements], bool)
+    """Return which parameters a fit may move: all but a known base, known tools and what the sensor knows of itself."""
+    known = known_frames(options)
+    free = np.array([p.name not in known for p in problem.parameters], bool)
     free[problem.model.n_parameters :] = ~problem.sensor.held
     return free
+
+
+def known_frames(options: Options) -> set[str]:
+    """Return the names of the coordinates of base and tools that the user gave."""
+    given: dict[str, tuple[str, ...]] = {} if options.base is None else {"base": FRAME_SYMBOLS}
+    given |= {n: FRAME_SYMBOLS[: 6 if np.shape(at) == (4, 4) else 3] for n, at in (options.tools or {}).items()}
+    return {f"{element}.{symbol}" for element, symbols in given.items() for symbol in symbols}
 
 
 def _excited(problem: Problem) -> np.ndarray:
@@ -356,7 +368,9 @@ def priors_of(problem: Problem, options: Options) -> Priors:
     n = problem.model.n_parameters
     typical[:n] /= problem.model.largest_basis(problem.conditions.select(_sample(problem)))[0]
     lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.parameters])
-    return Priors(typical, np.where(lengths, options.length_bound, np.inf))
+    bounds = np.where(lengths, options.length_bound, np.inf)
+    bounds[[p.effect == "named_point" for p in problem.parameters]] = _FARTHEST
+    return Priors(typical, bounds)
 
 
 def noise_of(problem: Problem, options: Options) -> Noise:
@@ -405,6 +419,9 @@ def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors:
         return False
     normal = accumulate(problem, fitted.values, released, fitted.weights)
     G, g = normal.at(np.maximum(fitted.sigma, rounding(problem)))
+    if is_exact(np.diag(G), priors.sizes[released]):
+        # The least deviation counts, and is lost in the rounding of G.
+        return bool(np.any(fitted.estimated > rounding(problem)))
     wide = posterior(G, g, priors.sizes[released], fitted.values[released])
     narrow = fitted.free[released]
     near = posterior(G[np.ix_(narrow, narrow)], g[narrow], priors.sizes[fitted.free], fitted.values[fitted.free])

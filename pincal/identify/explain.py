@@ -12,10 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from pincal.identify.calibrate import PLACES, Fit
+from pincal.identify.calibrate import PLACES, Fit, known_frames
 from pincal.identify.normal import NULL, accumulate, posterior
 from pincal.identify.rows import some_rows
-from pincal.model.chain import FRAME_SYMBOLS
 
 Status = Literal["identified", "prior", "fixed", "unidentifiable", "at bound"]
 
@@ -86,9 +85,7 @@ def _finding(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> Finding:
     if fit.solution.at_bound[i]:
         return Finding(parameter.name, "at bound", f"held at its bound of {fit.priors.bounds[i] * 1e3:g} mm")
     if not fit.solution.free[i]:
-        element, symbol = parameter.name.rsplit(".", 1)
-        known = fit.options.base is not None if element == "base" else element in (fit.options.tools or {})
-        if known and symbol in FRAME_SYMBOLS:
+        if parameter.name in known_frames(fit.options):
             return Finding(parameter.name, "fixed", "given by the user")
         if parameter.effect in ("lens", "lens_distortion"):
             given = "left at zero: usual lenses need no more" if fit.options.setup.lens is None else "given by the user"

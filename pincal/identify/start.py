@@ -45,7 +45,7 @@ def placements(sensor: Sensor, tips: np.ndarray, target: np.ndarray, n_targets: 
         target: shape (N,), index of each row's target.
         n_targets: number of targets.
     """
-    rows = some_rows(len(sensor), _ROWS)
+    rows = some_rows(len(sensor), _ROWS, sensor.groups)
     sensor, tips, target = sensor.select(rows), tips[rows], target[rows]
     if isinstance(sensor, PoseSensor):
         return list(_from_poses(sensor, tips, target, n_targets))

@@ -78,7 +78,7 @@ def from_pixels(sensor: CameraPixelSensor, tips: np.ndarray) -> Iterator[Placeme
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    rows = some_rows(len(sensor), _GRID_ROWS)
+    rows = some_rows(len(sensor), _GRID_ROWS, sensor.groups)
     sample, here, n = sensor.select(rows), tips[rows], len(sensor.points.names)
     lens, focal = _guessed(sensor)
 

@@ -18,15 +18,17 @@ if TYPE_CHECKING:
     import polars as pl
 
 # SI value = factor * value + offset, by physical quantity and unit.
+_LENGTHS: dict[str, tuple[float, float]] = {
+    "m": (1, 0),
+    "mm": (1e-3, 0),
+    "cm": (1e-2, 0),
+    "um": (1e-6, 0),
+    "µm": (1e-6, 0),
+    "in": (0.0254, 0),
+}
 _UNITS: dict[str, dict[str, tuple[float, float]]] = {
-    "length": {
-        "m": (1, 0),
-        "mm": (1e-3, 0),
-        "cm": (1e-2, 0),
-        "um": (1e-6, 0),
-        "µm": (1e-6, 0),
-        "in": (0.0254, 0),
-    },
+    "length": _LENGTHS,
+    "noise": _LENGTHS | {"px": (1, 0)},
     "angle": {"rad": (1, 0), "mrad": (1e-3, 0), "deg": (np.pi / 180, 0), "°": (np.pi / 180, 0)},
     "mass": {"kg": (1, 0), "g": (1e-3, 0), "lb": (0.45359237, 0)},
     "time": {"s": (1, 0), "ms": (1e-3, 0), "min": (60, 0), "h": (3600, 0)},

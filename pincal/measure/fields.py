@@ -14,7 +14,7 @@ _MEASURED = {
     "socket": ("name", ("socket",)),
     "camera_point": ("length", ("cx", "cy", "cz")),
     "pixel": ("pixel", ("u", "v")),
-    "sigma": ("length", ("sigma",)),
+    "sigma": ("noise", ("sigma",)),
 }
 CONDITIONS = {
     "point": ("name", ("point",)),

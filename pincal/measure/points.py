@@ -33,6 +33,11 @@ class PointSensor(Sensor):
         return len(self.index)
 
     @property
+    def groups(self) -> np.ndarray:
+        """The point of each row."""
+        return self.index
+
+    @property
     def base_symbols(self) -> tuple[str, ...]:
         """All if any point is known in a frame of its own; else the robot's base is that frame."""
         return FRAME_SYMBOLS if self.points.known.any() else ()

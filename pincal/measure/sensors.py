@@ -84,6 +84,11 @@ class Sensor(ABC):
         return np.zeros(len(self.parameters), bool)
 
     @property
+    def groups(self) -> np.ndarray | None:
+        """What each row has to do with, shape (N,), where its own parameters need rows of everything; else None."""
+        return None
+
+    @property
     def is_whole(self) -> bool:
         """Whether the rows make sense only together, so that they can't be worked on in pieces."""
         return False

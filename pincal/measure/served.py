@@ -16,7 +16,7 @@ from pincal.measure.setup import Setup, point_names
 
 # Readings of one unknown point from which on some are left over to judge the robot by.
 _FEWEST = {"socket": 2, "camera_point": 2, "camera_pixel": 2, "distance": 4}
-_WHAT = {"socket": "socket", "camera_point": "point", "camera_pixel": "point", "distance": "anchor"}
+_WHAT = {"socket": "a socket", "camera_point": "a point", "camera_pixel": "a point", "distance": "an anchor"}
 _LISTED = 8
 
 
@@ -40,16 +40,17 @@ def served_rows(measurements: Measurements, setup: Setup) -> Measurements:
     if measurements.camera_point is not None:
         keep &= measurements.camera_point[:, 2] > 0.0
         _tell(measurements, ~keep, "have cz <= 0, a point behind the camera")
-    fewest, what = _FEWEST[measurements.kind], _WHAT[measurements.kind]
+    fewest = _FEWEST[measurements.kind]
     found, inverse, count = np.unique(names[keep], return_inverse=True, return_counts=True)
     poor = (count < fewest) & np.array([setup.points.get(str(name)) is None for name in found], bool)
     lonely = np.zeros(len(measurements), bool)
     lonely[keep] = poor[inverse]
     listed = ", ".join(str(name) for name in found[poor][:_LISTED]) + (" ..." if poor.sum() > _LISTED else "")
-    _tell(measurements, lonely, f"are of a {what} with fewer than {fewest} readings, which only place it ({listed})")
+    what = _WHAT[measurements.kind]
+    _tell(measurements, lonely, f"are of {what} with fewer than {fewest} readings, which only place it ({listed})")
     if not np.any(keep & ~lonely):
         raise MeasurementError(
-            f"{measurements.source}: no row is left: each {what} needs {fewest} readings and more, in different poses"
+            f"{measurements.source}: no row is left; expected {fewest} readings and more of {what}, in other poses"
         )
     return measurements if np.all(keep & ~lonely) else measurements.select(keep & ~lonely)
 

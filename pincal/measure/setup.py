@@ -224,6 +224,24 @@ def read_lens(path: str | os.PathLike[str]) -> Lens:
     return Lens(**dict(_lens_values(found, path)))
 
 
+def read_mount(path: str | os.PathLike[str]) -> np.ndarray | None:
+    """Read how a camera is mounted, ``T_tip_camera`` (4 rows of 4), from the JSON of :func:`read_lens`; None without it.
+
+    Raises:
+        MeasurementError: if it is no rigid transform.
+    """
+    found = json.loads(Path(path).read_text(encoding="utf-8")).get("T_tip_camera")
+    if found is None:
+        return None
+    try:
+        mount = np.array(found, float)
+    except (TypeError, ValueError):
+        mount = np.zeros(0)
+    if mount.shape != (4, 4) or not np.allclose(mount[:3, :3] @ mount[:3, :3].T, np.eye(3), atol=1e-6):
+        raise MeasurementError(f"{path}: T_tip_camera is no transform; expected 4 rows of 4, rotation and metres")
+    return mount
+
+
 def _lens_values(found: dict[str, Any], path: str | os.PathLike[str]) -> Iterator[tuple[str, float]]:
     for name in (f.name for f in fields(Lens)):
         value = found.get(name, 0.0)

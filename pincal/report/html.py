@@ -15,7 +15,7 @@ from pincal.report.illustrations import Picture, illustrations
 from pincal.report.lack_of_fit import lack_words, pure_words
 from pincal.report.nutshell import next_steps, verdict_of
 from pincal.report.replicates import ANGLE_WORDS, cycle_words
-from pincal.report.result import ParameterRow, Result
+from pincal.report.result import ParameterRow, Result, shown_parameters
 from pincal.report.run import Calibration
 from pincal.report.shrink import gap_names
 from pincal.report.units import digits, small_unit
@@ -24,7 +24,7 @@ from pincal.report.words import effect_words, noise_words
 log = logging.getLogger(__name__)
 
 _SOFT = (1e6, "µrad/(N m)")
-_READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N m)": _SOFT}
+_READABLE = {"px": (1.0, "px"), "m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N m)": _SOFT}
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # An effect with more parameters than this is a curve; its numbers stand in discovery.json.
 _FEW = 4
@@ -85,8 +85,8 @@ def report_page(
         lack_words=lack_words,
         pure_words=pure_words,
         angle_words=ANGLE_WORDS,
-        parameters=[(row, *_readable(row)) for row in result.parameters],
-        untold=not_told(result.parameters),
+        parameters=[(row, *_readable(row)) for row in shown_parameters(result.parameters)],
+        untold=not_told(shown_parameters(result.parameters)),
         notes=notes,
         provenance=provenance,
         discovery=discovery,

@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pincal.errors import MeasurementError, ModelFileError, OutputError
+from pincal.errors import BadInputError, MeasurementError, ModelFileError, OutputError
 from pincal.identify.calibrate import Fit
 from pincal.identify.problem import Problem, problem_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.model.catalogue import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed, variable
+from pincal.model.chain import FRAME_SYMBOLS
 from pincal.model.effects import Conditions, Parameter
 from pincal.model.model import Model
 from pincal.report.json_section import Section
@@ -127,6 +128,24 @@ class CalibratedModel:
                 "as this model was calibrated with"
             )
         return problem_of(self.model, measurements, self.payload_centre, self.setup)
+
+    def camera(self) -> dict[str, Any]:
+        """Return the camera, as :func:`pincal.measure.setup.read_lens` and ``read_mount`` read it from JSON.
+
+        Raises:
+            BadInputError: if the model was not calibrated with images.
+        """
+        from scipy.spatial.transform import Rotation
+
+        places = {p.name.removeprefix("camera."): i for i, p in enumerate(self.parameters) if p.effect.startswith("lens")}
+        if not places:
+            raise BadInputError(f"this model was calibrated with {self.sensor_kind}, not with images: it has no camera")
+        tool = [self.values[self.model.index(f"camera.{symbol}")] for symbol in FRAME_SYMBOLS]
+        mount = np.eye(4)
+        mount[:3, 3] = tool[:3]
+        mount[:3, :3] = self.model.chain.tool_rotations[0] @ Rotation.from_euler("XYZ", tool[3:]).as_matrix()
+        lens = {name: self.parameters[i].nominal + float(self.values[i]) for name, i in places.items()}
+        return {**lens, "T_tip_camera": mount.tolist()}
 
     def predict(self, conditions: Conditions) -> np.ndarray:
         """Return the target's poses in the instrument's frame, shape (N, 3, 4): rotation and translation [m]."""

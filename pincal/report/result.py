@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -21,6 +22,8 @@ _CORRELATED = 0.9
 # Chance below which residuals count as larger than the declared noise allows.
 _MISFIT = 1e-3
 _MOST_CORRELATIONS = 20
+# Coordinates of named points that stand in a table for people.
+_MOST_POINTS = 24
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class ParameterRow:
         sigma: its standard deviation; that of the prior where the data say nothing, None for a given value.
         status: "identified", "prior", "fixed", "unidentifiable" or "at bound".
         reason: in words, empty for an identified parameter.
+        effect: that owns it; "named_point" for coordinates of sockets, anchors and points of an object.
     """
 
     name: str
@@ -44,6 +48,7 @@ class ParameterRow:
     sigma: float | None
     status: str
     reason: str
+    effect: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,10 @@ class Result:
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
         absent = {name for name in ("iso9283", "lack_of_fit") if getattr(self, name) is None}
-        return {name: value for name, value in asdict(self).items() if name not in absent}
+        contents = {name: value for name, value in asdict(self).items() if name not in absent}
+        for row in contents["parameters"]:
+            del row["effect"]
+        return contents
 
 
 def result_of(
@@ -179,10 +187,23 @@ def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
             spread = float(sigma[i] if np.isfinite(sigma[i]) else fit.priors.sizes[i])
         rows.append(
             ParameterRow(
-                parameter.name, parameter.unit, parameter.nominal, float(values[i]), spread, finding.status, finding.reason
+                parameter.name,
+                parameter.unit,
+                parameter.nominal,
+                float(values[i]),
+                spread,
+                finding.status,
+                finding.reason,
+                parameter.effect,
             )
         )
     return tuple(rows)
+
+
+def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
+    """Return the parameters that a reader wants to see: without the coordinates of named points, if these are many."""
+    inner = tuple(row for row in rows if row.effect != "named_point")
+    return tuple(rows) if len(rows) - len(inner) <= _MOST_POINTS else inner
 
 
 def _references(fit: Fit) -> dict[str, np.ndarray]:

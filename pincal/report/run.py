@@ -43,6 +43,11 @@ class Calibration:
     result: Result
     notes: tuple[str, ...] = ()
 
+    def n_poses(self, *parts: str) -> int:
+        """Return the number of poses, each with one reading or more, of "train", "test", or both."""
+        q = np.vstack([getattr(self, part).q for part in parts or ("train", "test")])
+        return len(np.unique(q, axis=0))
+
     def test_problem(self) -> Problem | None:
         """Return the held-out rows under the calibrated model, None without any."""
         return self.fit.readings(self.test) if len(self.test) else None
@@ -155,6 +160,13 @@ def check_count(robot: Robot, measurements: Measurements, setup: Setup | None = 
     if names is not None:
         points = (setup or Setup()).named(np.unique(names))
         base = len(points.parameters) + 6 * bool(points.known.any())
+    poses = len(np.unique(measurements.q, axis=0))
+    fewest = -(-(tool * targets + robot.n_joints) // 6) + 1
+    if kind.startswith("camera") and poses < fewest:
+        raise MeasurementError(
+            f"{measurements.source}: {poses} poses of the camera; however many points are seen in one, it tells six "
+            f"coordinates: expected at least {fewest}, and better 30 or more"
+        )
     needed = -(-(base + tool * targets + robot.n_joints) // size)
     if len(measurements) < needed:
         raise MeasurementError(
@@ -164,12 +176,14 @@ def check_count(robot: Robot, measurements: Measurements, setup: Setup | None = 
 
 
 def _few_rows(fit: Fit) -> tuple[str, ...]:
-    """Say so where there are fewer readings than parameters."""
-    readings = len(fit.problem) * sum(block.size for block in fit.problem.sensor.blocks)
+    """Say so where there are fewer readings than parameters; however much is read of a pose, it has six coordinates."""
+    poses = len(np.unique(fit.problem.conditions.q, axis=0))
+    own = int(fit.solution.free[fit.model.n_parameters :].sum())
+    readings = min(len(fit.problem) * sum(block.size for block in fit.problem.sensor.blocks), 6 * poses + own)
     released = int(fit.solution.free.sum())
     if readings >= 2 * released:
         return ()
     return (
-        f"{len(fit.problem)} training rows give {readings} readings for {released} parameters: much rests on what is known "
-        "beforehand; measure more poses",
+        f"{len(fit.problem)} training rows in {poses} poses give {readings} readings for {released} parameters: much rests on "
+        "what is known beforehand; measure more poses",
     )

@@ -1,7 +1,8 @@
 """Errors of a model at measured poses, in the words and units that people use.
 
 The error at a pose is the distance between the predicted and the measured target: the pose accuracy of position of
-ISO 9283 for a single visit (its repeatability needs replicates). Orientation likewise, as one angle.
+ISO 9283 for a single visit (several visits, and their repeatability: :mod:`pincal.report.replicates`). Orientation
+likewise, as one angle.
 """
 
 from __future__ import annotations

@@ -1,0 +1,348 @@
+"""Sockets, anchors and calibration objects: what can be found with them, what not, and what is refused."""
+
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import kuka as true_kuka
+from scipy.spatial.transform import Rotation
+
+from pincal import simulate as sim
+from pincal.errors import BadInputError, MeasurementError, PincalWarning
+from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.rows import some_rows
+from pincal.measure.lens import Lens
+from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.served import limits_of_knowledge, served_rows
+from pincal.measure.setup import Gap, NamedPoints, Setup, read_gaps, read_lens, read_mount, read_points
+from pincal.measure.table import read_measurements
+from pincal.model.effects import ELASTIC, GEOMETRIC
+from pincal.report.model_file import calibrated_model_of, load_model, save_model
+from pincal.report.run import run_calibration
+from pincal.robot.robot import Robot
+
+SOCKETS = {"a": (1.6, 0.3, 0.8), "b": (1.6, -0.4, 0.8), "c": (1.2, 0.9, 1.2), "d": (1.3, 0.0, 1.6)}
+ANCHORS = {"n": (3.0, 2.0, 0.3), "e": (2.5, -3.0, 1.0), "w": (-2.0, 2.5, 2.0), "s": (0.5, 0.4, 3.5)}
+TOOL = (0.05, 0.03, 0.12)
+LENS = Lens(2000.0, 2010.0, 1024.0, 768.0, -0.1, 0.05, 1e-3, -5e-4)
+MOUNT = np.eye(4)
+MOUNT[:3, :3], MOUNT[:3, 3] = Rotation.from_euler("xyz", [0.3, -0.4, 2.0]).as_matrix(), (0.05, 0.1, 0.15)
+PLACE = np.eye(4)
+PLACE[:3, :3], PLACE[:3, 3] = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix(), (1.5, 0.3, 0.5)
+GRID = {
+    f"p{i}": (x, y, z)
+    for i, (x, y, z) in enumerate((x, y, z) for z in (0.0, 0.05) for x in (0.0, 0.03, 0.06) for y in (0.0, 0.03, 0.07))
+}
+
+
+@pytest.fixture(scope="module")
+def machine() -> sim.TrueMachine:
+    """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
+    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
+
+
+def contacts(machine: sim.TrueMachine, robot: Robot, *, sockets: Any = SOCKETS, each: int = 25, noise: float = 0.0) -> Any:
+    """Return a table of contacts."""
+    rng = np.random.default_rng(11)
+    table = sim.measure_contacts(machine, sockets, poses_per_socket=each, rng=rng, tool=TOOL, noise_sigma=noise)
+    return measurements_from_arrays(
+        robot.joint_names, np.column_stack([table[n] for n in machine.names]), socket=table["socket"]
+    )
+
+
+def anchored(machine: sim.TrueMachine, robot: Robot, *, poses: int = 60, noise: float = 0.0) -> Measurements:
+    """Return a table of distances from every anchor in every pose."""
+    rng = np.random.default_rng(12)
+    q = sim.plan_poses(machine.nominal, poses, rng)
+    tip = machine.equilibrium(machine.poses(q)).tip
+    point = tip[:, :3, :3] @ TOOL + tip[:, :3, 3]
+    distance = np.linalg.norm(point[:, None] - np.array([*ANCHORS.values()]), axis=2).ravel()
+    distance += rng.normal(0.0, noise, len(distance))
+    names = np.tile(list(ANCHORS), poses)
+    return measurements_from_arrays(robot.joint_names, np.repeat(q, len(ANCHORS), axis=0), distance=distance, anchor=names)
+
+
+def seen(
+    machine: sim.TrueMachine, robot: Robot, *, poses: int = 30, pixels: bool = False, noise: float = 0.0
+) -> Measurements:
+    """Return what a camera at the flange reads of the grid's points."""
+    rng = np.random.default_rng(13)
+    places = np.array([*GRID.values()]) @ PLACE[:3, :3].T + PLACE[:3, 3]
+    q = sim.plan_camera_poses(
+        machine, poses, rng, camera_pose=MOUNT, look_at=places.mean(axis=0), facing=PLACE[:3, 2], distance=(0.3, 0.7)
+    )
+    camera = machine.equilibrium(machine.poses(q)).tip @ MOUNT
+    found = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3]).reshape(-1, 3)
+    reading = LENS.project(found) if pixels else found
+    reading = reading + rng.normal(0.0, noise, reading.shape)
+    columns = {"pixel" if pixels else "camera_point": reading, "point": np.tile(list(GRID), poses)}
+    return measurements_from_arrays(robot.joint_names, np.repeat(q, len(GRID), axis=0), **columns)
+
+
+def apart(first: str, second: str) -> float:
+    """Return the distance of two sockets [m]."""
+    return float(np.linalg.norm(np.subtract(SOCKETS[first], SOCKETS[second])))
+
+
+def largest(fit: Fit, table: Measurements) -> float:
+    """Return the largest error at some rows [m]."""
+    return float(np.linalg.norm(fit.readings(table).displacements(fit.values), axis=1).max())
+
+
+CAMERA = Options(effects=GEOMETRIC)
+TABLES: dict[str, tuple[Callable[..., Measurements], Setup]] = {
+    "contacts": (contacts, Setup(gaps=(Gap("a", "b", 0.7),))),
+    "contacts in known sockets": (contacts, Setup(points=SOCKETS)),
+    "distances from unknown anchors": (anchored, Setup()),
+    "distances from known anchors": (anchored, Setup(points=ANCHORS)),
+    "camera, unknown points": (seen, Setup()),
+    "camera, known object": (seen, Setup(points=GRID)),
+    "images, all unknown": (lambda m, r: seen(m, r, pixels=True), Setup()),
+    "images, known object": (lambda m, r: seen(m, r, pixels=True), Setup(points=GRID)),
+    "images, known camera": (lambda m, r: seen(m, r, pixels=True), Setup(lens=LENS)),
+    "images, all known": (lambda m, r: seen(m, r, pixels=True), Setup(points=GRID, lens=LENS)),
+}
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_exact_readings_are_explained_wherever_things_stand(case: str, machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Without a first guess of where anything is, exact readings of every kind are predicted on rows held out."""
+    make, setup = TABLES[case]
+    table = make(machine, kuka)
+    held = np.random.default_rng(1).random(len(table)) < 0.25
+    fit = calibrate(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
+
+    assert np.median(np.linalg.norm(fit.problem.displacements(fit.nominal.values), axis=1)) > 2e-4
+    assert fit.solution.converged
+    assert largest(fit, table.select(held)) < 1e-10
+
+
+def test_contacts_find_the_sockets_and_the_scale(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Sockets come out where they are, but for what no contact tells: a turn about the first axis and a shift along it."""
+    setup = Setup(
+        gaps=(Gap("a", "b", 0.7, 1e-6), Gap("c", "d", float(np.linalg.norm(np.subtract(SOCKETS["c"], SOCKETS["d"])))))
+    )
+    fit = calibrate(kuka, contacts(machine, kuka, each=40), Options(effects=GEOMETRIC, setup=setup))
+    found = fit.values[fit.problem.model.n_parameters :].reshape(-1, 3)
+    true = np.array([*SOCKETS.values()])
+
+    for i, j in ((0, 1), (0, 2), (1, 3)):
+        assert np.linalg.norm(found[i] - found[j]) == pytest.approx(np.linalg.norm(true[i] - true[j]), abs=1e-5)
+    assert np.abs(found - true).max() < 0.03
+
+
+def test_a_known_distance_sets_the_scale(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Contacts alone leave lengths to the prior; an artefact that is a thousandth longer stretches the arm by it."""
+    table = contacts(machine, kuka, noise=5e-5)
+    lengths = []
+    for scale in (1.0, 1.001):
+        gaps = tuple(Gap(a, b, scale * apart(a, b), 1e-6) for a, b in ("ab", "cd", "ac", "bd"))
+        fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(gaps=gaps), sigma=5e-5))
+        lengths.append(fit.values[fit.model.index("joint_2.a")])
+    alone = calibrate(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5))
+    place = alone.model.index("joint_2.a")
+    sigma = [float(np.sqrt(calibrated_model_of(f, {}).covariance[place, place])) for f in (alone, fit)]
+
+    assert lengths[1] - lengths[0] == pytest.approx(1e-3, rel=0.3)
+    assert sigma[0] > 3.0 * sigma[1]
+
+
+def test_sockets_that_the_fit_never_saw_are_judged_by_their_mean(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Rows in a new socket count by how well the model keeps the tool point in one place."""
+    table = contacts(machine, kuka, each=40)
+    new = table.socket == "d"
+    fit = calibrate(kuka, table.select(~new), Options(effects=GEOMETRIC, setup=Setup(gaps=(Gap("a", "b", 0.7),))))
+    problem = fit.readings(table.select(new))
+
+    assert largest(fit, table.select(new)) < 1e-9
+    np.testing.assert_allclose(problem.residuals(fit.nominal.values).mean(axis=1), 0.0, atol=1e-12)
+    assert largest(fit, table) == pytest.approx(max(largest(fit, table.select(new)), largest(fit, table.select(~new))))
+
+
+def test_real_panda_keeps_its_ball_in_a_socket(shared_data: Path) -> None:
+    """Two placements of the artefact fitted, the third held out: within 0.20 mm of the socket's mean, nominally 2.7."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PincalWarning)
+        robot = Robot.from_urdf("panda")
+    table = read_measurements(shared_data / "panda_sockets" / "panda_3.csv", robot.joint_names)
+    placement = np.array([name.split("/")[0] for name in table.socket])
+    for held in np.unique(placement):
+        train, test = table.select(placement != held), table.select(placement == held)
+        gaps = tuple(Gap(f"{p}/0", f"{p}/1", 0.05) for p in np.unique(placement) if p != held)
+        run = run_calibration(robot, train, Options(effects=ELASTIC, setup=Setup(gaps=gaps)), holdout=test)
+        assert run.result.error["nominal"]["test"]["mean_mm"] > 2.0
+        assert run.result.error["calibrated"]["test"]["mean_mm"] <= 0.20
+
+
+@pytest.mark.parametrize("case", ["contacts", "images, known object", "camera, unknown points"])
+def test_model_file_reads_further_rows(case: str, machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
+    """A model that comes back from its file reads measurements of the same points as it did."""
+    make, setup = TABLES[case]
+    table = make(machine, kuka)
+    fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=setup))
+    save_model(tmp_path / "model.json", calibrated_model_of(fit, {}))
+    back = load_model(tmp_path / "model.json")
+
+    np.testing.assert_array_equal(back.readings(table).residuals(back.values), fit.problem.residuals(fit.values))
+    if table.socket is None:
+        other = table.select(np.arange(2))
+        names = np.array(["new", "new"])
+        changed = measurements_from_arrays(
+            kuka.joint_names, other.q, point=names, camera_point=other.camera_point, pixel=other.pixel
+        )
+        with pytest.raises(MeasurementError, match="point 'new' was not among those of the calibration"):
+            back.readings(changed)
+
+
+def test_rows_that_tell_nothing_are_left_out_with_a_word(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A socket touched once, a point seen once, a point behind the camera, an anchor of three distances."""
+    held = contacts(machine, kuka, each=5)
+    once = held.select(np.r_[0:10, 10])
+    with pytest.warns(PincalWarning, match=r"1 rows are of a socket with fewer than 2 readings.*\(c\).*lines 12"):
+        assert len(served_rows(once, Setup())) == 10
+    assert len(served_rows(once, Setup(points=SOCKETS))) == 11
+    points = seen(machine, kuka, poses=3)
+    behind = np.array(points.camera_point)
+    behind[4, 2] *= -1.0
+    flipped = measurements_from_arrays(kuka.joint_names, points.q, camera_point=behind, point=points.point)
+    with pytest.warns(PincalWarning, match=r"1 rows have cz <= 0, a point behind the camera"):
+        assert len(served_rows(flipped, Setup())) == len(points) - 1
+    with pytest.warns(PincalWarning, match=r"of an anchor with fewer than 4 readings.*\(s, w\)"):
+        few = anchored(machine, kuka, poses=4).select(np.arange(14))
+        assert len(served_rows(few, Setup())) == 8
+    with (
+        pytest.warns(PincalWarning),
+        pytest.raises(MeasurementError, match="no row is left; expected 2 readings"),
+    ):
+        served_rows(points.select(np.arange(5)), Setup())
+
+
+def test_what_a_kind_of_data_cannot_tell_is_said(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Scale of contacts and images, the place of the base, collinear anchors."""
+    held, far, near = (
+        contacts(machine, kuka, each=3),
+        anchored(machine, kuka, poses=5),
+        seen(machine, kuka, poses=2, pixels=True),
+    )
+
+    def said(table: Measurements, setup: Setup | None = None) -> str:
+        return " / ".join(limits_of_knowledge(table, setup or Setup()))
+
+    assert "neither where its base stands" in said(held) and "scale of the arm" in said(held)
+    assert "scale" not in said(held, Setup(gaps=(Gap("a", "b", 0.7),)))
+    assert "neither where the base stands" in said(far)
+    assert said(far, Setup(points=ANCHORS)) == ""
+    line = {name: (float(i), 2.0 * i, 0.0) for i, name in enumerate(ANCHORS)}
+    assert "stand in a line" in said(far, Setup(points=line))
+    assert "fewer than three" in said(far, Setup(points={"n": (3.0, 2.0, 0.3)}))
+    assert "no scale of their own" in said(near) and said(near, Setup(points=GRID)) == ""
+
+
+def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Images that the given camera can't have made say so; its parameters are found on request."""
+    table = seen(machine, kuka, poses=16, pixels=True, noise=0.1)
+    pinhole = Lens(2000.0, 2010.0, 1024.0, 768.0)
+    notes = {}
+    for name, lens, again in (("right", LENS, False), ("wrong", pinhole, False), ("found again", pinhole, True)):
+        setup = Setup(points=GRID, lens=lens, fit_lens=again)
+        notes[name] = " ".join(run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=setup)).notes)
+
+    assert ["another camera" in note for note in notes.values()] == [False, True, False]
+
+
+def test_a_camera_that_was_found_can_be_given(machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
+    """Lens and mount of a calibrated model come back from its camera file, and hold in another calibration."""
+    table = seen(machine, kuka, poses=16, pixels=True)
+    model = calibrated_model_of(calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(points=GRID))), {})
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(model.camera()))
+    lens, mount = read_lens(path), read_mount(path)
+
+    np.testing.assert_allclose(lens.values, LENS.values, rtol=1e-6, atol=1e-9)
+    assert mount is not None and np.abs(mount - MOUNT).max() < 0.01
+    again = Options(effects=GEOMETRIC, setup=Setup(points=GRID, lens=lens), tools={"camera": mount})
+    fit = calibrate(kuka, table, again)
+    assert largest(fit, table) < 1e-6
+    assert not fit.solution.free[[fit.model.index(f"camera.{symbol}") for symbol in ("x", "rz")]].any()
+    with pytest.raises(BadInputError, match="calibrated with socket, not with images"):
+        held = calibrate(kuka, contacts(machine, kuka, each=12), Options(effects=GEOMETRIC))
+        calibrated_model_of(held, {}).camera()
+
+
+def test_too_few_views_are_refused_however_many_points_they_have(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A view tells six coordinates; two of them can't tell a camera and six joints."""
+    with pytest.raises(MeasurementError, match=r"2 poses of the camera.*expected at least 3"):
+        run_calibration(kuka, seen(machine, kuka, poses=2), Options(effects=GEOMETRIC, setup=Setup(points=GRID)))
+
+
+def test_points_that_repeat_are_all_in_a_sample_of_rows() -> None:
+    """Of every point some rows are taken, whatever the order of the table, and no more than there are."""
+    index = np.concatenate([np.arange(9000) % 150, [150, 150, 151]])
+    rows = some_rows(len(index), 500, index)
+    count = np.bincount(index[rows])
+
+    assert np.all(np.diff(rows) > 0) and len(rows) < 1200
+    assert count[:150].min() >= 6 and count[150] == 2 and count[151] == 1
+
+
+def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A misspelt socket is named, with what it may have been; a distance to itself or of nothing is none."""
+    table = contacts(machine, kuka, each=12)
+    with pytest.raises(MeasurementError, match="a known distance names 'A'; expected one of the points, nearest first: a"):
+        run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=Setup(gaps=(Gap("A", "b", 0.7),))))
+    for bad in (lambda: Gap("a", "a", 1.0), lambda: Gap("a", "b", 0.0), lambda: Gap("a", "b", 1.0, float("nan"))):
+        with pytest.raises(MeasurementError, match="expected"):
+            bad()
+
+
+def test_side_files_are_read_with_their_units(tmp_path: Path) -> None:
+    """Points and distances in the units of their header; a camera with or without a mount."""
+    (tmp_path / "points.csv").write_text("point;x [mm];y [mm];z [mm]\nA;1,5;0;3\nB;0;0;1000\n")
+    (tmp_path / "gaps.csv").write_text("first,second,distance [mm]\nA,B,50\n")
+    (tmp_path / "camera.json").write_text(json.dumps({"fx": 1000, "fy": 1001.5, "u0": 320, "v0": 240, "k1": -0.1}))
+    (tmp_path / "mounted.json").write_text(json.dumps({"fx": 1, "fy": 1, "u0": 0, "v0": 0, "T_tip_camera": MOUNT.tolist()}))
+
+    assert read_points(tmp_path / "points.csv") == {"A": (0.0015, 0.0, 0.003), "B": (0.0, 0.0, 1.0)}
+    assert read_gaps(tmp_path / "gaps.csv") == (Gap("A", "B", 0.05),)
+    assert read_lens(tmp_path / "camera.json") == Lens(1000.0, 1001.5, 320.0, 240.0, -0.1)
+    assert read_mount(tmp_path / "camera.json") is None
+    np.testing.assert_array_equal(read_mount(tmp_path / "mounted.json"), MOUNT)
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "message"),
+    [
+        (read_points, "point,x,y\nA,1,2\n", "no column 'z'"),
+        (read_points, "point,x,y,z\nA,1,2,3\nA,1,2,4\n", "'A' stands there twice"),
+        (read_gaps, "first,second,distance\nA,B,-1\n", "expected more than 0"),
+        (read_lens, "{", "no JSON"),
+        (read_lens, '{"fx": 1}', "expected an object with fx, fy, u0, v0"),
+        (read_lens, '{"fx": 0, "fy": 1, "u0": 1, "v0": 1}', "fx is 0 px"),
+        (read_lens, '{"fx": "a", "fy": 1, "u0": 1, "v0": 1}', "fx is 'a'; expected a number"),
+        (read_mount, '{"T_tip_camera": [[1, 2], [3, 4]]}', "T_tip_camera is no transform"),
+    ],
+)
+def test_side_files_that_cannot_be_right_are_refused(
+    read: Callable[[Path], Any], text: str, message: str, tmp_path: Path
+) -> None:
+    """With the file, what is wrong and what was expected."""
+    path = tmp_path / "side.file"
+    path.write_text(text)
+    with pytest.raises(MeasurementError, match=message):
+        read(path)
+    with pytest.raises(MeasurementError, match="nowhere"):
+        (read if read is not read_mount else read_lens)(tmp_path / "nowhere")
+
+
+def test_named_points_tell_which_are_known() -> None:
+    """Known points have no parameters; their place among the unknown is -1."""
+    points = NamedPoints({"a": None, "b": (1.0, 2.0, 3.0), "c": None})
+
+    assert [p.name for p in points.parameters] == ["a.x", "a.y", "a.z", "c.x", "c.y", "c.z"]
+    assert points.slot.tolist() == [0, -1, 1]
+    np.testing.assert_array_equal(points.positions(np.arange(6.0)), [[0, 1, 2], [1, 2, 3], [3, 4, 5]])
+    assert points.are_in_line
