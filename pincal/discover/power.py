@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import fdtri, ncfdtr
 
 from pincal.discover.criticism import Criticism, criticise
@@ -161,6 +160,8 @@ def _size_at(strengths: np.ndarray, test: Test) -> tuple[float, float]:
         strengths: shape (k,), non-centrality of an effect of size 1 along the principal directions.
         test: what the loop asks.
     """
+    from scipy.optimize import brentq
+
     best = float(np.sqrt(detectable_noncentrality(test) / strengths.max()))
     if len(strengths) == 1:
         return best, best
@@ -190,6 +191,8 @@ def power_of(noncentrality: float, test: Test) -> float:
 @lru_cache(maxsize=256)
 def detectable_noncentrality(test: Test) -> float:
     """Return the non-centrality at which the chance to be found is POWER; inf where no effect passes the test."""
+    from scipy.optimize import brentq
+
     upper = 10.0 * critical_gain(test) + 100.0
     while power_of(upper, test) < POWER:
         upper *= 4.0

@@ -184,6 +184,6 @@ def _few_rows(fit: Fit) -> tuple[str, ...]:
     if readings >= 2 * released:
         return ()
     return (
-        f"{len(fit.problem)} training rows in {poses} poses give {readings} readings for {released} parameters: much rests on "
-        "what is known beforehand; measure more poses",
+        f"{len(fit.problem)} training rows in {poses} poses give {readings} readings for {released} parameters: "
+        "much rests on what is known beforehand; measure more poses",
     )

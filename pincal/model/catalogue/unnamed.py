@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from pincal.errors import BadInputError
 from pincal.model.catalogue.places import joint_index, positions, waves
@@ -109,6 +108,8 @@ def variable(chain: Chain, conditions: Conditions, name: str) -> np.ndarray:
 
 def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.ndarray:
     """Return uniform cubic B-splines over [lower, upper], constant beyond, shape (size, N)."""
+    from scipy.interpolate import BSpline
+
     inner = np.linspace(lower, upper, size - _DEGREE + 1)
     knots = np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
     clipped = np.clip(x, lower, upper)
