@@ -73,7 +73,7 @@ def error_table(error: dict[str, dict[str, dict[str, float]]]) -> Table:
     parts = {"train": "fitted", "test": "held out"}
     for model, by_rows in error.items():
         for rows, values in by_rows.items():
-            for unit in ("mm", "mrad"):
+            for unit in ("mm", "mrad", "px"):
                 if f"mean_{unit}" in values:
                     numbers = [f"{values[f'{name}_{unit}']:.4f}" for name in _STATISTICS]
                     table.add_row(words.get(model, model), parts.get(rows, rows), unit, *numbers)

@@ -8,6 +8,7 @@ import numpy as np
 
 from pincal.identify.calibrate import Fit
 from pincal.identify.normal import block_rows
+from pincal.identify.problem import Problem
 from pincal.model.effects import JointOffset
 
 # Twice the log-likelihood that scatter of a joint has to gain; in sound data it stays below about 6 (DISCOVERY 3.6).
@@ -34,22 +35,39 @@ class Scatter:
 def find_scatter(fit: Fit) -> Scatter | None:
     """Return the joint whose scatter explains the residuals best, if it explains enough.
 
-    Along the lever of joint j at pose i, of length a_ij, the variance is sigma^2 + s_j^2 a_ij^2, and sigma^2 across it: a
-    variance component, estimated by maximum likelihood with sigma^2 profiled out.
+    Along the lever of joint j at visit i, of length a_ij, the variance is sigma^2 + s_j^2 a_ij^2, and sigma^2 across it: a
+    variance component, estimated by maximum likelihood with sigma^2 profiled out. What is read in one visit, several targets
+    or the points of an image, shares the joint's position.
     """
-    found = [_of_joint(fit, i) for i in range(fit.model.chain.robot.n_joints)]
+    visit = visits(fit.problem)
+    found = [_of_joint(fit, i, visit) for i in range(fit.model.chain.robot.n_joints)]
     best = max(found, key=lambda scatter: scatter.gain)
     return best if best.gain > _ENOUGH else None
 
 
-def _of_joint(fit: Fit, i: int) -> Scatter:
+def visits(problem: Problem) -> np.ndarray:
+    """Return the visit that each row belongs to, shape (N,).
+
+    Rows of the same joint positions are one visit, unless they read the same thing again.
+    """
+    pose = np.unique(np.round(problem.conditions.q, 9), axis=0, return_inverse=True)[1].ravel()
+    point = problem.sensor.groups
+    read = np.column_stack([pose, problem.conditions.target, np.zeros(len(pose), int) if point is None else point])
+    _, thing, count = np.unique(read, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(thing.ravel(), kind="stable")
+    again = np.empty(len(pose), int)
+    again[order] = np.arange(len(pose)) - np.repeat(np.cumsum(count) - count, count)
+    return np.unique(np.column_stack([pose, again]), axis=0, return_inverse=True)[1].ravel()
+
+
+def _of_joint(fit: Fit, i: int, visit: np.ndarray) -> Scatter:
     rows = block_rows(fit.problem)[0]
     residuals = fit.problem.residuals(fit.values)[rows] * fit.problem.weights
     lever = lever_of_joint(fit, fit.model.chain.robot.joint_names[i])[rows] * fit.problem.weights
     sound = fit.solution.weights > 0.0
     r, a = residuals[:, sound], lever[:, sound]
-    a2 = np.sum(a**2, axis=0)
-    along2 = np.sum(r * a, axis=0) ** 2 / np.maximum(a2, 1e-300)
+    a2 = np.bincount(visit[sound], np.sum(a**2, axis=0))
+    along2 = np.bincount(visit[sound], np.sum(r * a, axis=0)) ** 2 / np.maximum(a2, 1e-300)
     across2 = float(np.sum(r**2) - np.sum(along2))
     readings = r.size
 
