@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -275,6 +276,11 @@ def test_demo_tells_the_story(tmp_path, capsys):
     assert report["gap"]["before"]["rms_mm"] > 2.0 * report["noise_floor_mm"] > 1.8 * report["gap"]["after"]["rms_mm"]
     assert "Found: 0.19" in text or "Found: 0.20" in text
     assert {file.name for file in (tmp_path / "demo").iterdir()} > {"model.json", "hidden_effect", "measurements.csv"}
+    programmed, corrected = (
+        float(re.search(rf"{words} +misses by +([\d.]+) mm", text)[1])
+        for words in ("as programmed", "corrected by what was found")
+    )
+    assert programmed > 2.0 and corrected < 0.06
 
 
 def test_a_broken_model_file_is_refused(results, tmp_path, capsys):

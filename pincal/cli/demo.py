@@ -1,11 +1,13 @@
 """``pincal demo``: the KUKA KR 125/2 of the paper, measured by simulation, calibrated, and found out about.
 
-In the first act the robot of Table I is calibrated. In the second one of its gears is bad, which no calibration knows of.
+In the first act the robot of Table I is calibrated. In the second one of its gears is bad, which no calibration knows of. In
+the third the robot is told where to go so that it arrives.
 """
 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ _ROWS = 300
 _SIZE = 2e-4
 _HIDDEN = {"joint": "joint_1", "order": 2, "size": _SIZE}
 _HIDDEN_FOLDER = "hidden_effect"
+# The third act: poses of a program.
+_PROGRAM = 200
 
 
 @click.command(epilog="\b\nExample:\n  pincal demo --out kuka\n")
@@ -54,45 +58,95 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
         origin = provenance([draft / "measurements.csv", draft / "kuka_kr125_2.urdf"], seed=seed)
         write_results(draft, runs["DH,s,e"], origin, view=True)
         deviation_figure(_deviations(runs)).savefig(draft / "deviations.png", dpi=120)
-        found = _hide_and_discover(second, robot, options, seed)
+        found, cell = _hide_and_discover(second, robot, options, seed)
+        missed = _compensate(second, cell, robot, found, np.random.default_rng([seed, 3]))
     if as_json:
-        print_json({name: run.result.to_dict() for name, run in runs.items()} | {"discovery": found.report})
+        results = {name: run.result.to_dict() for name, run in runs.items()}
+        print_json(results | {"discovery": found.report, "program_error_mm": missed})
     else:
         _tell(runs, out)
-        _tell_hidden(found, out)
+        _tell_hidden(found)
+        _tell_program(missed, out)
     return 0
 
 
-def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> Any:
-    """Measure the robot with a bad gear, discover that, write everything, and return the discovery."""
+@dataclass(frozen=True)
+class _Cell:
+    """The true machine of Table I and a tracker in the hall.
+
+    Attributes:
+        place: shape (4, 4), robot base in the tracker's frame.
+        is_bad: whether a gear is.
+    """
+
+    place: np.ndarray
+    is_bad: bool
+
+    def see(self, q: np.ndarray) -> np.ndarray:
+        """Return where the tracker sees the target, without noise, shape (N, 3) [m]."""
+        from pincal.simulate import paper_positions
+
+        turned = q + _gear_error(q) if self.is_bad else q
+        return np.asarray(paper_positions(turned, tool_offset=_TOOL) @ self.place[:3, :3].T + self.place[:3, 3])
+
+
+def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> tuple[Any, _Cell]:
+    """Measure the robot with a bad gear, discover that, write everything, and return the discovery and the machine."""
     from pincal.cli.calibrate import write_results
     from pincal.measure.table import read_measurements
     from pincal.report.discovery import run_discovery
 
-    _measure(folder / "measurements.csv", robot, np.random.default_rng([seed, 2]), hidden=True)
+    cell = _measure(folder / "measurements.csv", robot, np.random.default_rng([seed, 2]), hidden=True)
     table = read_measurements(folder / "measurements.csv", robot.joint_names)
     found = run_discovery(robot, table, options, seed=seed)
     write_results(folder, found.calibration, provenance([folder / "measurements.csv"], seed=seed), found, view=True)
     (folder / "discovery.json").write_text(json.dumps(found.report, indent=1, allow_nan=False))
-    return found
+    return found, cell
 
 
-def _measure(path: Path, robot: Any, rng: np.random.Generator, *, hidden: bool = False) -> None:
-    """Write what a tracker in the hall reads of the paper's true machine (Table I), with noise."""
+def _measure(path: Path, robot: Any, rng: np.random.Generator, *, hidden: bool = False) -> _Cell:
+    """Write what a tracker in the hall reads of the paper's true machine (Table I), with noise; return the machine."""
     from scipy.spatial.transform import Rotation
 
+    q = robot.random_configurations(_ROWS, rng)
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
+    cell = _Cell(place, hidden)
+    position = cell.see(q)
+    _write(path, robot, q, position + rng.normal(0.0, _NOISE, position.shape))
+    return cell
+
+
+def _write(path: Path, robot: Any, q: np.ndarray, position: np.ndarray) -> None:
     from pincal.measure.table import write_table
-    from pincal.simulate import paper_positions
     from pincal.simulate.paper_machine import PAYLOAD_MASS
 
-    q = robot.random_configurations(_ROWS, rng)
-    place = Rotation.random(rng=rng)
-    turned = q + _gear_error(q) if hidden else q
-    position = place.apply(paper_positions(turned, tool_offset=_TOOL)) + rng.uniform(-4.0, 4.0, 3)
-    position += rng.normal(0.0, _NOISE, position.shape)
     columns = {name: q[:, i] for i, name in enumerate(robot.joint_names)}
     columns |= {axis: position[:, i] for i, axis in enumerate("xyz")}
-    write_table(path, columns | {"payload": np.full(_ROWS, PAYLOAD_MASS)})
+    write_table(path, columns | {"payload": np.full(len(q), PAYLOAD_MASS)})
+
+
+def _compensate(folder: Path, cell: _Cell, robot: Any, found: Any, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """Correct a program made with the nominal robot, run both on the machine, and return by how far they miss [mm]."""
+    from pincal.compensate.compensation import compensate_poses
+    from pincal.model.effects import Conditions
+    from pincal.report.model_file import load_model
+    from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
+
+    fit, model = found.calibration.fit, load_model(folder / "model.json")
+    program = Conditions.at(robot.random_configurations(_PROGRAM, rng), payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
+    # The program was made with the nominal robot, its base and tool measured in.
+    wanted = fit.model.predict(fit.nominal.values[: fit.model.n_parameters], program)
+    corrected = compensate_poses(model, wanted, program)
+    _write(folder / "program.csv", robot, program.q, wanted[:, :, 3])
+    _write(folder / "corrected.csv", robot, corrected.q, wanted[:, :, 3])
+    errors = {
+        name: 1e3 * np.linalg.norm(cell.see(q) - wanted[:, :, 3], axis=1)
+        for name, q in (("as programmed", program.q), ("corrected", corrected.q))
+    }
+    misses = {name: {"mean": float(size.mean()), "max": float(size.max())} for name, size in errors.items()}
+    misses["corrected"]["out_of_reach"] = int(np.sum(corrected.status != "ok"))
+    return misses
 
 
 def _gear_error(q: np.ndarray) -> np.ndarray:
@@ -133,11 +187,10 @@ def _tell(runs: dict[str, Any], out: Path) -> None:
         screen.print(f"note: {note}")
 
 
-def _tell_hidden(found: Any, out: Path) -> None:
-    from pincal.cli.calibrate import VIEW
+def _tell_hidden(found: Any) -> None:
     from pincal.cli.tables import console, print_discovery
 
-    screen, folder = console(), out / _HIDDEN_FOLDER
+    screen = console()
     screen.rule("A hidden effect")
     joint, size = _HIDDEN["joint"], f"{_SIZE * 1e3:g} mrad"
     screen.print(
@@ -151,6 +204,21 @@ def _tell_hidden(found: Any, out: Path) -> None:
             waves = [parameter["value"] for parameter in entry["parameters"].values()]
             amplitude = 1e3 * float(np.hypot(*waves))
             screen.print(f"\nPut in: {size} at {joint}, twice a turn. Found: {amplitude:.4f} mrad.")
+
+
+def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
+    from pincal.cli.calibrate import VIEW
+    from pincal.cli.tables import console
+
+    screen, folder = console(), out / _HIDDEN_FOLDER
+    screen.rule("Go where it was meant")
+    screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, runs on this machine:\n")
+    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by what was found")):
+        mean, largest = missed[name]["mean"], missed[name]["max"]
+        screen.print(f"  {words:28s} misses by {mean:8.4f} mm in the mean, {largest:8.4f} mm at most")
+    short = int(missed["corrected"]["out_of_reach"])
+    if short:
+        screen.print(f"\n{short} of the poses lie at a singularity or beyond the robot's reach, and are only approached.")
     screen.print("\nOpen", style="bold")
     for path, words in (
         (out / "report.html", "how good, where errors are, every parameter with its uncertainty"),
@@ -158,11 +226,13 @@ def _tell_hidden(found: Any, out: Path) -> None:
         (out / "deviations.png", "Fig. 6 of the paper: the error at poses the fit never saw"),
         (folder / "report.html", "what was missing, and how the error shrank to the noise"),
         (folder / "discovery.json", "what was found, for programs"),
+        (folder / "corrected.csv", "the program corrected: the joints to command"),
     ):
         screen.print(f"  {path!s:40s} {words}", soft_wrap=True)
     screen.print("\nThen try your own robot, or one that you make up:", style="bold")
     urdf = out / "kuka_kr125_2.urdf"
     for line in (
+        f"pincal compensate {folder / 'model.json'} {folder / 'program.csv'} --out again.csv",
         f"pincal check     {urdf} {out / 'measurements.csv'} --payload-com .08 -.05 .22",
         f"pincal simulate  {urdf} --poses 300 --effect backlash:joint_2 --out mine.csv",
         f"pincal discover  {urdf} mine.csv --out found --noise 0.05mm",
