@@ -10,11 +10,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.exact import is_exact, rounding
 from pincal.identify.normal import accumulate, posterior
 from pincal.identify.placement import Placement
 from pincal.identify.problem import Problem, conditions_of, problem_of
 from pincal.identify.rows import some_rows
-from pincal.identify.solve import Loss, Noise, Priors, Solution, is_exact, rounding, solve
+from pincal.identify.solve import Loss, Noise, Priors, Solution, solve
 from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import sensor_of

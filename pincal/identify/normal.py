@@ -89,14 +89,18 @@ def accumulate(problem: Problem, values: np.ndarray, free: np.ndarray, robust: n
 
 def believed(problem: Problem, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Return G, shape (F, F), g, shape (F,), and the sum of squares of the sensor's beliefs; None where it has none."""
-    facts = problem.sensor.beliefs(problem.own(values))
+    J, r = belief_rows(problem, values, free)
+    return (J @ J.T, J @ r, float(r @ r)) if len(r) else None
+
+
+def belief_rows(problem: Problem, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Jacobian, shape (F, C), and residuals, shape (C,), of the sensor's C beliefs in units of their noise."""
+    facts, n = problem.sensor.beliefs(problem.own(values)), problem.model.n_parameters
     if facts is None:
-        return None
-    n = problem.model.n_parameters
+        return np.zeros((int(free.sum()), 0)), np.zeros(0)
     J = np.zeros((int(free.sum()), len(facts.sigma)))
     J[int(free[:n].sum()) :] = (facts.jacobian / facts.sigma)[free[n:]]
-    r = facts.residuals / facts.sigma
-    return J @ J.T, J @ r, float(r @ r)
+    return J, facts.residuals / facts.sigma
 
 
 def block_rows(problem: Problem) -> list[slice]:

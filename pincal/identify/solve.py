@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from itertools import product
 from typing import Literal
 
 import numpy as np
 from scipy.special import chdtri
 
+from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
 from pincal.identify.normal import Normal, Posterior, accumulate, posterior, posterior_step
 from pincal.identify.problem import Problem
 
@@ -37,19 +37,6 @@ _FALSE_OUTLIER = 0.01
 # Declared noise is replaced by the residuals' own when these exceed it by this many standard deviations of chi-square.
 _MISFIT = 4.0
 
-# Steps of a fit to exact readings, and the largest Jacobian (rows times parameters) that is held at once for them.
-_POLISHING = 60
-# Damping of a step in parts of the largest singular value of J (Levenberg, Marquardt): rounding, and more where that fails.
-_DAMPING = (64.0 * np.finfo(float).eps, 1e-11, 1e-9, 1e-7)
-# Parts of a step that are tried.
-_PARTS = (1.0, 0.5, 0.25, 0.1, 0.02)
-# Those above these parts count as strong, in turn, and the steps along them after each.
-_STRONG, _CORRECTIONS = (1e-3, 1e-6), 3
-# Rounding of G, in units of what priors know, from which on it is too coarse.
-_COARSE = 1e-4
-# What is left of exact readings by a fit that can't get better, in units of their rounding.
-_EXACT = 1e-3
-_MOST_EXACT = 2_000_000
 _READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
 
 
@@ -171,20 +158,10 @@ def solve(
             robust = state.robust
             normal = accumulate(problem, values, free, robust)
     if not rough and fit.is_beyond_normal_equations(normal, state):
-        values, robust, extra = fit.polish(values, robust, state)
+        weights = problem.weights * robust / np.repeat(state.sigma, fit.sizes)[:, None]
+        values, extra = polish(problem, values, free, priors.sizes, priors.bounds, weights)
         normal, iteration, converged = accumulate(problem, values, free, robust), iteration + extra, True
     return fit.finish(normal, values, robust, iteration, converged, held)
-
-
-def rounding(problem: Problem) -> np.ndarray:
-    """Return the rounding of predictions, shape (blocks,); noise is never taken to be less."""
-    return np.array([block.rounding for block in problem.sensor.blocks])
-
-
-def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
-    """Return whether the information of the readings, the diagonal of G, is too much for the rounding of what priors say."""
-    known = np.isfinite(sizes)
-    return bool(np.max(G[known] * sizes[known] ** 2, initial=0.0) * np.finfo(float).eps > _COARSE)
 
 
 class _Memory:
@@ -229,17 +206,18 @@ class _Fit:
     loss: Loss
 
     @property
-    def _sizes(self) -> np.ndarray:
+    def sizes(self) -> np.ndarray:
+        """Components of each block of readings."""
         return np.array([block.size for block in self.problem.sensor.blocks])
 
     def judge(self, normal: Normal, robust: np.ndarray, *, hard: bool) -> _Judgement:
         """Estimate the noise from the rows that count, and weigh the rows by it."""
-        counted = np.maximum(np.sum(robust > 0.0), 1) * self._sizes
+        counted = np.maximum(np.sum(robust > 0.0), 1) * self.sizes
         if self.loss == "none" or (hard and self.loss == "screen"):
             spent = self._spent(counted)
             estimated = np.sqrt(normal.squares / np.maximum(counted - spent * counted / counted.sum(), 1.0))
         else:
-            middle = np.array([chdtri(size, 0.5) for size in self._sizes])
+            middle = np.array([chdtri(size, 0.5) for size in self.sizes])
             estimated = np.sqrt(np.median(normal.row_squares, axis=1) / middle)
         estimated = np.maximum(estimated, rounding(self.problem))
         declared = np.array([np.nan if d is None else d for d in self.noise.declared])
@@ -256,7 +234,7 @@ class _Fit:
         if self.loss == "none":
             return np.ones(n)
         distance2 = np.einsum("b,bn->n", sigma**-2.0, normal.row_squares)
-        limit2 = float(chdtri(int(self._sizes.sum()), _FALSE_OUTLIER / n))
+        limit2 = float(chdtri(int(self.sizes.sum()), _FALSE_OUTLIER / n))
         outside = distance2 > limit2
         if hard and self.loss == "screen":
             return np.where(outside, 0.0, 1.0)
@@ -295,7 +273,7 @@ class _Fit:
     def length(self, step: np.ndarray, normal: Normal, state: _Judgement) -> float:
         """Return how far a step moves the predictions, root mean square, in units of the noise."""
         G, _ = normal.at(state.sigma)
-        readings = max(float(np.sum(state.robust > 0.0) * self._sizes.sum()), 1.0)
+        readings = max(float(np.sum(state.robust > 0.0) * self.sizes.sum()), 1.0)
         return float(np.sqrt(max(step @ G @ step, 0.0) / readings))
 
     def move(
@@ -308,7 +286,7 @@ class _Fit:
     ) -> tuple[np.ndarray, Normal]:
         """Take the first of the steps, or of the halves of the last, that does not make things worse."""
         before = self._objective(normal, values, state.sigma)
-        readings = max(float(np.sum(robust > 0.0) * self._sizes.sum()), 1.0)
+        readings = max(float(np.sum(robust > 0.0) * self.sizes.sum()), 1.0)
         plain = steps[-1]
         tried = steps[:-1] if steps[0] is not plain else []
         for step in [*tried, *(plain * 0.5**k for k in range(_HALVINGS))]:
@@ -321,66 +299,9 @@ class _Fit:
         return values, normal
 
     def is_beyond_normal_equations(self, normal: Normal, state: _Judgement) -> bool:
-        """Return whether readings are so exact that J^T J, rounded, no longer has what priors and weak directions say.
-
-        Real instruments are never; exact readings are, and the question what a model can do at all is asked with them.
-        """
+        """Return whether readings are so exact that J^T J can't hold what they say, and few enough for J itself."""
         G, _ = normal.at(state.sigma)
-        sizes = self.priors.sizes[self.free]
-        return is_exact(np.diag(G), sizes) and len(self.problem) * len(sizes) <= _MOST_EXACT
-
-    def polish(self, values: np.ndarray, robust: np.ndarray, state: _Judgement) -> tuple[np.ndarray, np.ndarray, int]:
-        """Go on with steps from the singular values of J itself; return values, robust weights and the steps taken.
-
-        Priors have no say here: a pull along directions that no reading sees, which are curved, would only keep the fit from
-        getting on. Such directions stay where they are. A long step along weak directions leaves the valley floor, which is
-        curved, too; steps along the strong ones lead back to it (a second-order correction).
-        """
-        free, sizes = self.free, self.priors.sizes[self.free]
-        J, r = self._whitened(values, robust, state)
-        known = np.isfinite(sizes)
-        floor = _EXACT * rounding(self.problem) / state.sigma
-        rounded = len(self.problem) * float(np.sum(self._sizes * floor**2))
-        for k in range(1, _POLISHING + 1):
-            norms = np.maximum(np.linalg.norm(J, axis=1), 1e-300)
-            # Frames have no size of their own: they shall count like what counts most.
-            scale = np.where(known, sizes, np.max((norms * sizes)[known], initial=1.0) / norms)
-            U, s, Vt = np.linalg.svd((J * scale[:, None]).T, full_matrices=False)
-            for least, part in product(_DAMPING, _PARTS):
-                damped = s / (s**2 + (least * s[0]) ** 2)
-                trial = values.copy()
-                trial[free] += part * scale * (Vt.T @ (damped * (U.T @ r)))
-                _, left = self._whitened(trial, robust, state)
-                for strong in [s > most * s[0] for most in _STRONG for _ in range(_CORRECTIONS)]:
-                    back = trial.copy()
-                    back[free] += scale * (Vt[strong].T @ ((U[:, strong].T @ left) / s[strong]))
-                    _, better = self._whitened(back, robust, state)
-                    if better @ better < 0.5 * (left @ left):
-                        trial, left = back, better
-                if left @ left < r @ r and np.all(np.abs(trial[free]) <= self.priors.bounds[free]):
-                    break
-            else:
-                return values, robust, k
-            values = trial
-            J, r = self._whitened(values, robust, state)
-            if r @ r < rounded:
-                return values, robust, k
-        return values, robust, _POLISHING
-
-    def _whitened(self, values: np.ndarray, robust: np.ndarray, state: _Judgement) -> tuple[np.ndarray, np.ndarray]:
-        """Return Jacobian, shape (F, M), and residuals, shape (M,), in units of the noise, beliefs among them."""
-        parts = list(self.problem.linearise(values, self.free))
-        residuals = np.concatenate([part[1] for part in parts], axis=1)
-        weights = (self.problem.weights * robust) / np.repeat(state.sigma, self._sizes)[:, None]
-        J = np.concatenate([part[2] for part in parts], axis=2) * weights
-        J, r = J.reshape(len(J), -1), (residuals * weights).ravel()
-        facts = self.problem.sensor.beliefs(self.problem.own(values))
-        if facts is None:
-            return J, r
-        more = np.zeros((len(J), len(facts.sigma)))
-        n = self.problem.model.n_parameters
-        more[int(self.free[:n].sum()) :] = (facts.jacobian / facts.sigma)[self.free[n:]]
-        return np.hstack([J, more]), np.concatenate([r, facts.residuals / facts.sigma])
+        return is_exact(np.diag(G), self.priors.sizes[self.free]) and len(self.problem) * len(G) <= MOST_EXACT
 
     def _objective(self, normal: Normal, values: np.ndarray, sigma: np.ndarray) -> float:
         known = self.free & np.isfinite(self.priors.sizes)
@@ -400,7 +321,7 @@ class _Fit:
         state = self.judge(normal, robust, hard=True)
         G, g = normal.at(state.sigma)
         result = posterior(G, g, self.priors.sizes[self.free], values[self.free])
-        counted = np.maximum(np.sum(robust > 0.0), 1) * self._sizes
+        counted = np.maximum(np.sum(robust > 0.0), 1) * self.sizes
         degrees = np.maximum(counted - result.effective * counted / counted.sum(), 1.0)
         estimated = np.maximum(np.sqrt(normal.squares / degrees), rounding(self.problem))
         declared = np.array([np.nan if d is None else d for d in self.noise.declared])
