@@ -1,5 +1,5 @@
 """``python -m pincal`` is the command."""
 
-from pincal.cli import main
+from pincal.cli import entry
 
-main()
+entry()

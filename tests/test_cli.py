@@ -3,6 +3,8 @@
 import json
 import math
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -262,6 +264,17 @@ def test_every_verb_shows_an_example(verb, capsys):
     """``--help`` ends with a line to copy."""
     assert run(verb, "--help") == 0
     assert f"pincal {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"), [(["--version"], 0), (["nothing"], 2), (["validate", "no.json", "no.csv"], 3)]
+)
+def test_a_process_ends_with_its_code_and_all_that_it_said(arguments: list[str], code: int) -> None:
+    """The command leaves without tidying up, but not before its words are out."""
+    done = subprocess.run([sys.executable, "-m", "pincal", *arguments], capture_output=True, text=True)
+
+    assert done.returncode == code
+    assert "pincal" in (done.stderr if code else done.stdout)
 
 
 def test_demo_tells_the_story(tmp_path, capsys):
