@@ -613,13 +613,11 @@ def test_false_targets_are_written_beside_the_joints(bench: Bench) -> None:
     np.testing.assert_allclose(np.abs(np.sum(Q * quaternions(flange[:, :3, :3]), axis=1)), 1.0, atol=1e-12)
 
 
-def test_rows_that_are_not_reached_exit_with_four_and_the_rest_is_served(
-    bench: Bench, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The file is whole, the line and what is left are told, and JSON says the same."""
+def test_rows_that_are_not_reached_are_told_and_the_rest_is_served(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file is whole, the line and what is left are told, JSON says the same, and a strict user's script stops."""
     columns = bench.joints() | bench.poses()
     columns["x"] = columns["x"] + np.where(np.arange(12) == 4, 50.0, 0.0)
-    found = bench.compensate(columns, "--json", code=4)
+    found = bench.compensate(columns, "--json")
     told = capsys.readouterr()
     result = json.loads(told.out)
 
@@ -628,8 +626,10 @@ def test_rows_that_are_not_reached_exit_with_four_and_the_rest_is_served(
     assert [(row["line"], row["status"]) for row in result["not_ok"]] == [(6, "unreachable")]
     assert result["not_ok"][0]["error_mm"] > 4e4 and result["rows"] == 12
     assert "line 6: unreachable" in told.err
-    assert bench.compensate(columns, "--quiet", code=4)["status"][4] == "unreachable"
+    assert bench.compensate(columns, "--quiet", "--strict", code=4)["status"][4] == "unreachable"
     assert capsys.readouterr().err == ""
+    nowhere = columns | {"x": columns["x"] + 50.0}
+    assert np.all(bench.compensate(nowhere, code=4)["status"] == "unreachable")
 
 
 @pytest.mark.parametrize(
