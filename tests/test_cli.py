@@ -12,7 +12,7 @@ import pytest
 from test_calibrate import paper_table
 
 from pincal.builtin import kuka_urdf_path
-from pincal.cli import main
+from pincal.cli import _spread, main
 from pincal.measure.table import write_table
 
 URDF = str(kuka_urdf_path())
@@ -275,6 +275,20 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(arguments: list[str],
 
     assert done.returncode == code
     assert "pincal" in (done.stderr if code else done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("given", "spread"),
+    [
+        ("x --socket-distance a b 0.05 c d 1e-1 --out o", "x --socket-distance a b 0.05 --socket-distance c d 1e-1 --out o"),
+        ("--socket-distance a b 0.05 r.urdf t.csv", "--socket-distance a b 0.05 r.urdf t.csv"),
+        ("--socket-distance a b --out o", "--socket-distance a b --out o"),
+        ("x --socket-distance a b 1 --socket-distance c d 2", "x --socket-distance a b 1 --socket-distance c d 2"),
+    ],
+)
+def test_an_option_may_have_several_sets_of_values(given: str, spread: str) -> None:
+    """Distances of sockets may follow one another, or each its own option."""
+    assert _spread(given.split()) == spread.split()
 
 
 def test_demo_tells_the_story(tmp_path, capsys):

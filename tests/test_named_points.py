@@ -294,6 +294,9 @@ def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka:
     table = contacts(machine, kuka, each=12)
     with pytest.raises(MeasurementError, match="a known distance names 'A'; expected one of the points, nearest first: a"):
         run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=Setup(gaps=(Gap("A", "b", 0.7),))))
+    elsewhere = Setup(gaps=(Gap("a", "b", 0.7), Gap("x", "y", 0.05)))
+    notes = run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=elsewhere)).notes
+    assert any("in no row are not used: x to y" in note for note in notes)
     for bad in (lambda: Gap("a", "a", 1.0), lambda: Gap("a", "b", 0.0), lambda: Gap("a", "b", 1.0, float("nan"))):
         with pytest.raises(MeasurementError, match="expected"):
             bad()

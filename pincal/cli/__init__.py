@@ -16,6 +16,9 @@ from pincal.errors import PincalError
 # New objects after which garbage is collected.
 _GARBAGE = 200_000
 
+# Takes two names and a number, any number of times.
+_MANY = "--socket-distance"
+
 _COMMANDS = {
     "demo": "pincal.cli.demo",
     "check": "pincal.cli.check",
@@ -85,7 +88,9 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.showwarning = _show_warning
     try:
         try:
-            code = pincal.main(args=arguments, prog_name="pincal", standalone_mode=False)
+            code = pincal.main(
+                args=_spread(sys.argv[1:] if arguments is None else arguments), prog_name="pincal", standalone_mode=False
+            )
         finally:
             _end_progress()
     except click.exceptions.Abort:
@@ -109,6 +114,34 @@ def main(arguments: list[str] | None = None) -> None:
         )
         sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _spread(arguments: list[str]) -> list[str]:
+    """Return the words of the command line with the option repeated before each of several sets of its values.
+
+    ``--socket-distance A B 0.05 C D 0.05`` says the same as the option twice, which is how Click wants it.
+    """
+    out: list[str] = []
+    words = [str(word) for word in arguments]
+    while words:
+        word, *words = words
+        if word != _MANY:
+            out.append(word)
+            continue
+        while len(words) >= 3 and _is_number(words[2]):
+            out += [_MANY, *words[:3]]
+            words = words[3:]
+            word = ""
+        out += [word] if word else []
+    return out
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:

@@ -95,7 +95,7 @@ def run_calibration(
     """
     begun = time.perf_counter()
     options = Options() if options is None else options
-    check_gaps(options.setup, [measurements] if holdout is None else [measurements, holdout])
+    idle = check_gaps(options.setup, [measurements] if holdout is None else [measurements, holdout])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         measurements = served_rows(measurements, options.setup)
@@ -111,7 +111,7 @@ def run_calibration(
     fit = calibrate(robot, train, options)
     check_agreement(robot, train, fit)
     notes = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, PincalWarning)))
-    notes = (*robot.notes, *notes, *limits_of_knowledge(train, options.setup), *_few_rows(fit))
+    notes = (*robot.notes, *notes, *idle, *limits_of_knowledge(train, options.setup), *_few_rows(fit))
     if options.setup.lens is not None and doubts_lens(fit):
         notes = (*notes, "the images call for another camera than the given one: --fit-camera finds its parameters")
     held = fit.readings(test) if len(test) else None
@@ -135,19 +135,27 @@ def _readable_after(train: Measurements, test: Measurements, setup: Setup) -> Me
     return test.select(seen | np.array([count[name] > 1 for name in names], bool))
 
 
-def check_gaps(setup: Setup, tables: Sequence[Measurements]) -> None:
-    """Refuse a known distance to a point that nobody knows.
+def check_gaps(setup: Setup, tables: Sequence[Measurements]) -> tuple[str, ...]:
+    """Refuse a known distance from a point of the tables to one that nobody knows.
+
+    Returns:
+        A note on distances between points that are in none of the tables: they may belong to another one.
 
     Raises:
-        MeasurementError: naming it.
+        MeasurementError: naming the unknown point.
     """
     found = [point_names(table) for table in tables]
     known = {str(name) for names in found if names is not None for name in np.unique(names)} | set(setup.points)
+    idle = []
     for gap in setup.gaps:
-        for name in (gap.first, gap.second):
-            if name not in known:
-                near = ", ".join(nearest_first([name], sorted(known))[:6]) if known else "none"
-                raise MeasurementError(f"a known distance names {name!r}; expected one of the points, nearest first: {near}")
+        unknown = [name for name in (gap.first, gap.second) if name not in known]
+        if len(unknown) == 1 or not known:
+            near = ", ".join(nearest_first(unknown, sorted(known))[:6]) if known else "none"
+            raise MeasurementError(
+                f"a known distance names {unknown[0]!r}; expected one of the points, nearest first: {near}"
+            )
+        idle += [f"{gap.first} to {gap.second}"] if unknown else []
+    return (f"known distances between points that are in no row are not used: {', '.join(idle)}",) if idle else ()
 
 
 def check_count(robot: Robot, measurements: Measurements, setup: Setup | None = None) -> None:

@@ -145,7 +145,7 @@ def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey
     Raises:
         BadInputError: as a calibration would.
     """
-    check_gaps(options.setup, [measurements])
+    idle = check_gaps(options.setup, [measurements])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         measurements = served_rows(measurements, options.setup)
@@ -154,6 +154,7 @@ def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey
     fit = foresee(robot, measurements, options)
     check_agreement(robot, measurements, fit)
     notes = [str(w.message) for w in caught if issubclass(w.category, PincalWarning)]
+    notes += idle
     notes += limits_of_knowledge(measurements, options.setup)
     posterior = fit.solution.posterior
     sigma, unit = options.sigma, f"sigma_{fit.problem.sensor.blocks[0].unit}"
