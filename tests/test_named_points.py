@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
 from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.repeat import cross_validate
 from pincal.identify.rows import some_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
@@ -287,6 +288,20 @@ def test_points_that_repeat_are_all_in_a_sample_of_rows() -> None:
 
     assert np.all(np.diff(rows) > 0) and len(rows) < 1200
     assert count[:150].min() >= 6 and count[150] == 2 and count[151] == 1
+
+
+def test_cross_validation_leaves_out_what_one_fold_alone_has_seen(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Every row is predicted by a fit without it, but for points that no other row has."""
+    table = seen(machine, kuka, poses=20)
+    names = table.point.copy()
+    names[0] = "alone"
+    columns = {"camera_point": table.camera_point, "point": names}
+    found = cross_validate(
+        kuka, measurements_from_arrays(kuka.joint_names, table.q, **columns), Options(effects=GEOMETRIC), folds=3
+    )
+
+    assert np.isnan(found.residuals[:, 0]).all()
+    assert np.abs(found.residuals[:, 1:]).max() < 1e-3
 
 
 def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka: Robot) -> None:

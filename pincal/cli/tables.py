@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -40,9 +40,7 @@ def print_result(result: Result, out: Console) -> None:
     shown = shown_parameters(result.parameters)
     out.print(parameter_table(shown))
     print_reasons(shown, out)
-    hidden = (len(result.parameters) - len(shown)) // 3
-    if hidden:
-        out.print(f"and the places of {hidden} named points: see result.json")
+    _tell_hidden_points(len(result.parameters) - len(shown), out)
     for note in result.warnings:
         out.print(hanging("note:", note), style="yellow")
 
@@ -108,7 +106,7 @@ def _number(value: float, unit: str, *, digits: int = 4) -> str:
     return f"{value:z.{digits}f}" if digits > 2 else f"{value:#.2g}"
 
 
-def _numbered_reasons(rows: list[ParameterRow]) -> dict[str, int]:
+def _numbered_reasons(rows: Sequence[ParameterRow]) -> dict[str, int]:
     return {reason: i + 1 for i, reason in enumerate(dict.fromkeys(row.reason for row in rows if row.reason))}
 
 
@@ -134,15 +132,22 @@ def print_survey(survey: Survey, out: Console) -> None:
             share = f"{100 * (joint.high - joint.low) / (joint.upper_limit - joint.lower_limit):.0f} %"
         table.add_row(cell(joint.joint), f"{joint.low:.3f}", f"{joint.high:.3f}", limits, share)
     out.print(table)
-    rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason) for p in survey.parameters]
-    out.print(expectation_table(rows))
-    print_reasons(rows, out)
+    rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect) for p in survey.parameters]
+    shown = shown_parameters(rows)
+    out.print(expectation_table(shown))
+    print_reasons(shown, out)
+    _tell_hidden_points(len(rows) - len(shown), out)
     print_outlook(survey.detectable, [joint.joint for joint in survey.joints], out)
     for note in survey.warnings:
         out.print(hanging("note:", note), style="yellow")
 
 
-def expectation_table(rows: list[ParameterRow]) -> Table:
+def _tell_hidden_points(coordinates: int, out: Console) -> None:
+    if coordinates:
+        out.print(f"and the places of {coordinates // 3} named points: with --json and in result.json")
+
+
+def expectation_table(rows: Sequence[ParameterRow]) -> Table:
     """Return what to expect of each parameter before anything is fitted."""
     notes = _numbered_reasons(rows)
     table = new_table("What these poses can tell")

@@ -17,6 +17,7 @@ from pincal.identify.problem import Problem
 from pincal.identify.solve import Solution, solve
 from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import Measurements
+from pincal.measure.setup import point_names
 from pincal.robot.robot import Robot
 
 
@@ -25,7 +26,7 @@ class CrossValidation:
     """Errors of rows by fits that never saw them.
 
     Attributes:
-        residuals: shape (m, N), reading minus prediction [m, rad].
+        residuals: shape (m, N), reading minus prediction [m, rad, px]; not a number at points that no other fold has.
         fold: shape (N,), in which fold each row was held out.
     """
 
@@ -67,7 +68,14 @@ def cross_validate(
 
 def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
     fit = calibrate(robot, table.select(fold != k), options)
-    return fit.readings(table.select(fold == k)).residuals(fit.values)
+    held = table.select(fold == k)
+    names = point_names(held)
+    told = (
+        np.ones(len(held), bool) if names is None or held.socket is not None else np.isin(names, [*fit.options.setup.points])
+    )
+    residuals = np.full((sum(block.size for block in fit.problem.sensor.blocks), len(held)), np.nan)
+    residuals[:, told] = fit.readings(held.select(told)).residuals(fit.values)
+    return residuals
 
 
 def bootstrap(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:

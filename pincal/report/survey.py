@@ -48,6 +48,7 @@ class Expectation:
     sigma: float
     status: str
     reason: str
+    effect: str
 
 
 @dataclass(frozen=True)
@@ -221,6 +222,6 @@ def _expectations(fit: Fit) -> tuple[Expectation, ...]:
     sigma = np.where(np.isfinite(fit.priors.sizes), fit.priors.sizes, 0.0)
     sigma[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
     return tuple(
-        Expectation(p.name, p.unit, float(s), f.status, f.reason)
+        Expectation(p.name, p.unit, float(s), f.status, f.reason, p.effect)
         for p, s, f in zip(fit.problem.parameters, sigma, explain(fit), strict=True)
     )
