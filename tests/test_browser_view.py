@@ -106,6 +106,7 @@ def test_the_slider_moves_the_robot_to_the_measured_points(
     assert browser.find_element("id", "row").text.startswith("pose 8 of 20, line 9")
 
 
+@pytest.mark.long
 def test_ten_thousand_arrows_are_quick(browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
     """A page of 10000 arrows over measured poses and 10000 over the workspace, effects included."""
     calibrated = machine(ur10, rng)

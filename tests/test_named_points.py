@@ -109,7 +109,10 @@ TABLES: dict[str, tuple[Callable[..., Measurements], Setup]] = {
 }
 
 
-@pytest.mark.parametrize("case", TABLES)
+SLOW = ("images, known object", "images, known camera")
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.long] * (case in SLOW)) for case in TABLES])
 def test_exact_readings_are_explained_wherever_things_stand(case: str, machine: sim.TrueMachine, kuka: Robot) -> None:
     """Without a first guess of where anything is, exact readings of every kind are predicted on rows held out."""
     make, setup = TABLES[case]

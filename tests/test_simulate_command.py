@@ -37,6 +37,7 @@ def machine():
     return draw_typical_elasticity(TrueMachine.from_urdf(URDF, tip="tool0"), np.random.default_rng(0))
 
 
+@pytest.mark.long
 def test_a_hidden_effect_is_found_again(tmp_path, capsys):
     """A simulated table goes straight into discover, which names the effect and shrinks the gap to the noise."""
     arguments = ["--payload", "0,80", "--payload-com", ".02", ".01", ".1", "--masses-off", "3"]
