@@ -109,6 +109,7 @@ TABLES: dict[str, tuple[Callable[..., Measurements], Setup]] = {
 }
 
 
+PINHOLE = '"fx": 1, "fy": 1, "u0": 0, "v0": 0'
 SLOW = ("images, known object", "images, known camera")
 
 
@@ -344,7 +345,10 @@ def test_side_files_are_read_with_their_units(tmp_path: Path) -> None:
         (read_lens, '{"fx": 1}', "expected an object with fx, fy, u0, v0"),
         (read_lens, '{"fx": 0, "fy": 1, "u0": 1, "v0": 1}', "fx is 0 px"),
         (read_lens, '{"fx": "a", "fy": 1, "u0": 1, "v0": 1}', "fx is 'a'; expected a number"),
-        (read_mount, '{"T_tip_camera": [[1, 2], [3, 4]]}', "T_tip_camera is no transform"),
+        (read_mount, "{", "no JSON"),
+        (read_mount, "[1]", "expected an object with fx, fy, u0, v0"),
+        (read_mount, f'{{{PINHOLE}, "T_tip_camera": [[1, 2], [3, 4]]}}', "T_tip_camera is no transform"),
+        (read_mount, f'{{{PINHOLE}, "T_tip_camera": {np.diag([1, 1, -1, 1]).tolist()}}}', "T_tip_camera is no transform"),
     ],
 )
 def test_side_files_that_cannot_be_right_are_refused(
@@ -356,7 +360,7 @@ def test_side_files_that_cannot_be_right_are_refused(
     with pytest.raises(MeasurementError, match=message):
         read(path)
     with pytest.raises(MeasurementError, match="nowhere"):
-        (read if read is not read_mount else read_lens)(tmp_path / "nowhere")
+        read(tmp_path / "nowhere")
 
 
 def test_named_points_tell_which_are_known() -> None:

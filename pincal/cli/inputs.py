@@ -61,6 +61,8 @@ def options_of(arguments: dict[str, Any], table: Measurements) -> Options:
 
 
 def _tools(arguments: dict[str, Any], table: Measurements) -> dict[str, Any] | None:
+    if arguments["camera"] and not table.kind.startswith("camera"):
+        raise BadInputError(f"--camera is for readings of a camera, but {table.source} holds {table.kind}; leave it out")
     mount = read_mount(arguments["camera"]) if arguments["camera"] else None
     if mount is None:
         mount = arguments["tool"] or None

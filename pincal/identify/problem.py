@@ -72,7 +72,7 @@ class Problem:
         return out
 
     def displacements(self, values: np.ndarray) -> np.ndarray:
-        """Return where to each row's target is off its prediction, as far as its reading tells, shape (N, 3) [m]."""
+        """Return which way and how far each row's target is off, as far as its reading tells, shape (N, 3) [m]."""
         out = np.empty((len(self), 3))
         for piece in self._pieces():
             part = self._part(piece)

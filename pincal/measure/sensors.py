@@ -98,7 +98,7 @@ class Sensor(ABC):
         return None
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return where to the target is off its prediction, as far as the reading tells.
+        """Return which way and how far the target is off its prediction, as far as the reading tells.
 
         Args:
             residuals: shape (m, N), as :meth:`residuals` has them.

@@ -213,6 +213,35 @@ def read_lens(path: str | os.PathLike[str]) -> Lens:
     Raises:
         MeasurementError: if the file can't be read, or a value is missing or no number.
     """
+    found = _camera_file(path)
+    return Lens(**dict(_lens_values(found, path)))
+
+
+def read_mount(path: str | os.PathLike[str]) -> np.ndarray | None:
+    """Read how a camera is mounted, ``T_tip_camera`` (4 rows of 4), from the JSON of :func:`read_lens`; None without it.
+
+    Raises:
+        MeasurementError: as :func:`read_lens`, or if it is no rigid transform.
+    """
+    found = _camera_file(path).get("T_tip_camera")
+    if found is None:
+        return None
+    try:
+        mount = np.array(found, float)
+    except (TypeError, ValueError):
+        mount = np.zeros(0)
+    if mount.shape != (4, 4) or not _is_rigid(mount):
+        raise MeasurementError(f"{path}: T_tip_camera is no transform; expected 4 rows of 4, rotation and metres")
+    return mount
+
+
+def _is_rigid(transform: np.ndarray) -> bool:
+    R = transform[:3, :3]
+    is_turn = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    return bool(np.isfinite(transform).all() and is_turn and np.array_equal(transform[3], [0.0, 0.0, 0.0, 1.0]))
+
+
+def _camera_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
@@ -221,25 +250,7 @@ def read_lens(path: str | os.PathLike[str]) -> Lens:
         raise MeasurementError(f"{path}: no JSON ({error}); expected {{{_keys()}}}") from None
     if not isinstance(found, dict) or any(name not in found for name in PINHOLE):
         raise MeasurementError(f"{path}: expected an object with {', '.join(PINHOLE)} [px] and, where known, {_keys()}")
-    return Lens(**dict(_lens_values(found, path)))
-
-
-def read_mount(path: str | os.PathLike[str]) -> np.ndarray | None:
-    """Read how a camera is mounted, ``T_tip_camera`` (4 rows of 4), from the JSON of :func:`read_lens`; None without it.
-
-    Raises:
-        MeasurementError: if it is no rigid transform.
-    """
-    found = json.loads(Path(path).read_text(encoding="utf-8")).get("T_tip_camera")
-    if found is None:
-        return None
-    try:
-        mount = np.array(found, float)
-    except (TypeError, ValueError):
-        mount = np.zeros(0)
-    if mount.shape != (4, 4) or not np.allclose(mount[:3, :3] @ mount[:3, :3].T, np.eye(3), atol=1e-6):
-        raise MeasurementError(f"{path}: T_tip_camera is no transform; expected 4 rows of 4, rotation and metres")
-    return mount
+    return found
 
 
 def _lens_values(found: dict[str, Any], path: str | os.PathLike[str]) -> Iterator[tuple[str, float]]:
