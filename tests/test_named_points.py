@@ -18,7 +18,7 @@ from pincal.identify.repeat import cross_validate
 from pincal.identify.rows import some_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.served import limits_of_knowledge, served_rows
+from pincal.measure.served import judged_rows, limits_of_knowledge, served_rows
 from pincal.measure.setup import Gap, NamedPoints, Setup, read_gaps, read_lens, read_mount, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
@@ -224,6 +224,20 @@ def test_rows_that_tell_nothing_are_left_out_with_a_word(machine: sim.TrueMachin
         pytest.raises(MeasurementError, match="no row is left; expected 2 readings"),
     ):
         served_rows(points.select(np.arange(5)), Setup())
+
+
+def test_rows_that_judge_nothing_are_left_out_with_a_word(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A new socket touched once agrees with any model; a new point of an object with none."""
+    held = contacts(machine, kuka, each=5)
+    had = Setup().over(held.select(np.arange(10)))
+    with pytest.warns(PincalWarning, match=r"1 rows are of points that the calibration did not have \(c\).*lines 12"):
+        assert len(judged_rows(held.select(np.arange(11)), had)) == 10
+    assert len(judged_rows(held.select(np.arange(12)), had)) == 12
+    views = seen(machine, kuka, poses=2)
+    with pytest.warns(PincalWarning, match="34 rows are of points that the calibration did not have"):
+        assert len(judged_rows(views, Setup().over(views.select(np.arange(1))))) == 2
+    with pytest.warns(PincalWarning, match="36 rows"):
+        assert len(judged_rows(views, Setup(points={"other": None}))) == 0
 
 
 def test_what_a_kind_of_data_cannot_tell_is_said(machine: sim.TrueMachine, kuka: Robot) -> None:

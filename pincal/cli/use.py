@@ -29,6 +29,7 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
     """Say how true a calibrated model is on measurements that it never saw."""
     show_progress(quiet)
     from pincal.cli.inputs import load_table
+    from pincal.measure.served import judged_rows
     from pincal.report.lack_of_fit import found_in_visits
     from pincal.report.model_file import load_model
     from pincal.report.run import check_table
@@ -38,6 +39,8 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
     robot = calibrated.model.chain.robot
     table = load_table(robot, data, ignore=ignore)
     _check_targets(calibrated, table)
+    if calibrated.setup.points and calibrated.sensor_kind == table.kind:
+        table = judged_rows(table, calibrated.setup)
     check_table(robot, table, minimum=1)
     problem = calibrated.readings(table)
     error = {"calibrated": {"test": error_table(problem, calibrated.values)}}

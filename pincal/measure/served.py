@@ -55,6 +55,27 @@ def served_rows(measurements: Measurements, setup: Setup) -> Measurements:
     return measurements if np.all(keep & ~lonely) else measurements.select(keep & ~lonely)
 
 
+def judged_rows(measurements: Measurements, setup: Setup) -> Measurements:
+    """Return the rows that a calibration can be judged by; rows left out cause a `PincalWarning`.
+
+    A socket that the calibration did not have is judged by the mean of its rows, so it needs two; any other point that it
+    did not have can't be judged.
+
+    Args:
+        measurements: rows that it never saw.
+        setup: the points that it had.
+    """
+    names = point_names(measurements)
+    if names is None or not len(measurements):
+        return measurements
+    found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
+    is_new = np.array([str(name) not in setup.points for name in found], bool)
+    lost = (is_new & ((count < 2) | (measurements.socket is None)))[inverse]
+    listed = ", ".join(sorted(set(map(str, names[lost])))[:_LISTED])
+    _tell(measurements, lost, f"are of points that the calibration did not have ({listed})")
+    return measurements.select(~lost) if lost.any() else measurements
+
+
 def _tell(measurements: Measurements, rows: np.ndarray, reason: str) -> None:
     if rows.any():
         lines = ", ".join(str(line) for line in measurements.rows[rows][:_LISTED]) + (" ..." if rows.sum() > _LISTED else "")

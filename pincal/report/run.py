@@ -17,7 +17,7 @@ from pincal.identify.split import Split, hold_out
 from pincal.measure.checks import TableFindings, check_measurements
 from pincal.measure.fields import nearest_first
 from pincal.measure.measurements import Measurements
-from pincal.measure.served import limits_of_knowledge, served_rows
+from pincal.measure.served import judged_rows, limits_of_knowledge, served_rows
 from pincal.measure.setup import Setup, point_names
 from pincal.report.result import Result, result_of
 from pincal.robot.robot import Robot
@@ -104,9 +104,9 @@ def run_calibration(
         if holdout is None:
             train, test = hold_out(measurements, test_fraction, split=split, seed=seed)
             train = served_rows(train, options.setup)
-            test = _readable_after(train, test, options.setup)
+            test = judged_rows(test, options.setup.over(train))
         else:
-            train, test = measurements, _readable_after(measurements, holdout, options.setup)
+            train, test = measurements, judged_rows(holdout, options.setup.over(measurements))
             check_table(robot, test, minimum=1)
     fit = calibrate(robot, train, options)
     check_agreement(robot, train, fit)
@@ -117,22 +117,6 @@ def run_calibration(
     held = fit.readings(test) if len(test) else None
     result = result_of(fit, held, seconds=time.perf_counter() - begun, tables=(train, test), notes=notes)
     return Calibration(robot, train, test, fit, result, notes)
-
-
-def _readable_after(train: Measurements, test: Measurements, setup: Setup) -> Measurements:
-    """Return the held-out rows that the fit of ``train`` can be judged by.
-
-    A socket that it does not know is judged by the mean of its rows; any other point that it does not know can't be.
-    """
-    names, known = point_names(test), point_names(train)
-    if names is None or known is None or not len(test):
-        return test
-    seen = np.isin(names, known)
-    if test.socket is None:
-        places = np.array([setup.points.get(str(name)) is not None for name in names], bool)
-        return test.select(seen | places)
-    count = dict(zip(*np.unique(names, return_counts=True), strict=True))
-    return test.select(seen | np.array([count[name] > 1 for name in names], bool))
 
 
 def check_gaps(setup: Setup, tables: Sequence[Measurements]) -> tuple[str, ...]:
