@@ -19,7 +19,6 @@ from pincal.discover.generic import spline_basis
 from pincal.discover.nuisance import MassError
 from pincal.identify.calibrate import Fit
 from pincal.identify.normal import block_rows
-from pincal.identify.rows import some_rows
 from pincal.model.catalogue.places import nominal_moments
 from pincal.model.chain import FRAME_SYMBOLS, Chain
 from pincal.model.effects import Conditions, Effect, Parameter, Term
@@ -171,7 +170,7 @@ def locate(fit: Fit, sigma: np.ndarray) -> Location:
 def _thinned(fit: Fit) -> Fit:
     """Return the fit of the sound rows, at most so many of them."""
     rows = np.flatnonzero(fit.solution.weights > 0.0)
-    rows = rows[some_rows(len(rows), _ENOUGH_ROWS)]
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, _ENOUGH_ROWS).astype(int))]
     solution = replace(fit.solution, weights=fit.solution.weights[rows])
     return replace(fit, problem=fit.problem.select(rows), solution=solution)
 

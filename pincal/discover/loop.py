@@ -12,7 +12,6 @@ from pincal.discover.criticism import Criticism, Score, criticise
 from pincal.discover.generic import generic_candidates
 from pincal.discover.nuisance import MassError, compliances_of
 from pincal.identify.calibrate import Fit, refit, without
-from pincal.identify.rows import some_rows
 from pincal.model.catalogue import (
     AxisWobble,
     BaseDrift,
@@ -157,10 +156,10 @@ def _criticise(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> Criti
 
 
 def _sampled(fit: Fit, groups: np.ndarray) -> tuple[Fit, np.ndarray]:
-    """Return a fit on as many of its rows as are enough to choose what comes next."""
+    """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next."""
     if len(groups) <= _ENOUGH_ROWS:
         return fit, groups
-    rows = some_rows(len(groups), _ENOUGH_ROWS)
+    rows = np.linspace(0, len(groups) - 1, _ENOUGH_ROWS).astype(int)
     solution = replace(fit.solution, weights=fit.solution.weights[rows])
     return replace(fit, problem=fit.problem.select(rows), solution=solution), groups[rows]
 

@@ -142,7 +142,8 @@ def solve(
             memory = _Memory()
         if label:
             log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, fit.readable(state), moved)
-        if (rough and moved < _ROUGH) or values is stood or fit.is_beyond_normal_equations(normal, state):
+        still = values is stood and (hard or rough or loss != "screen")
+        if (rough and moved < _ROUGH) or still or fit.is_beyond_normal_equations(normal, state):
             converged = moved < _ROUGH
             break
         if (
