@@ -476,11 +476,12 @@ def test_a_curve_does_not_extrapolate(effect: TransmissionError) -> None:
 
 
 def test_a_curve_over_nearly_a_turn_repeats() -> None:
-    """The basis follows from the range that is covered; a periodic one has pairs of functions."""
-    full, part = TransmissionError.over("j", np.array([-3.0, 3.0]), 9), TransmissionError.over("j", np.array([-1.0, 3.0]), 9)
-
+    """The basis follows from the range that is covered, without large gaps; a periodic one has pairs of functions."""
+    full, part = (TransmissionError.over("j", np.linspace(lower, 3.0, 50), 9) for lower in (-3.0, -1.0))
+    holed = TransmissionError.over("j", np.append(np.linspace(-3.0, 1.0, 50), 3.0), 9)
     assert (full.periodic, full.size) == (True, 10) and (part.periodic, part.size) == (False, 9)
     assert (part.lower, part.upper) == (-1.0, 3.0)
+    assert not holed.periodic
     assert not TransmissionError.over("j", np.array([-3.0, 3.0]), 9, periodic=False).periodic
     np.testing.assert_allclose(part.basis(np.linspace(-1.0, 3.0, 50)).sum(axis=0), 1.0, rtol=1e-14)
 

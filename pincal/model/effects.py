@@ -108,10 +108,13 @@ class Effect(ABC):
         name: its name in reports and files.
         uses_moments: whether its terms need the static moments.
         needs: what must be recorded of the poses: "temperature", "time", "approach", "payload".
+        alike: whether its basis functions are one function in several places, as those of a curve: one that the poses
+            hardly touch is as large as the others then, and its coefficient no larger.
     """
 
     name: ClassVar[str]
     uses_moments: ClassVar[bool] = False
+    alike: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod

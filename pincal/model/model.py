@@ -192,7 +192,8 @@ class Model:
 
         A moment itself is taken as at least a tenth of the largest on the arm, so that a wrist that carries nothing is
         not thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
-        not excite its parameter, although a base that is not quite level would.
+        not excite its parameter, although a base that is not quite level would. A spline of a curve is taken to be as
+        large as the others of the curve, however few of the poses are near it.
 
         Returns:
             Sizes and whether excited, both of shape (P,).
@@ -208,6 +209,10 @@ class Model:
             else:
                 excited[p] |= size > 0.0
             largest[p] = max(largest[p], size)
+        for start, effect in zip(self._starts, self.effects, strict=False):
+            if effect.alike:
+                own = slice(start, start + len(effect.parameters(self.chain)))
+                largest[own], excited[own] = largest[own].max(), excited[own].any()
         return np.where(largest > 0.0, largest, 1.0), excited
 
 

@@ -41,6 +41,7 @@ class TransmissionError(Effect):
     size: int = 24
     periodic: bool = False
     name: ClassVar[str] = "transmission_error"
+    alike: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse an empty range and a number of basis functions that does not fit."""
@@ -58,11 +59,11 @@ class TransmissionError(Effect):
             joint: the joint.
             q_column: shape (N,), its positions [rad or m].
             size: number of basis functions; one more where a periodic curve needs an even number.
-            periodic: whether the curve repeats after a turn; if the positions cover nearly one, unless given. A sliding
-                joint's does not.
+            periodic: whether the curve repeats after a turn; if the positions cover nearly one without a large gap, unless
+                given. A sliding joint's does not.
         """
         lower, upper = float(np.min(q_column)), float(np.max(q_column))
-        repeats = upper - lower >= _NEARLY_A_TURN * TURN if periodic is None else periodic
+        repeats = _covers_a_turn(q_column) if periodic is None else periodic
         return cls(joint, lower, upper, size + size % 2 if repeats else size, repeats)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -84,4 +85,10 @@ class TransmissionError(Effect):
 
         knots = np.linspace(self.lower, self.upper, self.size - _DEGREE + 1)
         padded = np.concatenate(([self.lower] * _DEGREE, knots, [self.upper] * _DEGREE))
-        return np.asarray(BSpline.design_matrix(inside, padded, _DEGREE).toarray().T)
+        return np.asarray(BSpline.design_matrix(inside, padded, _DEGREE).T.toarray(order="C"))
+
+
+def _covers_a_turn(q: np.ndarray) -> bool:
+    """Return whether the largest gap between angles [rad] is small, also where the turn closes."""
+    seen = np.unique(np.mod(q, TURN))
+    return bool(np.max(np.diff(seen, append=seen[0] + TURN)) <= (1.0 - _NEARLY_A_TURN) * TURN)

@@ -48,6 +48,7 @@ class Unnamed(Effect):
     order: int | None = None
     place: float | None = None
     name: ClassVar[str] = "unnamed"
+    alike: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse waves without an order and a break without a place."""
@@ -113,4 +114,4 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
     inner = np.linspace(lower, upper, size - _DEGREE + 1)
     knots = np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
     clipped = np.clip(x, lower, upper)
-    return np.ascontiguousarray(BSpline.design_matrix(clipped, knots, _DEGREE).toarray().T)
+    return np.asarray(BSpline.design_matrix(clipped, knots, _DEGREE).T.toarray(order="C"))
