@@ -6,11 +6,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pincal import ELASTIC, GEOMETRIC, BadInputError, Options, Robot, calibrate, measurements_from_arrays, read_measurements
+from pincal import (
+    ELASTIC,
+    GEOMETRIC,
+    BadInputError,
+    Options,
+    Robot,
+    calibrate,
+    measurements_from_arrays,
+    read_measurements,
+)
 from pincal.errors import MeasurementError
 from pincal.identify.agreement import check_agreement
+from pincal.identify.calibrate import refit
 from pincal.identify.explain import explain
+from pincal.identify.normal import accumulate
 from pincal.identify.split import hold_out
+from pincal.model.catalogue import TransmissionError
 from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.simulate import paper_positions
 from pincal.simulate.paper_machine import PAYLOAD_COM
@@ -283,3 +295,54 @@ def test_real_arms_are_predicted(shared_data, robot_name, file, limit_mm):
     table = read_measurements(shared_data / file, robot.joint_names)
     found = cross_validate(robot, table, Options())
     assert np.linalg.norm(found.residuals[:3], axis=0).mean() * 1e3 <= limit_mm
+
+
+# Drive curves.
+
+
+@pytest.fixture(scope="module")
+def curved(kuka):
+    """The paper's machine with a drive curve, seen from two regions with few poses between, and curves of each kind."""
+    rng = np.random.default_rng(11)
+    q = kuka.random_configurations(400, rng)
+    # A hole, and a pose just inside it.
+    q[:, 1] = np.where(q[:, 1] > -1.2, np.maximum(q[:, 1], -0.5), q[:, 1])
+    q[0, 1] = -1.19
+    off = q.copy()
+    off[:, 1] += 3e-4 * np.sin(9.0 * q[:, 1])
+    p = paper_positions(off, tool_offset=TOOL)
+    table = measurements_from_arrays(
+        kuka.joint_names, q, position=p + 5e-5 * rng.normal(size=p.shape), payload=np.full(len(q), 125.0)
+    )
+    fine = TransmissionError.over(kuka.joint_names[1], q[:, 1], 60)
+    others = [TransmissionError.over(kuka.joint_names[i], q[:, i], 8) for i in (3, 5)]
+    return table, refit(calibrate(kuka, table, OPTIONS), [*ELASTIC, fine, *others]), fine
+
+
+def test_normal_equations_are_those_of_the_whole_jacobian(curved):
+    """Bases kept sparse, dense and periodic give the G and g of the plain Jacobian with weights."""
+    fit = curved[1]
+    weights = np.linspace(0.2, 1.0, len(fit.problem))
+    free = fit.solution.free.copy()
+    free[5] = False
+
+    normal = accumulate(fit.problem, fit.values, free, weights)
+
+    ((_, residuals, J),) = fit.problem.linearise(fit.values, free)
+    A, r = (J * weights).reshape(len(J), -1), (residuals * weights).ravel()
+    scale = np.sqrt(np.maximum(np.sum(A**2, axis=1), 1e-300))
+    np.testing.assert_allclose(normal.G[0] / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(normal.g[0] / scale, A @ r / scale, atol=1e-12 * np.linalg.norm(r))
+
+
+def test_a_spline_that_no_pose_is_near_is_like_the_others(curved):
+    """Every spline of a curve is free and has one prior: a hole neither slows a fit down nor lets the curve swing."""
+    table, fit, fine = curved
+    names = [parameter.name for parameter in fine.parameters(fit.model.chain)]
+    places = [fit.model.index(name) for name in names]
+
+    assert len(set(fit.priors.sizes[places])) == 1
+    assert fit.solution.free[places].all()
+    assert fit.solution.converged and fit.stages[-1].iterations < 10
+    assert np.abs(fit.values[places]).max() < 1e-3
+    assert errors(fit, table).mean() < 1e-4

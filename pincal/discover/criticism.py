@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import fdtrc
 
 from pincal.identify.calibrate import Fit, priors_of
@@ -90,14 +90,10 @@ class Criticism:
         """S' and b' of all candidate columns."""
         N = slice(0, self.n_model)
         C = slice(self.n_model, len(self.b))
-        H = self.S[N, N] + np.diag(self.precision)
-        scale = 1.0 / np.sqrt(np.diag(H))
-        values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
-        seen = values > 1e-13 * values[-1]
-        half = (scale[:, None] * vectors[:, seen]) / np.sqrt(values[seen])
-        left = half.T @ self.S[N, C]
-        slope = self.b[N] - self.pull
-        return self.S[C, C] - left.T @ left, self.b[C] - left.T @ (half.T @ slope)
+        scale, L = _scaled_factor(self.S[N, N] + np.diag(self.precision))
+        left = solve_triangular(L, scale[:, None] * self.S[N, C], lower=True, check_finite=False)
+        slope = solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
+        return self.S[C, C] - left.T @ left, self.b[C] - left.T @ slope
 
     @cached_property
     def _gains(self) -> dict[tuple[int, ...], tuple[float, int]]:
@@ -178,51 +174,51 @@ class _LeftOut:
     """The model refitted to first order without one block, and what candidates would change on the block.
 
     Attributes:
+        whole_S, whole_b: of all blocks.
         S, b: of the block alone.
-        rest_S, rest_b: of the others.
-        factor: Cholesky factor of the others' information about the model, scaled.
-        scale: shape (n_model,).
+        scale, factor: of the others' information about the model, see :func:`_scaled_factor`.
         step: shape (n_model,), of the model's parameters.
     """
 
+    whole_S: np.ndarray
+    whole_b: np.ndarray
     S: np.ndarray
     b: np.ndarray
-    rest_S: np.ndarray
-    rest_b: np.ndarray
-    factor: tuple[np.ndarray, bool]
     scale: np.ndarray
+    factor: np.ndarray
     step: np.ndarray
 
     @classmethod
     def of(cls, found: Criticism, k: int) -> _LeftOut:
         """Factor once what all candidates share."""
         S, b = found.blocks_S[k], found.blocks_b[k]
-        rest_S, rest_b = found.S - S, found.b - b
         N = slice(0, found.n_model)
-        H = rest_S[N, N] + np.diag(found.precision)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        H *= np.outer(scale, scale)
-        H[np.diag_indices_from(H)] += _ROUNDING
-        factor = cho_factor(H, overwrite_a=True, check_finite=False)
-        step = scale * cho_solve(factor, scale * (rest_b[N] - found.pull), check_finite=False)
-        return cls(S, b, rest_S, rest_b, factor, scale, step)
+        scale, factor = _scaled_factor(found.S[N, N] - S[N, N] + np.diag(found.precision))
+        slope = scale * (found.b[N] - b[N] - found.pull)
+        step = scale * cho_solve((factor, True), slope, check_finite=False)
+        return cls(found.S, found.b, S, b, scale, factor, step)
 
     def gain(self, j: np.ndarray, precision: np.ndarray) -> float:
         """Return by how much the candidate columns ``j`` lower the squared error on the block."""
-        N = slice(0, len(self.step))
-        cross = self.rest_S[N, j]
-        carried = self.scale[:, None] * cho_solve(self.factor, self.scale[:, None] * cross, check_finite=False)
-        H = self.rest_S[np.ix_(j, j)] - cross.T @ carried + np.diag(precision)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        H *= np.outer(scale, scale)
-        H[np.diag_indices_from(H)] += _ROUNDING
-        slope = scale * (self.rest_b[j] - cross.T @ self.step)
-        step = scale * cho_solve(cho_factor(H, overwrite_a=True, check_finite=False), slope, check_finite=False)
+        N, own = slice(0, len(self.step)), np.ix_(j, j)
+        cross = self.whole_S[N, j] - self.S[N, j]
+        carried = self.scale[:, None] * cho_solve((self.factor, True), self.scale[:, None] * cross, check_finite=False)
+        scale, factor = _scaled_factor(self.whole_S[own] - self.S[own] - cross.T @ carried + np.diag(precision))
+        slope = scale * (self.whole_b[j] - self.b[j] - cross.T @ self.step)
+        step = scale * cho_solve((factor, True), slope, check_finite=False)
         change = -carried @ step
         along = self.S[N, N] @ change + self.S[N, j] @ step
-        own = self.S[j, N] @ change + self.S[np.ix_(j, j)] @ step
+        beside = self.S[j, N] @ change + self.S[own] @ step
         left = self.b[N] - self.S[N, N] @ self.step, self.b[j] - self.S[j, N] @ self.step
-        return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ own)
+        return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
+
+
+def _scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return s and the lower Cholesky factor of diag(s) H diag(s), whose diagonal is 1; H is overwritten."""
+    scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
+    H *= np.outer(scale, scale)
+    H[np.diag_indices_from(H)] += _ROUNDING
+    return scale, cholesky(H, lower=True, overwrite_a=True, check_finite=False)
 
 
 def criticise(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect], groups: np.ndarray) -> Criticism:
@@ -279,17 +275,16 @@ def _gram(
         squares += float(np.sum(residuals**2))
         for k in np.unique(groups[piece]):
             here = slice(*np.searchsorted(groups[piece], [k, k + 1]))
-            part_S, part_b = jacobian.poses(here).gram(residuals[:, here])
-            blocks_S[k] += part_S
-            blocks_b[k] += part_b
+            jacobian.poses(here).add_gram(residuals[:, here], blocks_S[k], blocks_b[k])
     facts = believed(problem, values, free)
     if facts is not None:
         blocks_S += facts[0] / n_blocks
         blocks_b += facts[1] / n_blocks
     # The sensor's own parameters stand last; they belong to what is projected out.
     tested = (kept >= columns[0].start) & (kept < problem.model.n_parameters) if columns else np.zeros(len(kept), bool)
-    order = np.concatenate([np.flatnonzero(~tested), np.flatnonzero(tested)])
-    kept, blocks_S, blocks_b = kept[order], blocks_S[:, order[:, None], order], blocks_b[:, order]
+    if np.any(np.diff(tested.astype(int)) < 0):
+        order = np.concatenate([np.flatnonzero(~tested), np.flatnonzero(tested)])
+        kept, blocks_S, blocks_b = kept[order], blocks_S[:, order[:, None], order], blocks_b[:, order]
     n_model = int(np.sum(~tested))
     shift = n_model - (columns[0].start if columns else 0)
     at, priors = values[kept], sizes[kept]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -55,26 +56,27 @@ class MassError(Effect):
         bent = [(m, chain.joint(m // 3, f"gamma_{'xyz'[m % 3]}")) for m in range(3 * n) if self.compliance[m]]
         terms = []
         for i in range(n):
-            for c in range(4):
-                change = self._moments(chain, conditions, values, i, c)
+            for c, change in enumerate(self._moments(chain, conditions, values, i)):
                 terms += [Term(4 * i + c, k, self.compliance[m] * change[m]) for m, k in bent if m // 3 <= i]
         return tuple(terms)
 
-    def _moments(self, chain: Chain, conditions: Conditions, values: Values, i: int, component: int) -> np.ndarray:
-        """Return the static moments, shape (3 n, N), of one unit of a parameter of link i alone."""
+    def _moments(self, chain: Chain, conditions: Conditions, values: Values, i: int) -> Iterator[np.ndarray]:
+        """Yield the static moments, shape (3 n, N), of one unit of each parameter of link i alone."""
         robot = chain.robot
         layout = chain.layout
         masses, centres = np.zeros_like(robot.masses), np.zeros_like(robot.centres)
         masses[i] = robot.masses[i]
         no_load = Payload(np.zeros(len(conditions)), np.zeros(3))
-        if component == 0:
-            centres[i] = robot.centres[i]
+
+        def moments_at(centre: np.ndarray) -> np.ndarray:
+            centres[i] = centre
             return np.asarray(kernels.static_moments(layout._replace(masses=masses, centres=centres), values, no_load))
+
+        yield moments_at(robot.centres[i])
+        straight = moments_at(np.zeros(3))
         size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
-        centres[i, component - 1] = size
-        shifted = kernels.static_moments(layout._replace(masses=masses, centres=centres), values, no_load)
-        straight = kernels.static_moments(layout._replace(masses=masses, centres=0.0 * centres), values, no_load)
-        return np.asarray(shifted - straight)
+        for axis in np.eye(3):
+            yield moments_at(size * axis) - straight
 
 
 def _values(chain: Chain, conditions: Conditions, coordinates: np.ndarray) -> Values:

@@ -8,15 +8,17 @@ one parameter does, as only four splines are not zero at a pose.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from scipy.sparse import csr_array
 
-Basis: TypeAlias = np.ndarray | csr_array
+from pincal.identify.thin import Thin, thin_product, thin_rows, thin_times
+
 # Part of a basis function's values that are not zero, below which it is kept sparse.
 _THIN = 0.25
+
+
+Basis: TypeAlias = np.ndarray | Thin
 
 
 @dataclass(frozen=True)
@@ -62,39 +64,58 @@ class Jacobian:
 
     def poses(self, rows: slice) -> Jacobian:
         """Return the part of some poses."""
-        families = tuple(replace(f, column=f.column[:, rows], basis=f.basis[:, rows]) for f in self.families)
+        families = tuple(replace(f, column=f.column[:, rows], basis=_poses(f.basis, rows)) for f in self.families)
         return replace(self, dense=self.dense[:, :, rows], families=families)
 
-    def gram(self, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return J J^T, shape (F, F), and J r, shape (F,), for residuals of shape (m, n)."""
+    def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray) -> None:
+        """Add J J^T to G, shape (F, F), and J r to g, shape (F,), for residuals of shape (m, n)."""
         A = np.ascontiguousarray(self.dense).reshape(len(self.dense), residuals.size)
-        r = np.ascontiguousarray(residuals).ravel()
-        if not self.families:
-            return A @ A.T, A @ r
-        ends = np.cumsum([len(A), *(len(family.places) for family in self.families)])
-        spans = [slice(int(start), int(end)) for start, end in pairwise(ends)]
-        first = slice(0, len(A))
-        G, g = np.empty((self.size, self.size)), np.empty(self.size)
-        G[first, first] = A @ A.T
-        g[first] = A @ r
+        apart, spans = _span(self.places), [_span(family.places) for family in self.families]
+        G[_block(apart, apart)] += A @ A.T
+        g[apart] += A @ np.ascontiguousarray(residuals).ravel()
         for i, (family, rows) in enumerate(zip(self.families, spans, strict=True)):
-            g[rows] = family.basis @ np.sum(family.column * residuals, axis=0)
-            G[rows, first] = family.basis @ np.einsum("mn,dmn->nd", family.column, self.dense)
-            G[first, rows] = G[rows, first].T
-            for other, columns in zip(self.families[: i + 1], spans, strict=False):
-                G[rows, columns] = _product(family.basis, np.sum(family.column * other.column, axis=0), other.basis)
-                G[columns, rows] = G[rows, columns].T
-        order = np.argsort(np.concatenate([self.places, *(family.places for family in self.families)]))
-        return G[np.ix_(order, order)], g[order]
+            g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[:, 0]
+            pairs = [(apart, _times(family.basis, np.einsum("mn,dmn->nd", family.column, self.dense)))]
+            for other, columns in zip(self.families[:i], spans, strict=False):
+                pairs.append((columns, _product(family.basis, np.sum(family.column * other.column, axis=0), other.basis)))
+            for columns, part in pairs:
+                G[_block(rows, columns)] += part
+                G[_block(columns, rows)] += part.T
+            G[_block(rows, rows)] += _product(family.basis, np.sum(family.column**2, axis=0), family.basis)
+
+
+def _span(places: np.ndarray) -> slice | np.ndarray:
+    """Return places as a slice if they follow each other, since slices need no copies."""
+    if len(places) and places[-1] - places[0] == len(places) - 1 and np.all(np.diff(places) == 1):
+        return slice(int(places[0]), int(places[-1]) + 1)
+    return places
+
+
+def _block(rows: slice | np.ndarray, columns: slice | np.ndarray) -> tuple[slice | np.ndarray, slice | np.ndarray]:
+    """Return the index of a block of a matrix."""
+    if isinstance(rows, np.ndarray) and isinstance(columns, np.ndarray):
+        return np.ix_(rows, columns)  # type: ignore[return-value]
+    return rows, columns
+
+
+def _poses(basis: Basis, rows: slice) -> Basis:
+    if isinstance(basis, Thin):
+        return basis._replace(starts=basis.starts[rows.start : rows.stop + 1])
+    return basis[:, rows]
+
+
+def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:
+    """Return basis times a matrix of shape (n, D), shape (S, D)."""
+    return np.asarray(thin_times(basis, matrix)) if isinstance(basis, Thin) else basis @ matrix
 
 
 def _product(left: Basis, weights: np.ndarray, right: Basis) -> np.ndarray:
     """Return left diag(weights) right^T, dense."""
-    weighted = left * weights if isinstance(left, np.ndarray) else left.multiply(weights).tocsr()
-    if isinstance(weighted, np.ndarray) and not isinstance(right, np.ndarray):
-        return np.asarray((right @ weighted.T).T)
-    product = weighted @ right.T
-    return np.asarray(product if isinstance(product, np.ndarray) else product.toarray())
+    if isinstance(right, Thin):
+        if isinstance(left, Thin):
+            return np.asarray(thin_product(left, weights, right))
+        return _times(right, np.ascontiguousarray((left * weights).T)).T
+    return _times(left, np.ascontiguousarray((right * weights).T))
 
 
 def split_by_density(basis: np.ndarray) -> list[tuple[np.ndarray, Basis]]:
@@ -102,7 +123,8 @@ def split_by_density(basis: np.ndarray) -> list[tuple[np.ndarray, Basis]]:
     thin = np.count_nonzero(basis, axis=1) < _THIN * basis.shape[1]
     split: list[tuple[np.ndarray, Basis]] = []
     if thin.any():
-        split.append((np.flatnonzero(thin), csr_array(basis[thin])))
+        rows = np.flatnonzero(thin)
+        split.append((rows, thin_rows(basis, rows)))
     if not thin.all():
         split.append((np.flatnonzero(~thin), basis[~thin]))
     return split

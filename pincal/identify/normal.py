@@ -80,9 +80,7 @@ def accumulate(problem: Problem, values: np.ndarray, free: np.ndarray, robust: n
             row_squares[b, piece] = np.einsum("in,in->n", r, r) * weights**2
             if not uniform:
                 A, r = A.weighted(weights * outlying), r * (weights * outlying)
-            part_G, part_g = A.gram(r)
-            G[b] += part_G
-            g[b] += part_g
+            A.add_gram(r, G[b], g[b])
             squares[b] += np.vdot(r, r)
     return Normal(G, g, squares, row_squares, believed(problem, values, free))
 
