@@ -18,7 +18,8 @@ log = logging.getLogger(__name__)
 Loss = Literal["screen", "huber", "none"]
 
 MAX_ITERATIONS = 40
-# A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still.
+# A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still. So
+# does one that had to be halved down to this: along a bent ridge there is nothing left to gain.
 _STEP = 1e-3
 _ROUGH = 0.1
 # The same where the noise is at its floor: steps there are rounding.
@@ -26,7 +27,8 @@ _ROUNDED = 0.03
 # Steps remembered, and the ratio of successive steps above which they are put to use.
 _MEMORY = 4
 _SLOW = 0.3
-# Relative change of the noise above which earlier steps say nothing about the next.
+# Relative change of the noise above which earlier steps say nothing about the next, as little as after one that they got
+# wrong.
 _STEADY = 0.05
 # Halvings of a step that made things worse, before the fit is taken to stand still.
 _HALVINGS = 10
@@ -138,20 +140,19 @@ def solve(
         stood = values
         values, normal = fit.move(normal, values, [longer, step], state, robust)
         before, state = state, fit.judge(normal, robust, hard=hard)
-        if np.max(np.abs(state.sigma / before.sigma - 1.0)) > _STEADY:
+        refused = longer is not step and not np.array_equal(values[free], stood[free] + longer)
+        if refused or np.max(np.abs(state.sigma / before.sigma - 1.0)) > _STEADY:
             memory = _Memory()
         if label:
             log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, fit.readable(state), moved)
-        still = values is stood and (hard or rough or loss != "screen")
-        if (rough and moved < _ROUGH) or still or fit.is_beyond_normal_equations(normal, state):
+        taken = min(moved, fit.length(values[free] - stood[free], normal, state))
+        settled = taken < (_STEP if np.any(state.sigma > rounding(problem)) else _ROUNDED)
+        if (rough and (settled or moved < _ROUGH)) or fit.is_beyond_normal_equations(normal, state):
             converged = moved < _ROUGH
             break
-        if (
-            moved < (_STEP if np.any(state.sigma > rounding(problem)) else _ROUNDED)
-            and np.max(np.abs(state.robust - robust)) < _SETTLED
-        ):
-            converged = hard or loss != "screen" or bool(np.all(robust == 1.0))
-            if converged:
+        if settled and np.max(np.abs(state.robust - robust)) < _SETTLED:
+            if hard or loss != "screen" or np.all(robust == 1.0):
+                converged = moved < _ROUGH
                 break
             hard = True
             state = fit.judge(normal, robust, hard=hard)
@@ -163,6 +164,11 @@ def solve(
         values, extra = polish(problem, values, free, priors.sizes, priors.bounds, weights)
         normal, iteration, converged = accumulate(problem, values, free, robust), iteration + extra, True
     return fit.finish(normal, values, robust, iteration, converged, held)
+
+
+def outlier_limit(rows: int, size: int) -> float:
+    """Return the sum of squares, in units of the noise, beyond which a row of ``size`` readings is screened."""
+    return float(chdtri(size, _FALSE_OUTLIER / rows))
 
 
 class _Memory:
@@ -235,7 +241,7 @@ class _Fit:
         if self.loss == "none":
             return np.ones(n)
         distance2 = np.einsum("b,bn->n", sigma**-2.0, normal.row_squares)
-        limit2 = float(chdtri(int(self.sizes.sum()), _FALSE_OUTLIER / n))
+        limit2 = outlier_limit(n, int(self.sizes.sum()))
         outside = distance2 > limit2
         if hard and self.loss == "screen":
             return np.where(outside, 0.0, 1.0)
@@ -252,7 +258,7 @@ class _Fit:
             if not over.any():
                 break
             held |= over
-            step = np.where(held, np.sign(at + step) * bounds - at, step)
+            step = np.where(held, np.copysign(bounds, at + step) - at, step)
             loose = ~held
             step[loose] = posterior_step(
                 G[np.ix_(loose, loose)], (g - G[:, held] @ step[held])[loose], sizes[loose], at[loose]
