@@ -62,9 +62,9 @@ _FIRST_SIZES = (8, 12, 18, 26, 44, 80)
 _CURVE_SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180)
 # An effect that takes less off the squares than this share, and less than this many, matters to nobody.
 _SHARE, _GAIN = 0.01, 100.0
-# Rows from which the next effect is chosen; all rows fit it, and resolve its curve. What takes 100 off the squares of more
-# rows than these still takes enough off theirs.
-_ENOUGH_ROWS = 4000
+# Readings from which effects are chosen and fitted; in the end all fit them, and resolve their curves. What takes 100 off
+# the squares of more readings than these still takes enough off theirs.
+_ENOUGH = 12000
 # Effects that follow the position of one joint.
 _OF_POSITION = (AxisWobble, GearEccentricity, GearRatio, GravityCompensator, JointCoupling)
 
@@ -120,7 +120,9 @@ def discover_effects(
         alpha: chance of a false name a step.
         elastic: whether elasticity may be found; not for an arm without masses.
     """
-    first, steps = fit, []
+    first, steps, all_groups = fit, list[Step](), groups
+    fit, rows = sampled(fit)
+    groups = all_groups[rows]
     for _ in range(_MOST_STEPS):
         step = _next_step(fit, groups, extra, alpha, elastic)
         if step is None:
@@ -129,10 +131,10 @@ def discover_effects(
         steps.append(step)
         fit = step.after
     fit, steps = _revised(fit, steps, groups, lambda f: _choose(f, groups, extra, alpha, elastic))
-    fit, steps = _sharpen(fit, steps, groups)
     fit, steps = _backward(fit, steps, groups, alpha)
+    fit, steps = _finished(fit, steps, first, all_groups)
     steps = _with_whole_curves(fit, _merged(fit, steps))
-    last = _criticise(*_sampled(fit, groups), _candidates(fit, extra, elastic))
+    last = _criticise(sampled(fit)[0], groups, _candidates(fit, extra, elastic))
     return Trail(first, tuple(steps), fit, last)
 
 
@@ -155,13 +157,14 @@ def _criticise(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> Criti
     return criticise(fit, effects, [masses] if masses else [], groups)
 
 
-def _sampled(fit: Fit, groups: np.ndarray) -> tuple[Fit, np.ndarray]:
-    """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next."""
-    if len(groups) <= _ENOUGH_ROWS:
-        return fit, groups
-    rows = np.linspace(0, len(groups) - 1, _ENOUGH_ROWS).astype(int)
+def sampled(fit: Fit) -> tuple[Fit, np.ndarray]:
+    """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next, and these rows."""
+    n, most = len(fit.problem), _ENOUGH // sum(block.size for block in fit.problem.sensor.blocks)
+    if n <= most:
+        return fit, np.arange(n)
+    rows = np.linspace(0, n - 1, most).astype(int)
     solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=fit.problem.select(rows), solution=solution), groups[rows]
+    return replace(fit, problem=fit.problem.select(rows), solution=solution), rows
 
 
 def _candidates(fit: Fit, extra: Sequence[Effect], elastic: bool) -> list[Effect]:
@@ -298,7 +301,7 @@ class _Contest:
     @classmethod
     def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _Contest:
         """Test candidates, named and nameless ones; each kind shares the chance of a false name."""
-        found = _criticise(*_sampled(fit, groups), effects)
+        found = _criticise(fit, groups, effects)
         nameless = np.array([isinstance(e, Unnamed) for e in effects], bool)
         n = {kind: len({_key(e) for e, no in zip(effects, nameless, strict=True) if no == kind}) for kind in (False, True)}
         scores = [found.score([i], n[bool(no)]) for i, no in enumerate(nameless)]
@@ -366,38 +369,57 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
 
 
 def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> TransmissionError:
-    """Return the curve of this joint in the resolution that predicts blocks of poses left out best.
-
-    A resolution that the curve has already stays unless another is better by more than chance.
-    """
+    """Return the curve of this joint in the resolution that predicts blocks of poses left out best."""
     curves = _curves(fit, curve.joint, _CURVE_SIZES)
+    return curves[int(np.argmax(_gains(fit, curves, groups).sum(axis=1)))]
+
+
+def _finer(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> TransmissionError:
+    """Return a finer curve of this joint if it predicts blocks of poses left out better by more than chance, else this."""
+    curves = [curve, *_curves(fit, curve.joint, [size for size in _CURVE_SIZES if size > curve.size])]
+    more = _gains(fit, curves, groups)
+    more -= more[0].copy()
+    best = int(np.argmax(more.sum(axis=1)))
+    return curves[best if more[best].sum() > more[best].std() * np.sqrt(more.shape[1]) else 0]
+
+
+def _gains(fit: Fit, curves: Sequence[TransmissionError], groups: np.ndarray) -> np.ndarray:
+    """Return by how much each curve lowers the squared error on each block left out, shape (curves, blocks)."""
     found = _criticise(fit, groups, curves)
-    gains = [found.gains_by_block([i]) for i in range(len(curves))]
-    best = int(np.argmax([gain.sum() for gain in gains]))
-    if curve in curves:
-        more = gains[best] - gains[curves.index(curve)]
-        return curves[best] if more.sum() > more.std() * np.sqrt(len(more)) else curve
-    return curves[best]
+    return np.array([found.gains_by_block([i]) for i in range(len(curves))])
 
 
-def _sharpen(fit: Fit, steps: list[Step], groups: np.ndarray) -> tuple[Fit, list[Step]]:
-    """Choose the resolution of every curve again, once all the others are in: what hid its detail is gone."""
-    curves = [e for e in fit.options.effects if isinstance(e, TransmissionError)]
-    chosen = {curve: _resolved(without(fit, curve), curve, groups) for curve in curves}
+def _finished(fit: Fit, steps: list[Step], first: Fit, groups: np.ndarray) -> tuple[Fit, list[Step]]:
+    """Fit all rows of the first fit, and every curve as fine as they and all the others let it be."""
+    thinned = len(fit.problem) < len(first.problem)
+    if thinned:
+        solution = replace(fit.solution, weights=first.solution.weights)
+        whole = replace(fit, problem=first.problem.with_model(fit.model), solution=solution)
+        wider = {curve: _curves(whole, curve.joint, [curve.size])[0] for curve in _curves_of(fit)}
+        fit, steps = refit(whole, _exchanged(fit.options.effects, wider), rough=True), _with_curves(steps, wider)
+    chosen = {curve: _finer(without(fit, curve), curve, groups) for curve in _curves_of(fit)}
     finer = {curve: other for curve, other in chosen.items() if other != curve}
-    if not finer:
+    if finer:
+        log.info("resolved again: %s", ", ".join(f"{c.joint} {c.size} to {other.size}" for c, other in finer.items()))
+    elif not thinned:
         return fit, steps
-    log.info("resolved again: %s", ", ".join(f"{c.joint} {c.size} to {other.size}" for c, other in finer.items()))
     bare = fit
     for curve in finer:
+        # The heights of other splines are no start for these.
         bare = without(bare, curve)
-    # The heights of other splines are no start for these.
-    fit = refit(bare, [finer.get(e, e) if isinstance(e, TransmissionError) else e for e in fit.options.effects])
-    steps = [
-        replace(s, effects=tuple(finer.get(e, e) if isinstance(e, TransmissionError) else e for e in s.effects))
-        for s in steps
-    ]
-    return fit, steps
+    return refit(bare, _exchanged(fit.options.effects, finer)), _with_curves(steps, finer)
+
+
+def _curves_of(fit: Fit) -> list[TransmissionError]:
+    return [e for e in fit.options.effects if isinstance(e, TransmissionError)]
+
+
+def _exchanged(effects: Sequence[Effect], by: dict[TransmissionError, TransmissionError]) -> tuple[Effect, ...]:
+    return tuple(by.get(e, e) if isinstance(e, TransmissionError) else e for e in effects)
+
+
+def _with_curves(steps: Sequence[Step], by: dict[TransmissionError, TransmissionError]) -> list[Step]:
+    return [replace(step, effects=_exchanged(step.effects, by)) for step in steps]
 
 
 def _predicts(found: Criticism, i: int) -> bool:

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.exact import is_exact, rounding
-from pincal.identify.normal import accumulate, posterior
+from pincal.identify.normal import accumulate, posterior, posterior_step
 from pincal.identify.placement import Placement
 from pincal.identify.problem import Problem, conditions_of, problem_of
 from pincal.identify.rows import some_rows
@@ -218,17 +218,20 @@ def without(fit: Fit, effect: Effect) -> Fit:
     return Fit(problem, rest(fit.nominal), rest(fit.solution), priors, fit.noise, fit.stages, options)
 
 
-def refit(fit: Fit, effects: Sequence[Effect]) -> Fit:
+def refit(fit: Fit, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None, rough: bool = False) -> Fit:
     """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
 
     Args:
         fit: a calibration.
         effects: what may deviate, beside base and tool; parameters known to ``fit`` by name start at its values.
+        moment_frame: where moments are taken and bend the arm; as in ``fit`` unless given.
+        rough: whether to stop before the last stage, close to the end, outliers only weighed down.
     """
     frames = [effect for effect in fit.model.effects if isinstance(effect, BaseFrame | ToolFrame)]
-    model = fit.model.with_effects([*frames, *effects])
+    frame = moment_frame or fit.options.moment_frame
+    model = fit.model.with_effects([*frames, *effects]).with_chain(replace(fit.model.chain, moment_frame=frame))
     problem = fit.problem.with_model(model)
-    options = replace(fit.options, effects=tuple(effects))
+    options = replace(fit.options, effects=tuple(effects), moment_frame=frame)
     before = {p.name: i for i, p in enumerate(fit.problem.parameters)}
     places = [before.get(p.name) for p in problem.parameters]
 
@@ -242,7 +245,7 @@ def refit(fit: Fit, effects: Sequence[Effect]) -> Fit:
         at_bound=carried(fit.nominal.at_bound),
     )
     priors = priors_of(problem, options)
-    fitted, stages = _fit(problem, carried(fit.values), priors, fit.noise, options)
+    fitted, stages = _fit(problem, carried(fit.values), priors, fit.noise, options, rough=rough)
     return Fit(problem, nominal, fitted, priors, fit.noise, stages, options)
 
 
@@ -380,7 +383,7 @@ def noise_of(problem: Problem, options: Options) -> Noise:
 
 
 def _fit(
-    problem: Problem, start: np.ndarray, priors: Priors, noise: Noise, options: Options
+    problem: Problem, start: np.ndarray, priors: Priors, noise: Noise, options: Options, *, rough: bool = False
 ) -> tuple[Solution, tuple[Stage, ...]]:
     """Go through the stages; each begins where the one before ended."""
     released = released_of(problem, options)
@@ -391,7 +394,7 @@ def _fit(
         fitted = solve(problem, values, free, priors, noise, loss=options.loss, rough=True, label=name)
         values = fitted.values
         stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
-    for name in ("final", "with what only the deviations excite"):
+    for name in () if rough else ("final", "with what only the deviations excite"):
         missed = _is_missed(problem, fitted, released, priors)
         if missed or name == "final":
             free = released if missed else fitted.free
@@ -423,11 +426,11 @@ def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors:
     if is_exact(np.diag(G), priors.sizes[released]):
         # The least deviation counts, and is lost in the rounding of G.
         return bool(np.any(fitted.estimated > rounding(problem)))
-    wide = posterior(G, g, priors.sizes[released], fitted.values[released])
+    wide = posterior_step(G, g, priors.sizes[released], fitted.values[released])
     narrow = fitted.free[released]
-    near = posterior(G[np.ix_(narrow, narrow)], g[narrow], priors.sizes[fitted.free], fitted.values[fitted.free])
+    near = posterior_step(G[np.ix_(narrow, narrow)], g[narrow], priors.sizes[fitted.free], fitted.values[fitted.free])
     slope = g - fitted.values[released] / priors.sizes[released] ** 2
-    gain = slope @ wide.step - slope[narrow] @ near.step
+    gain = slope @ wide - slope[narrow] @ near
     return bool(gain > chdtri(int(held.sum()), _MISSED))
 
 
