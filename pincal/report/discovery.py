@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
 
-from pincal.discover.loop import Step, Trail, discover_effects, is_of_loads, place_of
+from pincal.discover.loop import Step, Trail, discover_effects, is_of_loads, least_gain, place_of, sampled
 from pincal.discover.power import deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
-from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.calibrate import Fit, Options, refit
+from pincal.identify.solve import outlier_limit
 from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import untestable
+from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import MomentFrame
-from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
+from pincal.model.effects import ELASTIC, GEOMETRIC, Effect, JointElasticity
 from pincal.report.result import result_of
 from pincal.report.run import Calibration, run_calibration
 from pincal.report.shrink import Gap, Trace, gap_of, gaps_of, period_of, traces_of
@@ -86,12 +87,25 @@ def run_discovery(
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
     frames = list(moment_frames) or [options.moment_frame]
-    calibration = partial(run_calibration, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
-    found = {frames[0]: _discover(calibration, robot, measurements, replace(options, moment_frame=frames[0]), extra)}
-    others = _other_frames(*found[frames[0]], frames)
+
+    def start(frame: MomentFrame) -> Calibration:
+        return run_calibration(
+            robot,
+            measurements,
+            replace(options, moment_frame=frame),
+            test_fraction=test_fraction,
+            split=split,
+            seed=seed,
+            holdout=holdout,
+        )
+
+    first = start(frames[0])
+    likeliest = frames[0] if robot.massless else _likeliest(first.fit, frames)
+    found = {likeliest: _discover(first if likeliest == frames[0] else start(likeliest), extra)}
+    others = _other_frames(found[likeliest][1], [frame for frame in frames if frame != likeliest])
     for k, frame in enumerate(others, 1):
         log.info("once more with --moment-frame %s", frame, extra={"done": k, "of": 1 + len(others)})
-        found[frame] = _discover(calibration, robot, measurements, replace(options, moment_frame=frame), extra)
+        found[frame] = _discover(start(frame), extra)
     costs = {frame: _cost(trail) + _FRAME_BETTER * (frame != frames[0]) for frame, (_, trail) in found.items()}
     frame = min(costs, key=lambda f: costs[f])
     first, trail = found[frame]
@@ -106,47 +120,63 @@ def run_discovery(
     return Discovery(final, trail, discovery_report(final, trail, traces), gaps, traces)
 
 
-def _discover(
-    calibration: Callable[..., Calibration],
-    robot: Robot,
-    measurements: Measurements,
-    options: Options,
-    extra: tuple[Effect, ...],
-) -> tuple[Calibration, Trail]:
-    first = calibration(robot, measurements, options)
+def _discover(first: Calibration, extra: tuple[Effect, ...]) -> tuple[Calibration, Trail]:
     blocks = row_groups(first.train, split="blocked", seed=0) % _CV_BLOCKS
-    return first, discover_effects(first.fit, blocks, extra=extra, elastic=not robot.massless)
+    return first, discover_effects(first.fit, blocks, extra=extra, elastic=not first.robot.massless)
 
 
-def _other_frames(first: Calibration, trail: Trail, frames: Sequence[MomentFrame]) -> list[MomentFrame]:
+def _likeliest(fit: Fit, frames: Sequence[MomentFrame]) -> MomentFrame:
+    """Return the convention in which elasticity explains most; the first unless another does so beyond chance."""
+    if len(frames) == 1:
+        return frames[0]
+    few, _ = sampled(fit)
+    effects = [*fit.options.effects, *(e for e in ELASTIC if e.uses_moments and e not in fit.options.effects)]
+    misfits = [_misfit(refit(few, effects, moment_frame=frame)) for frame in frames]
+    best = int(np.argmin(misfits))
+    return frames[best] if misfits[best] < misfits[0] - _FRAME_BETTER else frames[0]
+
+
+def _other_frames(trail: Trail, frames: Sequence[MomentFrame]) -> list[MomentFrame]:
     """Return the conventions worth a discovery of their own.
 
-    All of them if an effect of loads was named, which a wrong convention brings about; otherwise those that fit better
-    what was found.
+    They fit what was found better, or as well without the effects of loads and the nameless that were found, which a wrong
+    convention brings about. A convention that would take less off the squares than an effect must matters to nobody.
     """
-    fit = trail.final
-    if not any(effect.uses_moments for effect in fit.options.effects):
+    fit, rows = sampled(trail.final)
+    effects = fit.options.effects
+    if not any(effect.uses_moments for effect in effects):
         return []
-    if any(is_of_loads(step.effects[0]) for step in trail.steps):
-        return list(frames[1:])
-    others = {f: calibrate(first.robot, first.train, replace(fit.options, moment_frame=f)) for f in frames[1:]}
-    return [frame for frame, other in others.items() if _misfit(other) < _misfit(fit) - _FRAME_BETTER]
+    brought = {e for step in trail.steps for e in step.effects if is_of_loads(e) or isinstance(e, Unnamed)}
+    plain = [effect for effect in effects if effect not in brought]
+    rough = len(rows) < len(trail.final.problem)
+    cost = _fit_cost(refit(fit, effects, rough=rough))
+    enough = least_gain(fit.solution.degrees, declared=fit.noise.declared[0] is not None)
+
+    def is_better(frame: MomentFrame) -> bool:
+        if _fit_cost(refit(fit, effects, moment_frame=frame, rough=rough)) < cost - enough:
+            return True
+        return bool(brought) and _fit_cost(refit(fit, plain, moment_frame=frame, rough=rough)) < cost
+
+    return [frame for frame in frames if is_better(frame)]
 
 
 def _misfit(fit: Fit) -> float:
-    """Return -2 log likelihood, up to a constant."""
-    counted = int(np.sum(fit.solution.weights > 0.0))
-    sizes = [block.size for block in fit.problem.sensor.blocks]
-    return 2.0 * counted * float(np.dot(sizes, np.log(fit.solution.estimated)))
+    """Return -2 log likelihood, up to a constant; an outlier counts as a row at the edge of the noise."""
+    n, sizes = len(fit.problem), [block.size for block in fit.problem.sensor.blocks]
+    outliers = int(np.sum(fit.solution.weights == 0.0))
+    return 2.0 * n * float(np.dot(sizes, np.log(fit.solution.estimated))) + outliers * outlier_limit(n, sum(sizes))
 
 
 def _cost(trail: Trail) -> float:
     """Return the extended Bayesian information criterion of all that was found."""
-    fit = trail.final
-    readings = len(fit.problem) * sum(block.size for block in fit.problem.sensor.blocks)
     named = sum(not isinstance(step.effects[0], JointElasticity) for step in trail.steps)
-    spent = fit.solution.posterior.effective
-    return _misfit(fit) + spent * float(np.log(readings)) + 2.0 * named * float(np.log(max(len(trail.last.effects), 2)))
+    return _fit_cost(trail.final) + 2.0 * named * float(np.log(max(len(trail.last.effects), 2)))
+
+
+def _fit_cost(fit: Fit) -> float:
+    """Return the Bayesian information criterion of a fit."""
+    readings = len(fit.problem) * sum(block.size for block in fit.problem.sensor.blocks)
+    return _misfit(fit) + fit.solution.posterior.effective * float(np.log(readings))
 
 
 def discovery_report(calibration: Calibration, trail: Trail, traces: tuple[Trace, ...]) -> dict[str, Any]:
