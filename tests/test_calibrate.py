@@ -15,6 +15,7 @@ from pincal import (
     calibrate,
     measurements_from_arrays,
     read_measurements,
+    run_calibration,
 )
 from pincal.errors import MeasurementError
 from pincal.identify.agreement import check_agreement
@@ -346,3 +347,22 @@ def test_a_spline_that_no_pose_is_near_is_like_the_others(curved):
     assert fit.solution.converged and fit.stages[-1].iterations < 10
     assert np.abs(fit.values[places]).max() < 1e-3
     assert errors(fit, table).mean() < 1e-4
+
+
+# What the reader is told of held-out rows.
+
+
+def test_held_out_rows_that_are_far_off_are_told(kuka):
+    """Two wrong readings among the held-out ones are named with their lines, and what the others leave."""
+    table, held = paper_table(kuka, 80, 1, 5e-5), paper_table(kuka, 60, 2, 5e-5)
+    wrong = held.position.copy()
+    wrong[[7, 31]] += 0.004
+
+    sound, found = (
+        run_calibration(kuka, table, OPTIONS, holdout=rows).result for rows in (held, replace(held, position=wrong))
+    )
+
+    assert not any("held-out rows are off" in note for note in sound.warnings)
+    (note,) = [note for note in found.warnings if "held-out rows are off" in note]
+    assert note.startswith("2 of 60 held-out rows are off by up to 6.9")
+    assert note.endswith(f"look at lines {held.rows[7]}, {held.rows[31]}")

@@ -41,6 +41,11 @@ def print_result(result: Result, out: Console) -> None:
     out.print(parameter_table(shown))
     print_reasons(shown, out)
     _tell_hidden_points(len(result.parameters) - len(shown), out)
+    print_notes(result, out)
+
+
+def print_notes(result: Result, out: Console) -> None:
+    """Print what the user should know."""
     for note in result.warnings:
         out.print(hanging("note:", note), style="yellow")
 

@@ -15,11 +15,13 @@ from pincal.identify.problem import Problem
 from pincal.measure.measurements import Measurements
 from pincal.report.lack_of_fit import MISFIT, lack_of_fit, lack_words
 from pincal.report.replicates import Visits, iso9283, same_poses
-from pincal.report.validation import error_table
+from pincal.report.validation import error_table, pose_errors
 
 # Correlations below this are not worth a reader's time.
 _CORRELATED = 0.9
 # Chance below which residuals count as larger than the declared noise allows.
+# A held-out row is far off if its error is larger than the median by this factor.
+_FAR = 10.0
 _MISFIT = 1e-3
 _MOST_CORRELATIONS = 20
 # Coordinates of named points that stand in a table for people.
@@ -130,7 +132,12 @@ def result_of(
         correlations=_correlations(fit, parameters),
         stages=tuple(asdict(stage) for stage in fit.stages),
         error=error,
-        warnings=(*notes, *_warnings(fit, p_value, outliers, test), *_of_visits(lack, p_value)),
+        warnings=(
+            *notes,
+            *_warnings(fit, p_value, outliers, test),
+            *_far_off(fit, test, tables[1]),
+            *_of_visits(lack, p_value),
+        ),
         iso9283=iso9283(visits, {"nominal": fit.nominal.values, "calibrated": fit.values}),
         lack_of_fit=lack,
     )
@@ -233,6 +240,22 @@ def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[dict[str, A
     ]
     pairs.sort(key=lambda pair: -abs(pair[0]))
     return tuple({"parameters": [a, b], "correlation": r} for r, a, b in pairs[:_MOST_CORRELATIONS])
+
+
+def _far_off(fit: Fit, test: Problem | None, table: Measurements) -> list[str]:
+    """Return a note on held-out rows far off all others: a few of them make much of a mean."""
+    if test is None or not len(test):
+        return []
+    errors = next(iter(pose_errors(test, fit.values).values()))
+    far = errors > _FAR * np.median(errors)
+    if not far.any():
+        return []
+    lines = ", ".join(str(line) for line in table.rows[far][:8]) + (" ..." if far.sum() > 8 else "")
+    return [
+        f"{far.sum()} of {len(errors)} held-out rows are off by up to {errors.max():.3g} mm, the others "
+        f"{errors[~far].mean():.4f} mm in the mean: wrong readings, or poses that the model knows nothing of; "
+        f"look at lines {lines}"
+    ]
 
 
 def _warnings(fit: Fit, p_value: float | None, outliers: tuple[int, ...], test: Problem | None) -> list[str]:
