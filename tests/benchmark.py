@@ -26,18 +26,22 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from discovery_cases import draw_case
 
 import pincal
-from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Model, Options, Robot
+from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Model, Options, Robot, read_measurements
 from pincal.builtin import kuka_urdf_path
 from pincal.compensate.reach import reach
 from pincal.compensate.task import Task
+from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import BearingElasticity, JointElasticity
+from pincal.report.discovery import run_discovery
 from pincal.simulate import paper_positions
 from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
 ROOT = Path(__file__).resolve().parents[1]
-GRID = ROOT.parent / "shared" / "data" / "ur5_tracker" / "grid.csv"
+DATA = ROOT.parent / "shared" / "data"
+GRID = DATA / "ur5_tracker" / "grid.csv"
 ROBOT = Robot.from_urdf(kuka_urdf_path())
 TOOL = (0.05, 0.03, 0.12)  # [m]
 NOISE = 5e-5  # [m]
@@ -179,6 +183,28 @@ def _programs(robot: Robot, model: Model, rng: np.random.Generator) -> Iterator[
     yield ("anywhere", None), q[:POSES]
 
 
+def time_discovery() -> Iterator[Line]:
+    """Time discoveries of two hidden effects with everything recorded, and on the real UR10, with the gap that is left."""
+    case = draw_case("backlash+thermal_offset", 0, n=500)
+    find = partial(run_discovery, case.robot, case.rows, moment_frames=MOMENT_FRAMES)
+    find(case.options)
+    yield line(
+        "discover, N = 500, 3D, whole catalogue, best of 3", seconds(partial(find, case.options), 3).min(), 5.0, "{:.1f} s"
+    )
+    for name, limit, gap in (("A", 60.0, None), ("B", None, 0.1)):
+        path = DATA / "ur10_tmac" / f"series_{name}.csv"
+        if not path.is_file():
+            continue
+        robot = Robot.from_urdf("ur10")
+        table = read_measurements(path, robot.joint_names)
+        begun = time.perf_counter()
+        found = run_discovery(robot, table, Options(effects=GEOMETRIC), moment_frames=MOMENT_FRAMES)
+        yield line(f"discover ur10 series {name}, {len(table)} poses, 6D", time.perf_counter() - begun, limit, "{:.0f} s")
+        held = found.report["gap"]
+        was, left = held["before"]["mean_mm"], held["after"]["mean_mm"]
+        yield line(f"    regions held out, mean, {was:.3f} mm with the geometry alone", left, gap, "{:.4f} mm")
+
+
 def time_million() -> Iterator[Line]:
     """Time a million rows, and how much memory the fit takes beyond the table."""
     table = table_of(1_000_000, with_elasticity=False)
@@ -234,6 +260,7 @@ def main() -> None:
         time_calibration,
         time_design,
         time_compensation,
+        time_discovery,
         *([time_million] if chosen.million else []),
         time_processes,
     ]
