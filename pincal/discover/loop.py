@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.discover.criticism import Criticism, Score, criticise
+from pincal.discover.criticism import Criticism, Score
 from pincal.discover.generic import generic_candidates
-from pincal.discover.nuisance import MassError, compliances_of
+from pincal.discover.nuisance import compliances_of, criticise_beside_masses
+from pincal.discover.resolution import curves_over, refined, resolved
 from pincal.identify.calibrate import Fit, refit, without
 from pincal.model.catalogue import (
     AxisWobble,
@@ -59,7 +60,6 @@ _SURE = 12.0
 _MOST_STEPS = 14
 _MOST_RIVALS = 6
 _FIRST_SIZES = (8, 12, 18, 26, 44, 80)
-_CURVE_SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180)
 # An effect that takes less off the squares than this share, and less than this many, matters to nobody.
 _SHARE, _GAIN = 0.01, 100.0
 # Readings from which effects are chosen and fitted; in the end all fit them, and resolve their curves. What takes 100 off
@@ -134,7 +134,7 @@ def discover_effects(
     fit, steps = _backward(fit, steps, groups, alpha)
     fit, steps = _finished(fit, steps, first, all_groups)
     steps = _with_whole_curves(fit, _merged(fit, steps))
-    last = _criticise(sampled(fit)[0], groups, _candidates(fit, extra, elastic))
+    last = criticise_beside_masses(sampled(fit)[0], groups, _candidates(fit, extra, elastic))
     return Trail(first, tuple(steps), fit, last)
 
 
@@ -150,11 +150,6 @@ def place_of(effect: Effect) -> tuple[str | None, str | None]:
     """Return the joint on which an effect acts, and its source joint; None for the whole arm."""
     fields = vars(effect)
     return fields.get("joint"), fields.get("source")
-
-
-def _criticise(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> Criticism:
-    masses = MassError.of(fit.model, fit.values)
-    return criticise(fit, effects, [masses] if masses else [], groups)
 
 
 def sampled(fit: Fit) -> tuple[Fit, np.ndarray]:
@@ -194,7 +189,7 @@ def _catalogue(fit: Fit) -> Iterator[Effect]:
 def _variants(fit: Fit, effect: Effect) -> Iterator[Effect]:
     """Return an effect as it is or, of what data show in different detail, from a few parameters to many."""
     if isinstance(effect, TransmissionError):
-        yield from _curves(fit, effect.joint, _FIRST_SIZES)
+        yield from curves_over(fit, effect.joint, _FIRST_SIZES)
     elif isinstance(effect, BaseDrift):
         yield from (replace(effect, turns=False), effect)
     elif isinstance(effect, LoadBacklash):
@@ -209,13 +204,6 @@ def _variants(fit: Fit, effect: Effect) -> Iterator[Effect]:
         yield from (PayloadError(compliances=k, shifted=shifted) for shifted in (False, True)) if any(k) else ()
     else:
         yield effect
-
-
-def _curves(fit: Fit, joint: str, sizes: Sequence[int]) -> list[TransmissionError]:
-    """Return drive curves of one joint, as fine as the number of poses allows."""
-    conditions = fit.problem.conditions
-    q = conditions.q[:, fit.model.chain.robot.joint_names.index(joint)]
-    return [TransmissionError.over(joint, q, size) for size in sizes if size <= len(conditions) // 6]
 
 
 def _same(effect: Effect, present: Sequence[Effect]) -> bool:
@@ -246,7 +234,7 @@ def _generics(fit: Fit, near: str | None) -> list[Effect]:
 def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> Step | None:
     if elastic and not any(isinstance(e, JointElasticity) for e in fit.model.effects):
         block = _elasticity(fit)
-        found = _criticise(fit, groups, block)
+        found = criticise_beside_masses(fit, groups, block)
         score = found.score((0, 1), 1)
         if score.p_value < _ELASTIC:
             return _accept(fit, block, _Choice(block[0], score, (), found, (0, 1)))
@@ -254,7 +242,7 @@ def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: flo
     if choice is None:
         return None
     effect = choice.effect
-    return _accept(fit, [_resolved(fit, effect, groups) if isinstance(effect, TransmissionError) else effect], choice)
+    return _accept(fit, [resolved(fit, effect, groups) if isinstance(effect, TransmissionError) else effect], choice)
 
 
 def _elasticity(fit: Fit) -> list[Effect]:
@@ -301,7 +289,7 @@ class _Contest:
     @classmethod
     def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _Contest:
         """Test candidates, named and nameless ones; each kind shares the chance of a false name."""
-        found = _criticise(fit, groups, effects)
+        found = criticise_beside_masses(fit, groups, effects)
         nameless = np.array([isinstance(e, Unnamed) for e in effects], bool)
         n = {kind: len({_key(e) for e, no in zip(effects, nameless, strict=True) if no == kind}) for kind in (False, True)}
         scores = [found.score([i], n[bool(no)]) for i, no in enumerate(nameless)]
@@ -357,7 +345,7 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
     both.costs[: len(close)] = names.costs[close]
     nameless = next((i for i in both.passed() if i >= len(close)), None)
     better = nameless is not None and (best is None or both.costs[nameless] < both.costs[0])
-    if nameless is not None and better and _predicts(_criticise(fit, groups, [together[nameless]]), 0):
+    if nameless is not None and better and _predicts(criticise_beside_masses(fit, groups, [together[nameless]]), 0):
         whole = _also_curve(together[nameless], names)
         return _chosen(both, nameless, whole if best is None else (*whole, *_also_curve(together[0], names, best)))
     if best is None:
@@ -368,36 +356,15 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
     return _chosen(names, best, (*others, *_also_curve(names.found.effects[best], names, best)))
 
 
-def _resolved(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> TransmissionError:
-    """Return the curve of this joint in the resolution that predicts blocks of poses left out best."""
-    curves = _curves(fit, curve.joint, _CURVE_SIZES)
-    return curves[int(np.argmax(_gains(fit, curves, groups).sum(axis=1)))]
-
-
-def _finer(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> TransmissionError:
-    """Return a finer curve of this joint if it predicts blocks of poses left out better by more than chance, else this."""
-    curves = [curve, *_curves(fit, curve.joint, [size for size in _CURVE_SIZES if size > curve.size])]
-    more = _gains(fit, curves, groups)
-    more -= more[0].copy()
-    best = int(np.argmax(more.sum(axis=1)))
-    return curves[best if more[best].sum() > more[best].std() * np.sqrt(more.shape[1]) else 0]
-
-
-def _gains(fit: Fit, curves: Sequence[TransmissionError], groups: np.ndarray) -> np.ndarray:
-    """Return by how much each curve lowers the squared error on each block left out, shape (curves, blocks)."""
-    found = _criticise(fit, groups, curves)
-    return np.array([found.gains_by_block([i]) for i in range(len(curves))])
-
-
 def _finished(fit: Fit, steps: list[Step], first: Fit, groups: np.ndarray) -> tuple[Fit, list[Step]]:
     """Fit all rows of the first fit, and every curve as fine as they and all the others let it be."""
     thinned = len(fit.problem) < len(first.problem)
     if thinned:
         solution = replace(fit.solution, weights=first.solution.weights)
         whole = replace(fit, problem=first.problem.with_model(fit.model), solution=solution)
-        wider = {curve: _curves(whole, curve.joint, [curve.size])[0] for curve in _curves_of(fit)}
+        wider = {curve: curves_over(whole, curve.joint, [curve.size])[0] for curve in _curves_of(fit)}
         fit, steps = refit(whole, _exchanged(fit.options.effects, wider), rough=True), _with_curves(steps, wider)
-    chosen = {curve: _finer(without(fit, curve), curve, groups) for curve in _curves_of(fit)}
+    chosen = {curve: refined(without(fit, curve), curve, groups) for curve in _curves_of(fit)}
     finer = {curve: other for curve, other in chosen.items() if other != curve}
     if finer:
         log.info("resolved again: %s", ", ".join(f"{c.joint} {c.size} to {other.size}" for c, other in finer.items()))
@@ -516,7 +483,7 @@ def _revised(
         else:
             log.info("%s is %s beside what was found later", _words([effect]), _words([choice.effect]))
             other = choice.effect
-            other = _resolved(rest, other, groups) if isinstance(other, TransmissionError) else other
+            other = resolved(rest, other, groups) if isinstance(other, TransmissionError) else other
             new = replace(_accept(rest, [other], choice), before=step.before)
             fit = new.after
         steps = [new if s is step else s for s in steps]
@@ -550,7 +517,7 @@ def _with_whole_curves(fit: Fit, steps: list[Step]) -> list[Step]:
     for step in steps:
         effect = step.effects[0]
         if _is_own_curve(effect) and simple.count(place_of(effect)) > 1:
-            curves = _curves(fit, str(place_of(effect)[0]), _FIRST_SIZES[:1])
+            curves = curves_over(fit, str(place_of(effect)[0]), _FIRST_SIZES[:1])
             step = replace(step, equivalent=_each_name_once([*curves, *step.equivalent], effect))
         out.append(step)
     return out
@@ -574,7 +541,7 @@ def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> 
         smaller = fit
         for effect in step.effects:
             smaller = without(smaller, effect)
-        tested = _criticise(smaller, groups, list(step.effects))
+        tested = criticise_beside_masses(smaller, groups, list(step.effects))
         limit = _ELASTIC if isinstance(step.effects[0], JointElasticity) else alpha / 10.0
         if tested.score(range(len(step.effects)), 1).p_value > limit:
             log.info("dropped %s: what was found later explains it", _words(step.effects))

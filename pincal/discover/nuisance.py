@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from pincal.discover.criticism import Criticism, criticise
+from pincal.identify.calibrate import Fit
 from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.effects import Compliance, Conditions, Effect, Parameter, Term
@@ -97,3 +99,9 @@ def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
             joint, symbol = parameter.name.rsplit(".", 1)
             k[3 * joints.index(joint) + "xyz".index(symbol[-1])] = values[model.index(parameter.name)]
     return k
+
+
+def criticise_beside_masses(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> Criticism:
+    """Test effects against a fit with masses and first moments projected out; see :func:`criticise`."""
+    masses = MassError.of(fit.model, fit.values)
+    return criticise(fit, effects, [masses] if masses else [], groups)
