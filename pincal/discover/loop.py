@@ -357,14 +357,14 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
 
 
 def _finished(fit: Fit, steps: list[Step], first: Fit, groups: np.ndarray) -> tuple[Fit, list[Step]]:
-    """Fit all rows of the first fit, and every curve as fine as they and all the others let it be."""
+    """Fit all rows of the first fit, and every curve that was found as fine as they and all the others let it be."""
     thinned = len(fit.problem) < len(first.problem)
     if thinned:
         solution = replace(fit.solution, weights=first.solution.weights)
         whole = replace(fit, problem=first.problem.with_model(fit.model), solution=solution)
-        wider = {curve: curves_over(whole, curve.joint, [curve.size])[0] for curve in _curves_of(fit)}
+        wider = {curve: curves_over(whole, curve.joint, [curve.size])[0] for curve in _curves_of(steps)}
         fit, steps = refit(whole, _exchanged(fit.options.effects, wider), rough=True), _with_curves(steps, wider)
-    chosen = {curve: refined(without(fit, curve), curve, groups) for curve in _curves_of(fit)}
+    chosen = {curve: refined(without(fit, curve), curve, groups) for curve in _curves_of(steps)}
     finer = {curve: other for curve, other in chosen.items() if other != curve}
     if finer:
         log.info("resolved again: %s", ", ".join(f"{c.joint} {c.size} to {other.size}" for c, other in finer.items()))
@@ -377,8 +377,9 @@ def _finished(fit: Fit, steps: list[Step], first: Fit, groups: np.ndarray) -> tu
     return refit(bare, _exchanged(fit.options.effects, finer)), _with_curves(steps, finer)
 
 
-def _curves_of(fit: Fit) -> list[TransmissionError]:
-    return [e for e in fit.options.effects if isinstance(e, TransmissionError)]
+def _curves_of(steps: Sequence[Step]) -> list[TransmissionError]:
+    """Return the curves that were found; those that the user gave stay as they are."""
+    return [e for step in steps for e in step.effects if isinstance(e, TransmissionError)]
 
 
 def _exchanged(effects: Sequence[Effect], by: dict[TransmissionError, TransmissionError]) -> tuple[Effect, ...]:
