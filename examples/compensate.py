@@ -29,7 +29,7 @@ from pincal import (
     run_calibration,
 )
 from pincal.builtin import kuka_urdf_path
-from pincal.report.discovery import run_discovery
+from pincal.discover.run import run_discovery
 from pincal.simulate import TrueMachine, measure, plan_poses
 from pincal.simulate.campaign import draw_conditions, spread_payloads
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect

@@ -15,7 +15,7 @@ import argparse
 
 import numpy as np
 
-from pincal import Design, Limits, Options, Rig, Robot, calibrate, design_poses, measurements_from_arrays
+from pincal import Design, Limits, Options, Robot, SensorSetup, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.design.reach import Reach
 from pincal.simulate import TrueMachine, measure
@@ -30,8 +30,8 @@ HELD_OUT = 300
 ROBOT = Robot.from_urdf(kuka_urdf_path())
 OPTIONS = Options(sigma=NOISE, payload_centre=LOAD_COM)
 CAMPAIGNS = {
-    "in a cell, the tracker in front": Reach(ROBOT, Rig(tool=TARGET, instrument=TRACKER), Limits(box=BOX)),
-    "in an open hall": Reach(ROBOT, Rig(tool=TARGET)),
+    "in a cell, the tracker in front": Reach(ROBOT, SensorSetup(tool=TARGET, instrument=TRACKER), Limits(box=BOX)),
+    "in an open hall": Reach(ROBOT, SensorSetup(tool=TARGET)),
 }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal import GEOMETRIC, Measurements, Options, Robot, measurements_from_arrays, run_calibration
 from pincal.builtin import kuka_urdf_path
-from pincal.report.discovery import run_discovery
+from pincal.discover.run import run_discovery
 from pincal.simulate import HIDDEN_EFFECTS, HiddenEffect, TrueMachine, plan_poses
 from pincal.simulate.campaign import Campaign, draw_conditions, spread_payloads
 from pincal.simulate.sensors import SetupOptions, draw_setup

@@ -15,7 +15,7 @@ import numpy as np
 
 from pincal import GEOMETRIC, Chain, Conditions, Effect, Options, Parameter, Robot, Term, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
-from pincal.report.discovery import run_discovery
+from pincal.discover.run import run_discovery
 from pincal.simulate import Arm, Poses, TrueMachine, measure, plan_poses
 from pincal.simulate.effect import DeformingEffect
 from pincal.simulate.state import Deformation, Loads

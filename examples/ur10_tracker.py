@@ -30,8 +30,8 @@ from pincal import (
     read_measurements,
     run_calibration,
 )
+from pincal.discover.run import Discovery, run_discovery
 from pincal.model.catalogue import TransmissionError
-from pincal.report.discovery import Discovery, run_discovery
 
 FOLDS = 5
 MISSING = """{path}: no such file.

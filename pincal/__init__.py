@@ -10,54 +10,61 @@ Example:
 from __future__ import annotations
 
 import importlib
+import warnings
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pincal.calibration.calibrated import CalibratedModel, calibrated_model_of, load_model, save_model
+    from pincal.calibration.run import Calibration, run_calibration
     from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
     from pincal.compensate.frames import false_targets
     from pincal.design.design import Design, design_poses
-    from pincal.design.reach import Limits, Rig
+    from pincal.design.reach import Limits, SensorSetup
+    from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
     from pincal.identify.calibrate import Fit, Options, calibrate
     from pincal.identify.explain import explain
     from pincal.identify.repeat import bootstrap, cross_validate, monte_carlo
+    from pincal.io.urdf_export import calibrated_urdf
     from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements_from_arrays
-    from pincal.measure.setup import Gap, Setup
+    from pincal.measure.setup import KnownDistance, Setup
     from pincal.measure.table import read_measurements
     from pincal.model.augmented import augmented_model, calibrated_model
     from pincal.model.chain import Chain
-    from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Parameter, Term
+    from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
     from pincal.model.model import Model
-    from pincal.report.model_file import CalibratedModel, calibrated_model_of, load_model, save_model
-    from pincal.report.run import Calibration, run_calibration
-    from pincal.report.urdf_export import calibrated_urdf
+    from pincal.parameters import Parameter
     from pincal.robot.robot import Robot
 
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
-_PLACES = {
+_HOMES = {
+    "pincal.calibration.calibrated": ("CalibratedModel", "calibrated_model_of", "load_model", "save_model"),
+    "pincal.calibration.run": ("Calibration", "run_calibration"),
     "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
     "pincal.compensate.frames": ("false_targets",),
     "pincal.design.design": ("Design", "design_poses"),
-    "pincal.design.reach": ("Limits", "Rig"),
+    "pincal.design.reach": ("Limits", "SensorSetup"),
+    "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
     "pincal.identify.calibrate": ("Fit", "Options", "calibrate"),
     "pincal.identify.explain": ("explain",),
     "pincal.identify.repeat": ("bootstrap", "cross_validate", "monte_carlo"),
-    "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
+    "pincal.io.urdf_export": ("calibrated_urdf",),
     "pincal.measure.lens": ("Lens",),
-    "pincal.measure.setup": ("Gap", "Setup"),
+    "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
+    "pincal.measure.setup": ("KnownDistance", "Setup"),
     "pincal.measure.table": ("read_measurements",),
     "pincal.model.augmented": ("augmented_model", "calibrated_model"),
     "pincal.model.chain": ("Chain",),
-    "pincal.model.effects": ("ELASTIC", "GEOMETRIC", "Conditions", "Effect", "Parameter", "Term"),
+    "pincal.model.effects": ("ELASTIC", "GEOMETRIC", "Conditions", "Effect", "Term"),
     "pincal.model.model": ("Model",),
-    "pincal.report.model_file": ("CalibratedModel", "calibrated_model_of", "load_model", "save_model"),
-    "pincal.report.run": ("Calibration", "run_calibration"),
-    "pincal.report.urdf_export": ("calibrated_urdf",),
+    "pincal.parameters": ("Parameter",),
     "pincal.robot.robot": ("Robot",),
 }
-_PLACE = {name: module for module, names in _PLACES.items() for name in names}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+# Names of 0.1.0, for one release.
+_RENAMED = {"Gap": "KnownDistance", "Rig": "SensorSetup"}
 
 __all__ = [
     "ELASTIC",
@@ -69,10 +76,11 @@ __all__ = [
     "Compensation",
     "Conditions",
     "Design",
+    "Discovery",
     "Effect",
     "Fit",
-    "Gap",
     "IdentificationError",
+    "KnownDistance",
     "Lens",
     "Limits",
     "Measurements",
@@ -81,8 +89,8 @@ __all__ = [
     "Parameter",
     "PincalError",
     "PincalWarning",
-    "Rig",
     "Robot",
+    "SensorSetup",
     "Setup",
     "Term",
     "augmented_model",
@@ -102,11 +110,19 @@ __all__ = [
     "monte_carlo",
     "read_measurements",
     "run_calibration",
+    "run_discovery",
     "save_model",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PLACE:
+    if name in _RENAMED:
+        warnings.warn(f"pincal.{name} is now pincal.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+        name = _RENAMED[name]
+    if name not in _HOME:
         raise AttributeError(f"module 'pincal' has no attribute {name!r}")
-    return getattr(importlib.import_module(_PLACE[name]), name)
+    return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -33,9 +33,9 @@ from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Mod
 from pincal.builtin import kuka_urdf_path
 from pincal.compensate.reach import reach
 from pincal.compensate.task import Task
+from pincal.discover.run import run_discovery
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import BearingElasticity, JointElasticity
-from pincal.report.discovery import run_discovery
 from pincal.simulate import paper_positions
 from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
@@ -129,7 +129,7 @@ def time_calibration() -> Iterator[Line]:
         found = pincal.calibrate(ROBOT, table, options)
         taken = 1e3 * seconds(partial(pincal.calibrate, ROBOT, table, options), CALLS)
         _check(found)
-        what = f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.rank}, {found.iterations} iterations"
+        what = f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.visible_rank}, {found.iterations} iterations"
         yield line(f"{what}: best", float(taken.min()), None if target is None else 1e3 * target, "{:.1f} ms")
         yield line(f"{'':4s}median of {CALLS}", float(np.median(taken)), None, "{:.1f} ms")
 

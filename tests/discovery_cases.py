@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.loop import Trail, discover_effects, place_of
+from pincal.discover.loop import History, discover_effects, place_of
 from pincal.discover.nuisance import MassError, compliances_of
 from pincal.identify.calibrate import Fit, refit
 from pincal.identify.split import hold_out, row_groups
@@ -427,14 +427,14 @@ def _noise(noise: str, shape: tuple[int, ...], rng: np.random.Generator) -> np.n
     return drawn
 
 
-def discover(case: Case) -> Trail:
+def discover(case: Case) -> History:
     """Discover as the command does: every fifth row held out by regions, the geometric model to start from."""
     training, _ = hold_out(case.rows, 0.2, split="blocked", seed=0)
     groups = row_groups(training, split="blocked", seed=0) % 8
     return discover_effects(calibrate(case.robot, training, case.options), groups)
 
 
-def gap_over_oracle(case: Case, trail: Trail) -> float:
+def gap_over_oracle(case: Case, trail: History) -> float:
     """Return the error on held-out rows without noise, over that of a fit that is told what is hidden."""
     training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
     clean = case.clean[held.rows - case.rows.rows[0]]
@@ -555,7 +555,7 @@ def name_of(effect: Any) -> Name:
     return effect.name, joint, source
 
 
-def judge(case: Case, trail: Trail | None = None) -> Verdict:
+def judge(case: Case, trail: History | None = None) -> Verdict:
     """Return what a discovery made of a case; of a new one unless its trail is given."""
     trail = discover(case) if trail is None else trail
     named, details, elastic = [], [], False

@@ -18,7 +18,6 @@ from pincal import (
     run_calibration,
 )
 from pincal.errors import MeasurementError
-from pincal.identify.agreement import check_agreement
 from pincal.identify.calibrate import refit
 from pincal.identify.explain import explain
 from pincal.identify.normal import accumulate
@@ -27,6 +26,7 @@ from pincal.model.catalogue import TransmissionError
 from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.simulate import paper_positions
 from pincal.simulate.paper_machine import PAYLOAD_COM
+from pincal.validate.agreement import check_agreement
 
 TOOL = (0.05, 0.03, 0.12)
 OPTIONS = Options(payload_centre=PAYLOAD_COM)
@@ -203,7 +203,7 @@ def test_reasons_name_the_counterpart(kuka, noisy):
 
 def test_no_uncertainty_is_zero_or_nan(kuka, noisy):
     """Whatever the data say of it, a parameter keeps an honest standard deviation."""
-    from pincal.report.result import parameter_rows
+    from pincal.calibration.result import parameter_rows
 
     for row in parameter_rows(noisy[1]):
         assert row.sigma is not None

@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
+from pincal.io.json_section import Section
+from pincal.io.model_json import known_effects, model_from_json, model_to_json
 from pincal.model import catalogue
 from pincal.model.catalogue import (
     AxisWobble,
@@ -36,11 +38,10 @@ from pincal.model.catalogue import (
     untestable,
 )
 from pincal.model.catalogue.unnamed import Unnamed
-from pincal.model.chain import FRAME_SYMBOLS, Chain, MomentFrame
+from pincal.model.chain import Chain, MomentFrame
 from pincal.model.effects import ELASTIC, BaseFrame, Conditions, Effect, JointElasticity, JointOffset, ToolFrame
 from pincal.model.model import Model
-from pincal.report.json_section import Section
-from pincal.report.model_json import known_effects, model_from_json, model_to_json
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot, find_file
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")

@@ -232,7 +232,7 @@ def test_a_failed_run_leaves_earlier_results_untouched(tmp_path, table, columns)
 
 def test_interruption_leaves_nothing_half_done(tmp_path, table, monkeypatch, capsys):
     """Ctrl-C in the middle ends with 130, a word, and no output folder."""
-    import pincal.report.run as module
+    import pincal.calibration.run as module
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt

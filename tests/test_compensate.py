@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 import pincal
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibrated import CalibratedModel, Covered, save_model
 from pincal.cli import main
 from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
 from pincal.compensate.frames import base_in_instrument, compose, false_targets, inverse, program_poses
@@ -40,7 +41,6 @@ from pincal.model.effects import (
     ToolFrame,
 )
 from pincal.model.model import Model
-from pincal.report.model_file import CalibratedModel, Covered, save_model
 from pincal.robot.robot import Robot
 from pincal.simulate import paper_machine
 from pincal.simulate.planning import reach as nominal_joints

@@ -11,12 +11,12 @@ from test_cli import run
 from test_examples import numbers
 from test_examples import run as run_example
 
-from pincal import GEOMETRIC, Limits, Options, Rig, Robot, calibrate, design_poses, measurements_from_arrays
+from pincal import GEOMETRIC, Limits, Options, Robot, SensorSetup, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.design.bodies import Bodies, Boxes, Kinematics
 from pincal.design.bound import lower_bound
+from pincal.design.design_model import DesignModel
 from pincal.design.exchange import State, choose_greedily, covariance, exchange, gains, information, value
-from pincal.design.foresight import Foresight
 from pincal.design.observability import SOURCES, Observed
 from pincal.design.reach import Reach
 from pincal.design.rivals import find_rival, noncentrality
@@ -31,7 +31,7 @@ from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 KUKA = str(kuka_urdf_path())
 TARGET = (0.08, 0.06, 0.15)
 # What a tracker in front of the KUKA sees of its cell.
-CELL = {"rig": Rig(tool=TARGET, instrument=(4.5, -1.0, 1.2)), "limits": Limits(box=(0.8, -1.2, 0.2, 2.4, 1.2, 2.0))}
+CELL = {"rig": SensorSetup(tool=TARGET, instrument=(4.5, -1.0, 1.2)), "limits": Limits(box=(0.8, -1.2, 0.2, 2.4, 1.2, 2.0))}
 SMALL = {"candidates": 150, "refine": False, "curve": False}
 
 
@@ -181,7 +181,7 @@ def test_boxes_hold_the_bodies(ur10, rng):
 
 def test_designed_poses_keep_to_all_constraints(ur10):
     """After refining, too: joint limits, floor, box, sight, cone and self-collision, each checked by itself."""
-    rig = Rig(tool=(0.05, 0.0, 0.1), instrument=(2.5, 0.5, 0.8), normal=(1.0, 0.0, 0.0), cone=np.radians(60.0))
+    rig = SensorSetup(tool=(0.05, 0.0, 0.1), instrument=(2.5, 0.5, 0.8), normal=(1.0, 0.0, 0.0), cone=np.radians(60.0))
     limits = Limits(span=0.5, floor=0.1, box=(-0.9, -0.9, 0.2, 0.9, 0.9, 1.2))
     found = design_poses(ur10, 6, Options(effects=GEOMETRIC), rig=rig, limits=limits, candidates=30, curve=False)
     q, bodies = found.q, Bodies.of(ur10, clearance=limits.clearance)
@@ -241,9 +241,13 @@ def test_an_arm_without_collision_geometry_says_so():
 @pytest.mark.parametrize(
     ("limits", "rig", "words"),
     [
-        (Limits(floor=9.0), Rig(), "floor at 9 m [1-9]"),
-        (Limits(box=(5.0, 5.0, 5.0, 6.0, 6.0, 6.0)), Rig(), "box [1-9]"),
-        (Limits(), Rig(instrument=(3, 0, 1), normal=(0, 0, 1), cone=1e-6), "facing the instrument within .* deg [1-9]"),
+        (Limits(floor=9.0), SensorSetup(), "floor at 9 m [1-9]"),
+        (Limits(box=(5.0, 5.0, 5.0, 6.0, 6.0, 6.0)), SensorSetup(), "box [1-9]"),
+        (
+            Limits(),
+            SensorSetup(instrument=(3, 0, 1), normal=(0, 0, 1), cone=1e-6),
+            "facing the instrument within .* deg [1-9]",
+        ),
     ],
 )
 def test_constraints_that_leave_nothing_are_named(limits, rig, words):
@@ -263,8 +267,8 @@ def test_constraints_that_leave_nothing_are_named(limits, rig, words):
         ({"accuracy": 1e-4, "criterion": "determinant"}, "goes with the criterion task alone"),
         ({"criterion": "guess"}, "expected task or determinant"),
         ({"payloads": [-1.0]}, "payloads -1"),
-        ({"rig": Rig(sensor="distance")}, "place of the instrument"),
-        ({"rig": Rig(sensor="scale")}, "expected one of position, pose, distance"),
+        ({"rig": SensorSetup(sensor="distance")}, "place of the instrument"),
+        ({"rig": SensorSetup(sensor="scale")}, "expected one of position, pose, distance"),
         ({"options": Options(effects=GEOMETRIC, sigma=1e-9)}, "noise 1e-09"),
         ({"tell_apart": ("gear_rato:joint_1", "backlash:joint_1")}, "expected one of gear_ratio, "),
         ({"tell_apart": ("gear_ratio:joint_9", "backlash:joint_1")}, "not on 'joint_9'; expected one of .*joint_1"),
@@ -295,10 +299,10 @@ def test_elasticity_of_an_arm_without_masses_is_refused():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Rig(normal=(1, 0, 0)), "place of the instrument"),
-        (lambda: Rig(instrument=(1, 0, 0), normal=(0, 0, 0)), "expected a direction"),
-        (lambda: Rig(cone=4.0), "cone"),
-        (lambda: Rig(tool=(np.nan, 0, 0)), "tool nan 0 0"),
+        (lambda: SensorSetup(normal=(1, 0, 0)), "place of the instrument"),
+        (lambda: SensorSetup(instrument=(1, 0, 0), normal=(0, 0, 0)), "expected a direction"),
+        (lambda: SensorSetup(cone=4.0), "cone"),
+        (lambda: SensorSetup(tool=(np.nan, 0, 0)), "tool nan 0 0"),
         (lambda: Limits(span=0.0), "span 0"),
         (lambda: Limits(clearance=-1.0), "clearance -1"),
         (lambda: Limits(floor=np.nan), "floor at nan"),
@@ -318,8 +322,8 @@ def test_constraints_that_can_not_be_are_refused(make, words):
 def test_foresight_is_the_derivative_of_the_readings(kuka, rng, sensor):
     """Central differences of the readings, in units of noise and priors, whatever the sensor is."""
     conditions = Conditions.at(kuka.random_configurations(5, rng), payload=50.0)
-    rig = Rig(sensor=sensor, tool=TARGET, instrument=(3.0, 1.0, 0.5))
-    foresight = Foresight.of(kuka, conditions, Options(sigma=2e-5, sigma_orientation=3e-4), rig)
+    rig = SensorSetup(sensor=sensor, tool=TARGET, instrument=(3.0, 1.0, 0.5))
+    foresight = DesignModel.of(kuka, conditions, Options(sigma=2e-5, sigma_orientation=3e-4), rig)
     A = foresight.readings(conditions)
     noise = {"position": [2e-5] * 3, "pose": [2e-5] * 3 + [3e-4] * 3, "distance": [2e-5]}[sensor]
     for k in rng.choice(foresight.n_free, 12, replace=False):
@@ -350,7 +354,9 @@ def test_a_fit_knows_its_predictions_as_well_as_was_foreseen(kuka, options):
     """The covariance of a calibration at designed poses gives the predicted error over the task."""
     q = kuka.random_configurations(60, np.random.default_rng(0))
     task = measurements_from_arrays(kuka.joint_names, q)
-    found = design_poses(kuka, 40, options, rig=Rig(tool=TARGET), task=task, candidates=200, curve=False, refine=False)
+    found = design_poses(
+        kuka, 40, options, rig=SensorSetup(tool=TARGET), task=task, candidates=200, curve=False, refine=False
+    )
     conditions = found.conditions
     table = measurements_from_arrays(
         kuka.joint_names,
@@ -416,7 +422,7 @@ def test_rivals_are_found_by_name(kuka, rng):
     chain, conditions = Chain.of(kuka), Conditions.at(kuka.random_configurations(30, rng), payload=80.0)
     wobble = find_rival("axis_wobble:joint_4:order=2,frame=after", chain, conditions)
     elastic = find_rival("joint_elasticity:joint_3", chain, conditions)
-    foresight = Foresight.of(kuka, conditions, Options(), Rig(tool=TARGET), rivals=[wobble, elastic])
+    foresight = DesignModel.of(kuka, conditions, Options(), SensorSetup(tool=TARGET), rivals=[wobble, elastic])
 
     assert (wobble.joint, wobble.order, wobble.frame) == ("joint_4", 2, "after")
     assert [foresight.names[i] for i in foresight.rivals[1]] == ["joint_3.k_z"]
@@ -426,7 +432,7 @@ def test_rivals_are_found_by_name(kuka, rng):
 
 def test_the_smallest_number_of_poses_reaches_the_accuracy(kuka):
     """As many as are told suffice, and one less does not."""
-    arguments = {"options": Options(effects=GEOMETRIC, sigma=5e-5), "rig": Rig(tool=TARGET)} | SMALL
+    arguments = {"options": Options(effects=GEOMETRIC, sigma=5e-5), "rig": SensorSetup(tool=TARGET)} | SMALL
     found = design_poses(kuka, accuracy=6e-5, **arguments)
     less = design_poses(kuka, found.needed - 1, **arguments)
 
@@ -464,7 +470,7 @@ def test_the_same_seed_gives_the_same_poses(kuka):
 
 def test_determinant_designs_tell_more_of_the_parameters(kuka):
     """Their observability exceeds that of random poses; those of the task their error."""
-    arguments = {"options": Options(effects=GEOMETRIC, sigma=5e-5), "rig": Rig(tool=TARGET)} | SMALL
+    arguments = {"options": Options(effects=GEOMETRIC, sigma=5e-5), "rig": SensorSetup(tool=TARGET)} | SMALL
     task, volume = (design_poses(kuka, 25, criterion=name, **arguments) for name in ("task", "determinant"))
 
     assert set(task.observability) == set(SOURCES)
@@ -477,7 +483,7 @@ def test_observability_indices_are_those_of_the_literature(kuka, rng):
     """Of singular values 6, 3 and 2 at 4 poses, by their formulas."""
     conditions = Conditions.at(kuka.random_configurations(5, rng))
     options = Options(effects=GEOMETRIC)
-    foresight = Foresight.of(kuka, conditions, options, Rig(tool=TARGET))
+    foresight = DesignModel.of(kuka, conditions, options, SensorSetup(tool=TARGET))
     inner = np.flatnonzero(np.isfinite(foresight.sizes))[:3]
     H = np.zeros((foresight.n_free, foresight.n_free))
     H[inner, inner] = 36.0, 9.0, 4.0

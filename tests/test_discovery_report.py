@@ -10,20 +10,20 @@ import pytest
 from discovery_cases import SIGMA, Case, draw_case
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
+from pincal.calibration.calibrated import calibrated_model_of, load_model, save_model
 from pincal.cli import main
-from pincal.discover.criticism import criticise
 from pincal.discover.locate import _window, levers, locate
 from pincal.discover.loop import ALPHA
 from pincal.discover.power import critical_gain, detectable_noncentrality, minimum_detectable, power_of
+from pincal.discover.precheck import precheck
+from pincal.discover.run import Discovery, run_discovery
+from pincal.discover.score_tests import score_test
+from pincal.discover.shrink import PartialResidual, period_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
-from pincal.report.discovery import Discovery, run_discovery
-from pincal.report.model_file import calibrated_model_of, load_model, save_model
 from pincal.report.plots import effect_figure, shrinking_figure
-from pincal.report.shrink import Trace, period_of
-from pincal.report.survey import survey
 
 HIDDEN = (
     "backlash_cobot",
@@ -226,7 +226,7 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
         values = np.concatenate([fit.values, sight.size * beta / np.linalg.norm(beta)])
         position = model.predict(values, conditions)[:, :, 3] + SIGMA * rng.standard_normal((len(conditions), 3))
         again = calibrate(case.robot, replace(case.rows, position=position), fit.options)
-        tested = criticise(again, [sight.effect], [], np.zeros(len(conditions), int))
+        tested = score_test(again, [sight.effect], [], np.zeros(len(conditions), int))
         score = tested.score([0], len(effects))
         hits.append(score.p_value < ALPHA / groups)
 
@@ -234,9 +234,9 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
 
 
 def test_survey_tells_what_could_be_found(case: Case) -> None:
-    """A survey lists every effect with a size or a reason, and the noise that this rests on."""
-    declared = survey(case.robot, case.rows, replace(case.options, effects=GEOMETRIC)).detectable
-    estimated = survey(case.robot, case.rows, replace(case.options, sigma=None)).detectable
+    """A precheck lists every effect with a size or a reason, and the noise that this rests on."""
+    declared = precheck(case.robot, case.rows, replace(case.options, effects=GEOMETRIC)).detectable
+    estimated = precheck(case.robot, case.rows, replace(case.options, sigma=None)).detectable
 
     assert (declared.model, declared.source, declared.sigma_m) == ("elastic", "declared", SIGMA)
     # The hidden effect, which is not in the model, makes the noise seem larger.
@@ -248,7 +248,7 @@ def test_survey_tells_what_could_be_found(case: Case) -> None:
 
 def test_survey_assumes_noise_where_rows_are_too_few_to_tell(case: Case) -> None:
     """With as many readings as parameters nothing is promised, and the noise is said to be assumed."""
-    few = survey(case.robot, case.rows.select(np.arange(8)), replace(case.options, sigma=None)).detectable
+    few = precheck(case.robot, case.rows.select(np.arange(8)), replace(case.options, sigma=None)).detectable
 
     assert few.source == "assumed"
     assert all(sight.size is None and sight.reason for sight in few.effects)
@@ -257,10 +257,10 @@ def test_survey_assumes_noise_where_rows_are_too_few_to_tell(case: Case) -> None
 # Periods and pictures.
 
 
-def _trace(y: np.ndarray, x: np.ndarray, sigma: float) -> Trace:
+def _trace(y: np.ndarray, x: np.ndarray, sigma: float) -> PartialResidual:
     noise = sigma * np.random.default_rng(0).standard_normal(len(x))
     effect = Unnamed("a", "gamma_x", "b", lower=float(x.min()), upper=float(x.max()))
-    return Trace(effect, "a", "b", "rad", x, y + noise, noise, y, np.full(len(x), sigma**-2.0), "rad")
+    return PartialResidual(effect, "a", "b", "rad", x, y + noise, noise, y, np.full(len(x), sigma**-2.0), "rad")
 
 
 def test_period_is_that_of_a_tone_and_none_of_anything_else() -> None:

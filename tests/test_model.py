@@ -14,10 +14,11 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.model import effects as catalogue
 from pincal.model.augmented import augmented_model, calibrated_model, joint_placements
-from pincal.model.chain import FRAME_SYMBOLS, MOMENT_FRAMES, Chain, MomentFrame
+from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.kernels import BLOCK, FRAME
 from pincal.model.model import Model
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")

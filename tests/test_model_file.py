@@ -13,14 +13,15 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibrated import CalibratedModel, calibrated_model_of, load_model, save_model
 from pincal.errors import ModelFileError, OutputError
 from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.io.model_json import known_effects
+from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain
-from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Parameter, Term
-from pincal.report.model_file import CalibratedModel, calibrated_model_of, load_model, save_model
-from pincal.report.model_json import known_effects
-from pincal.report.urdf_export import calibrated_urdf
+from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
+from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 from pincal.simulate import TrueMachine, measure, plan_poses
 
@@ -165,7 +166,7 @@ def test_a_model_predicts_where_no_urdf_and_no_pinocchio_is(tmp_path: Path) -> N
     np.save(tmp_path / "q.npy", conditions.q)
     code = (
         "import sys, numpy as np\n"
-        "from pincal.report.model_file import load_model\n"
+        "from pincal.calibration.calibrated import load_model\n"
         "from pincal.model.effects import Conditions\n"
         "model = load_model('model.json')\n"
         "np.save('poses.npy', model.predict(Conditions.at(np.load('q.npy'))))\n"

@@ -12,18 +12,18 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
+from pincal.calibration.calibrated import calibrated_model_of, load_model, save_model
+from pincal.calibration.run import run_calibration
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
 from pincal.identify.calibrate import Fit, Options, calibrate
 from pincal.identify.repeat import cross_validate
 from pincal.identify.rows import some_rows
+from pincal.measure.admission import scorable_rows, unobservable_notes, usable_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.served import judged_rows, limits_of_knowledge, served_rows
-from pincal.measure.setup import Gap, NamedPoints, Setup, read_gaps, read_lens, read_mount, read_points
+from pincal.measure.setup import KnownDistance, NamedPoints, Setup, read_distances, read_lens, read_mount, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
-from pincal.report.model_file import calibrated_model_of, load_model, save_model
-from pincal.report.run import run_calibration
 from pincal.robot.robot import Robot
 
 SOCKETS = {"a": (1.6, 0.3, 0.8), "b": (1.6, -0.4, 0.8), "c": (1.2, 0.9, 1.2), "d": (1.3, 0.0, 1.6)}
@@ -96,7 +96,7 @@ def largest(fit: Fit, table: Measurements) -> float:
 
 CAMERA = Options(effects=GEOMETRIC)
 TABLES: dict[str, tuple[Callable[..., Measurements], Setup]] = {
-    "contacts": (contacts, Setup(gaps=(Gap("a", "b", 0.7),))),
+    "contacts": (contacts, Setup(distances=(KnownDistance("a", "b", 0.7),))),
     "contacts in known sockets": (contacts, Setup(points=SOCKETS)),
     "distances from unknown anchors": (anchored, Setup()),
     "distances from known anchors": (anchored, Setup(points=ANCHORS)),
@@ -129,7 +129,10 @@ def test_exact_readings_are_explained_wherever_things_stand(case: str, machine: 
 def test_contacts_find_the_sockets_and_the_scale(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Sockets come out where they are, but for what no contact tells: a turn about the first axis and a shift along it."""
     setup = Setup(
-        gaps=(Gap("a", "b", 0.7, 1e-6), Gap("c", "d", float(np.linalg.norm(np.subtract(SOCKETS["c"], SOCKETS["d"])))))
+        distances=(
+            KnownDistance("a", "b", 0.7, 1e-6),
+            KnownDistance("c", "d", float(np.linalg.norm(np.subtract(SOCKETS["c"], SOCKETS["d"])))),
+        )
     )
     fit = calibrate(kuka, contacts(machine, kuka, each=40), Options(effects=GEOMETRIC, setup=setup))
     found = fit.values[fit.problem.model.n_parameters :].reshape(-1, 3)
@@ -145,8 +148,8 @@ def test_a_known_distance_sets_the_scale(machine: sim.TrueMachine, kuka: Robot) 
     table = contacts(machine, kuka, noise=5e-5)
     lengths = []
     for scale in (1.0, 1.001):
-        gaps = tuple(Gap(a, b, scale * apart(a, b), 1e-6) for a, b in ("ab", "cd", "ac", "bd"))
-        fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(gaps=gaps), sigma=5e-5))
+        gaps = tuple(KnownDistance(a, b, scale * apart(a, b), 1e-6) for a, b in ("ab", "cd", "ac", "bd"))
+        fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(distances=gaps), sigma=5e-5))
         lengths.append(fit.values[fit.model.index("joint_2.a")])
     alone = calibrate(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5))
     place = alone.model.index("joint_2.a")
@@ -160,7 +163,9 @@ def test_sockets_that_the_fit_never_saw_are_judged_by_their_mean(machine: sim.Tr
     """Rows in a new socket count by how well the model keeps the tool point in one place."""
     table = contacts(machine, kuka, each=40)
     new = table.socket == "d"
-    fit = calibrate(kuka, table.select(~new), Options(effects=GEOMETRIC, setup=Setup(gaps=(Gap("a", "b", 0.7),))))
+    fit = calibrate(
+        kuka, table.select(~new), Options(effects=GEOMETRIC, setup=Setup(distances=(KnownDistance("a", "b", 0.7),)))
+    )
     problem = fit.readings(table.select(new))
 
     assert largest(fit, table.select(new)) < 1e-9
@@ -177,8 +182,8 @@ def test_real_panda_keeps_its_ball_in_a_socket(shared_data: Path) -> None:
     placement = np.array([name.split("/")[0] for name in table.socket])
     for held in np.unique(placement):
         train, test = table.select(placement != held), table.select(placement == held)
-        gaps = tuple(Gap(f"{p}/0", f"{p}/1", 0.05) for p in np.unique(placement) if p != held)
-        run = run_calibration(robot, train, Options(effects=ELASTIC, setup=Setup(gaps=gaps)), holdout=test)
+        gaps = tuple(KnownDistance(f"{p}/0", f"{p}/1", 0.05) for p in np.unique(placement) if p != held)
+        run = run_calibration(robot, train, Options(effects=ELASTIC, setup=Setup(distances=gaps)), holdout=test)
         assert run.result.error["nominal"]["test"]["mean_mm"] > 2.0
         assert run.result.error["calibrated"]["test"]["mean_mm"] <= 0.20
 
@@ -208,22 +213,22 @@ def test_rows_that_tell_nothing_are_left_out_with_a_word(machine: sim.TrueMachin
     held = contacts(machine, kuka, each=5)
     once = held.select(np.r_[0:10, 10])
     with pytest.warns(PincalWarning, match=r"1 rows are of a socket with fewer than 2 readings.*\(c\).*lines 12"):
-        assert len(served_rows(once, Setup())) == 10
-    assert len(served_rows(once, Setup(points=SOCKETS))) == 11
+        assert len(usable_rows(once, Setup())) == 10
+    assert len(usable_rows(once, Setup(points=SOCKETS))) == 11
     points = seen(machine, kuka, poses=3)
     behind = np.array(points.camera_point)
     behind[4, 2] *= -1.0
     flipped = measurements_from_arrays(kuka.joint_names, points.q, camera_point=behind, point=points.point)
     with pytest.warns(PincalWarning, match=r"1 rows have cz <= 0, a point behind the camera"):
-        assert len(served_rows(flipped, Setup())) == len(points) - 1
+        assert len(usable_rows(flipped, Setup())) == len(points) - 1
     with pytest.warns(PincalWarning, match=r"of an anchor with fewer than 4 readings.*\(s, w\)"):
         few = anchored(machine, kuka, poses=4).select(np.arange(14))
-        assert len(served_rows(few, Setup())) == 8
+        assert len(usable_rows(few, Setup())) == 8
     with (
         pytest.warns(PincalWarning),
         pytest.raises(MeasurementError, match="no row is left; expected 2 readings"),
     ):
-        served_rows(points.select(np.arange(5)), Setup())
+        usable_rows(points.select(np.arange(5)), Setup())
 
 
 def test_rows_that_judge_nothing_are_left_out_with_a_word(machine: sim.TrueMachine, kuka: Robot) -> None:
@@ -231,13 +236,13 @@ def test_rows_that_judge_nothing_are_left_out_with_a_word(machine: sim.TrueMachi
     held = contacts(machine, kuka, each=5)
     had = Setup().over(held.select(np.arange(10)))
     with pytest.warns(PincalWarning, match=r"1 rows are of points that the calibration did not have \(c\).*lines 12"):
-        assert len(judged_rows(held.select(np.arange(11)), had)) == 10
-    assert len(judged_rows(held.select(np.arange(12)), had)) == 12
+        assert len(scorable_rows(held.select(np.arange(11)), had)) == 10
+    assert len(scorable_rows(held.select(np.arange(12)), had)) == 12
     views = seen(machine, kuka, poses=2)
     with pytest.warns(PincalWarning, match="34 rows are of points that the calibration did not have"):
-        assert len(judged_rows(views, Setup().over(views.select(np.arange(1))))) == 2
+        assert len(scorable_rows(views, Setup().over(views.select(np.arange(1))))) == 2
     with pytest.warns(PincalWarning, match="36 rows"):
-        assert len(judged_rows(views, Setup(points={"other": None}))) == 0
+        assert len(scorable_rows(views, Setup(points={"other": None}))) == 0
 
 
 def test_what_a_kind_of_data_cannot_tell_is_said(machine: sim.TrueMachine, kuka: Robot) -> None:
@@ -249,10 +254,10 @@ def test_what_a_kind_of_data_cannot_tell_is_said(machine: sim.TrueMachine, kuka:
     )
 
     def said(table: Measurements, setup: Setup | None = None) -> str:
-        return " / ".join(limits_of_knowledge(table, setup or Setup()))
+        return " / ".join(unobservable_notes(table, setup or Setup()))
 
     assert "neither where its base stands" in said(held) and "scale of the arm" in said(held)
-    assert "scale" not in said(held, Setup(gaps=(Gap("a", "b", 0.7),)))
+    assert "scale" not in said(held, Setup(distances=(KnownDistance("a", "b", 0.7),)))
     assert "neither where the base stands" in said(far)
     assert said(far, Setup(points=ANCHORS)) == ""
     line = {name: (float(i), 2.0 * i, 0.0) for i, name in enumerate(ANCHORS)}
@@ -326,11 +331,15 @@ def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka:
     """A misspelt socket is named, with what it may have been; a distance to itself or of nothing is none."""
     table = contacts(machine, kuka, each=12)
     with pytest.raises(MeasurementError, match="a known distance names 'A'; expected one of the points, nearest first: a"):
-        run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=Setup(gaps=(Gap("A", "b", 0.7),))))
-    elsewhere = Setup(gaps=(Gap("a", "b", 0.7), Gap("x", "y", 0.05)))
+        run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=Setup(distances=(KnownDistance("A", "b", 0.7),))))
+    elsewhere = Setup(distances=(KnownDistance("a", "b", 0.7), KnownDistance("x", "y", 0.05)))
     notes = run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=elsewhere)).notes
     assert any("in no row are not used: x to y" in note for note in notes)
-    for bad in (lambda: Gap("a", "a", 1.0), lambda: Gap("a", "b", 0.0), lambda: Gap("a", "b", 1.0, float("nan"))):
+    for bad in (
+        lambda: KnownDistance("a", "a", 1.0),
+        lambda: KnownDistance("a", "b", 0.0),
+        lambda: KnownDistance("a", "b", 1.0, float("nan")),
+    ):
         with pytest.raises(MeasurementError, match="expected"):
             bad()
 
@@ -343,7 +352,7 @@ def test_side_files_are_read_with_their_units(tmp_path: Path) -> None:
     (tmp_path / "mounted.json").write_text(json.dumps({"fx": 1, "fy": 1, "u0": 0, "v0": 0, "T_tip_camera": MOUNT.tolist()}))
 
     assert read_points(tmp_path / "points.csv") == {"A": (0.0015, 0.0, 0.003), "B": (0.0, 0.0, 1.0)}
-    assert read_gaps(tmp_path / "gaps.csv") == (Gap("A", "B", 0.05),)
+    assert read_distances(tmp_path / "gaps.csv") == (KnownDistance("A", "B", 0.05),)
     assert read_lens(tmp_path / "camera.json") == Lens(1000.0, 1001.5, 320.0, 240.0, -0.1)
     assert read_mount(tmp_path / "camera.json") is None
     np.testing.assert_array_equal(read_mount(tmp_path / "mounted.json"), MOUNT)
@@ -354,7 +363,7 @@ def test_side_files_are_read_with_their_units(tmp_path: Path) -> None:
     [
         (read_points, "point,x,y\nA,1,2\n", "no column 'z'"),
         (read_points, "point,x,y,z\nA,1,2,3\nA,1,2,4\n", "'A' stands there twice"),
-        (read_gaps, "first,second,distance\nA,B,-1\n", "expected more than 0"),
+        (read_distances, "first,second,distance\nA,B,-1\n", "expected more than 0"),
         (read_lens, "{", "no JSON"),
         (read_lens, '{"fx": 1}', "expected an object with fx, fy, u0, v0"),
         (read_lens, '{"fx": 0, "fy": 1, "u0": 1, "v0": 1}', "fx is 0 px"),

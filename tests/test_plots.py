@@ -9,10 +9,10 @@ import pytest
 from report_cases import HOSTILE, kuka_run
 
 from pincal import Robot
+from pincal.calibration.run import Calibration
 from pincal.report import plots
 from pincal.report.evidence import Evidence, evidence_of
 from pincal.report.plots import style
-from pincal.report.run import Calibration
 from pincal.report.svg import inline_svg
 
 OF_EVIDENCE = {

@@ -9,10 +9,10 @@ import pytest
 from report_cases import HOSTILE
 from rich.console import Console
 
+from pincal.calibration.result import ParameterRow
 from pincal.cli import progress, show_progress
 from pincal.cli.screen import cell, console
 from pincal.cli.tables import parameter_table, print_reasons
-from pincal.report.result import ParameterRow
 
 ROW = ParameterRow("joint_1.k_z", "rad/(N m)", 0.0, -1.234e-7, 1e-8, "unidentifiable", "the unknown base frame absorbs it")
 

@@ -18,9 +18,9 @@ from pincal.measure.sensors import Block, quaternions
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.report.lack_of_fit import evenness, explained_by_uncertainty, lack_of_fit, spread_of, squares_of
-from pincal.report.nutshell import verdict_of
-from pincal.report.replicates import Visits, angle_accuracy, cycle_words, iso9283, position_accuracy, same_poses
+from pincal.report.summary import verdict_of
+from pincal.validate.lack_of_fit import evenness, explained_by_uncertainty, lack_of_fit, spread_of, squares_of
+from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy, replicate_groups
 
 URDF = kuka_urdf_path()
 
@@ -37,12 +37,12 @@ def table(q, **columns):
 def test_joints_that_hardly_differ_are_one_pose():
     """To about 1e-5 rad, wherever the border of a grid happens to be."""
     q = [[0.3, 1.0], [0.3 + 9e-6, 1.0 - 9e-6], [0.3, 1.0 + 4e-5], [0.7, 1.0], [0.3 - 9e-6, 1.0]]
-    assert same_poses([table(q)])[0].tolist() == [0, 0, 1, 2, 0]
+    assert replicate_groups([table(q)])[0].tolist() == [0, 0, 1, 2, 0]
 
 
 def test_a_slow_motion_is_no_visit():
     """Joints that creep on by less than the tolerance from row to row do not make one pose of the whole way."""
-    assert same_poses([table(np.arange(100)[:, None] * 5e-6)])[0].tolist() == list(range(100))
+    assert replicate_groups([table(np.arange(100)[:, None] * 5e-6)])[0].tolist() == list(range(100))
 
 
 @pytest.mark.parametrize(
@@ -57,19 +57,19 @@ def test_a_slow_motion_is_no_visit():
 )
 def test_another_condition_is_another_pose(columns):
     """Load, target, anchor and approach have to agree, temperature within 4 K."""
-    assert same_poses([table([0.1, 0.1, 0.1], **columns)])[0].tolist() == [0, 1, 0]
+    assert replicate_groups([table([0.1, 0.1, 0.1], **columns)])[0].tolist() == [0, 1, 0]
 
 
 def test_time_and_small_changes_make_no_difference():
     """Visits take time, and load and temperature are never quite the same."""
     rows = table([0.1, 0.1], time=[0.0, 9e3], temperature=[20.0, 21.0], payload=[80.0, 80.0002])
-    assert same_poses([rows])[0].tolist() == [0, 0]
+    assert replicate_groups([rows])[0].tolist() == [0, 0]
 
 
 def test_tables_share_the_numbers():
     """A pose of one table is found again in another that lacks a column."""
     first, second = table([0.1, 0.2], payload=[0.0, 0.0]), table([0.2, 0.3])
-    assert [poses.tolist() for poses in same_poses([first, second])] == [[0, 1], [1, 2]]
+    assert [poses.tolist() for poses in replicate_groups([first, second])] == [[0, 1], [1, 2]]
 
 
 # Accuracy and repeatability
@@ -100,7 +100,7 @@ def visits_of(model, q, offsets, *, part="test", counted=None, **columns):
         found["quaternion"] = quaternions(found["quaternion"] @ at[:, :, :3])
     rows = measurements_from_arrays(model.chain.robot.joint_names, q, **found)
     counted = np.ones(len(rows), bool) if counted is None else np.array(counted)
-    return Visits(part, rows, problem_of(model, rows, np.zeros(3)), same_poses([rows])[0], counted)
+    return Replicates(part, rows, problem_of(model, rows, np.zeros(3)), replicate_groups([rows])[0], counted)
 
 
 def test_poses_are_reported_one_by_one(ur10):
@@ -134,7 +134,7 @@ def test_a_pose_that_the_fit_has_seen_is_not_held_out(ur10):
     q, off = np.array([[0.1] * 6, [0.2] * 6, [0.1] * 6]), 1e-3 * np.array([[1.0, 0, 0], [1, 0, 0], [90, 0, 0]])
     fitted = visits_of(ur10, q, off, part="train", counted=[True, True, False])
     held = visits_of(ur10, q[[0, 0, 2]] + np.array([[0.0], [0.5], [0.5]]), off)
-    numbers = same_poses([fitted.table, held.table])
+    numbers = replicate_groups([fitted.table, held.table])
     both = [replace(visits, pose=pose) for visits, pose in zip((fitted, held), numbers, strict=True)]
     found = iso9283(both, {"calibrated": np.zeros(0)})
     assert found["poses"] == {"train": 1, "test": 1}
@@ -205,7 +205,7 @@ def linear_p_values(scatter, runs, *, missing=0.0):
         noise = np.einsum("nab,nb->na", scatter[pose], rng.standard_normal((80, 3)))
         y = noise + missing * np.sin(6.0 * x[pose])[:, None]
         left = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
-        visits = Visits("train", None, _Linear(left.T, np.ones(80)), pose, np.ones(80, bool))
+        visits = Replicates("train", None, _Linear(left.T, np.ones(80)), pose, np.ones(80, bool))
         found.append(lack_of_fit([visits], np.zeros(0), np.ones(1), spent=12.0)["p_value"])
     return np.array(found)
 
@@ -330,8 +330,8 @@ def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypa
 @pytest.mark.parametrize("scatter", [0.0, 1e-4])
 def test_chances_are_true_of_calibrations(kuka, scatter):
     """Over 120 calibrations, and as many validations on new poses, false alarms are as rare as they say."""
-    from pincal.report.lack_of_fit import found_in_visits
-    from pincal.report.model_file import calibrated_model_of
+    from pincal.calibration.calibrated import calibrated_model_of
+    from pincal.validate.lack_of_fit import replicate_statistics
 
     found = []
     for seed in range(120):
@@ -340,7 +340,13 @@ def test_chances_are_true_of_calibrations(kuka, scatter):
         )
         calibrated = calibrated_model_of(calibration.fit, {})
         new = visited(20, 4, 1000 + seed, scatter=scatter, machine_seed=seed)
-        tested = found_in_visits(calibrated, new, calibrated.readings(new))
+        tested = replicate_statistics(
+            calibrated.readings(new),
+            calibrated.values,
+            new,
+            sigma=calibrated.sigma,
+            covariance=calibrated.covariance,
+        )
         found.append((calibration.result.lack_of_fit["p_value"], tested["lack_of_fit"]["p_value"]))
     for p in np.array(found).T:
         assert np.mean(p < 0.05) < 0.11 and np.mean(p < 0.01) < 0.05 and 0.4 < p.mean() < 0.6

@@ -11,12 +11,12 @@ import pytest
 from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, page_of, panda_run
 
 from pincal import Robot
+from pincal.calibration.run import Calibration
+from pincal.discover.run import Discovery
 from pincal.report.advice import narrow_joints, not_told
-from pincal.report.discovery import Discovery
 from pincal.report.glossary import EFFECTS
 from pincal.report.html import write_report
-from pincal.report.nutshell import next_steps, verdict_of
-from pincal.report.run import Calibration
+from pincal.report.summary import next_steps, verdict_of
 
 
 class Page(HTMLParser):

@@ -17,7 +17,7 @@ from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, Distanc
 from pincal.measure.sensing import sensor_of
 from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor, rotation_matrices, rotation_vectors
 from pincal.measure.setup import NamedPoints, Setup
-from pincal.model.chain import FRAME_SYMBOLS
+from pincal.parameters import FRAME_SYMBOLS
 
 N = 12
 OWN = np.zeros(0)
@@ -129,7 +129,7 @@ def test_blocks_add_up_to_the_components(case: Case, rng: np.random.Generator) -
     m = sum(block.size for block in sensor.blocks)
     motion = rng.standard_normal((5, sensor.twist_rows, N))
 
-    assert len(sensor) == N and len(sensor.parameters) == len(case.own) == len(sensor.held)
+    assert len(sensor) == N and len(sensor.parameters) == len(case.own) == len(sensor.fixed)
     assert sensor.residuals(SEEN, case.own).shape == (m, N)
     assert sensor.jacobian(SEEN, motion, case.own).shape == (5 + len(case.own), m, N)
     assert all(block.unit == {"orientation": "rad", "image": "px"}.get(block.name, "m") for block in sensor.blocks)

@@ -13,11 +13,11 @@ import yourdfpy
 
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import RobotFileError
+from pincal.io.urdf_export import UrdfExport, calibrated_urdf
+from pincal.io.urdf_text import rotation_of, rpy_of
 from pincal.model.chain import Chain
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, ToolFrame
 from pincal.model.model import Model
-from pincal.report.urdf_export import UrdfExport, calibrated_urdf
-from pincal.report.urdf_text import rotation_of, rpy_of
 from pincal.robot.robot import Robot
 
 # Robot, tip, base; None for what the robot takes by itself.

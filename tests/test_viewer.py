@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibrated import CalibratedModel, Covered, save_model
 from pincal.cli import main
 from pincal.cli.view import view
 from pincal.errors import BadInputError, OutputError
@@ -21,7 +22,6 @@ from pincal.model.catalogue import GearEccentricity, ThermalOffset
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
-from pincal.report.model_file import CalibratedModel, Covered, save_model
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, deviation_fields, held_out_rows, page, show, write_html
 from pincal.viewer.arm import axes_of, link_frames, steps_of

@@ -50,8 +50,8 @@ def calibrate(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max
               **chosen: Any) -> int:  # fmt: skip
     """Calibrate a robot from a table of measured poses and validate on rows held out of the fit."""
     show_progress(quiet)
+    from pincal.calibration.run import run_calibration
     from pincal.cli.inputs import load_robot, load_table, options_of
-    from pincal.report.run import run_calibration
 
     with output_folder(out) as draft:
         arm = load_robot(robot, data, tip=chosen["tip"], base=chosen["base"])
@@ -85,9 +85,9 @@ def write_results(
     folder: Path, calibration: Any, origin: dict[str, Any], discovery: Any = None, *, view: bool = False
 ) -> tuple[str, ...]:
     """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
+    from pincal.calibration.calibrated import calibrated_model_of, save_model
+    from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import write_report
-    from pincal.report.model_file import calibrated_model_of, save_model
-    from pincal.report.urdf_export import calibrated_urdf
 
     fit = calibration.fit
     model = calibrated_model_of(fit, origin)

@@ -21,11 +21,11 @@ def check(robot: str, data: Path, as_json: bool, quiet: bool, **chosen: Any) -> 
     """Check units, ranges and coverage of a table; say what it can and can't tell, why, and which effects it would show."""
     show_progress(quiet)
     from pincal.cli.inputs import load_robot, load_table, options_of
-    from pincal.report.survey import survey
+    from pincal.discover.precheck import precheck
 
     arm = load_robot(robot, data, tip=chosen["tip"], base=chosen["base"])
     table = load_table(arm, data, ignore=chosen["ignore"])
-    found = survey(arm, table, options_of(chosen, table))
+    found = precheck(arm, table, options_of(chosen, table))
     if as_json:
         print_json(found.to_dict())
         return 0

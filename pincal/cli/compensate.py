@@ -63,10 +63,10 @@ no row is ok, or with --strict if any is not.
 def compensate(model: Path, targets: Path, out: Path, as_json: bool, quiet: bool, **chosen: Any) -> int:
     """Find the joint positions that bring the real robot where it is wanted, closest to the ones given."""
     show_progress(quiet)
+    from pincal.calibration.calibrated import load_model
     from pincal.compensate.run import run_compensation
     from pincal.compensate.targets import read_targets
     from pincal.measure.table import write_table
-    from pincal.report.model_file import load_model
 
     calibrated = load_model(model)
     robot = calibrated.model.chain.robot

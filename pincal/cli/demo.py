@@ -37,12 +37,12 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     """Tell the whole story on the KUKA KR 125/2: nothing to prepare."""
     show_progress(quiet)
     from pincal.builtin import kuka_urdf_path
+    from pincal.calibration.run import run_calibration
     from pincal.cli.calibrate import write_results
     from pincal.identify.calibrate import Options
     from pincal.measure.table import read_measurements
     from pincal.model.effects import ELASTIC, GEOMETRIC
     from pincal.report.plots import deviation_figure
-    from pincal.report.run import run_calibration
     from pincal.robot.robot import Robot
     from pincal.simulate.paper_machine import PAYLOAD_COM
 
@@ -93,8 +93,8 @@ class _Cell:
 def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> tuple[Any, _Cell]:
     """Measure the robot with a bad gear, discover that, write everything, and return the discovery and the machine."""
     from pincal.cli.calibrate import write_results
+    from pincal.discover.run import run_discovery
     from pincal.measure.table import read_measurements
-    from pincal.report.discovery import run_discovery
 
     cell = _measure(folder / "measurements.csv", robot, np.random.default_rng([seed, 2]), hidden=True)
     table = read_measurements(folder / "measurements.csv", robot.joint_names)
@@ -128,9 +128,9 @@ def _write(path: Path, robot: Any, q: np.ndarray, position: np.ndarray) -> None:
 
 def _compensate(folder: Path, cell: _Cell, robot: Any, found: Any, rng: np.random.Generator) -> dict[str, dict[str, float]]:
     """Correct a program made with the nominal robot, run both on the machine, and return by how far they miss [mm]."""
+    from pincal.calibration.calibrated import load_model
     from pincal.compensate.compensation import compensate_poses
     from pincal.model.effects import Conditions
-    from pincal.report.model_file import load_model
     from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
     fit, model = found.calibration.fit, load_model(folder / "model.json")

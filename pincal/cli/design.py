@@ -140,10 +140,10 @@ def _options(chosen: dict[str, Any]) -> Any:
 
 
 def _rig(chosen: dict[str, Any]) -> Any:
-    from pincal.design.reach import Rig
+    from pincal.design.reach import SensorSetup
 
     names = ("sensor", "tool", "instrument", "normal", "cone")
-    return Rig(**{name: chosen[name] for name in names if chosen[name] is not None})
+    return SensorSetup(**{name: chosen[name] for name in names if chosen[name] is not None})
 
 
 def _limits(arm: Any, chosen: dict[str, Any]) -> Any:

@@ -46,9 +46,9 @@ def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_
     show_progress(quiet)
     from pincal.cli.calibrate import VIEW, verdict, write_results
     from pincal.cli.inputs import load_robot, load_table, options_of
+    from pincal.discover.run import run_discovery
     from pincal.model.chain import MOMENT_FRAMES
     from pincal.model.effects import GEOMETRIC
-    from pincal.report.discovery import run_discovery
 
     context = click.get_current_context()
     given = {name: context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT for name in chosen}

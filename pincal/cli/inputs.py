@@ -10,7 +10,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Options
 from pincal.measure.measurements import Measurements
-from pincal.measure.setup import Gap, Setup, read_gaps, read_lens, read_mount, read_points
+from pincal.measure.setup import KnownDistance, Setup, read_distances, read_lens, read_mount, read_points
 from pincal.measure.table import column_names, read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot, find_file
@@ -81,10 +81,10 @@ def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None
 
 def _setup(arguments: dict[str, Any]) -> Setup:
     points, table, camera = (arguments[name] for name in ("points", "distances", "camera"))
-    gaps = [Gap(first, second, length) for first, second, length in arguments["gaps"]]
+    gaps = [KnownDistance(first, second, length) for first, second, length in arguments["gaps"]]
     return Setup(
         points={} if points is None else read_points(points),
-        gaps=(*gaps, *(() if table is None else read_gaps(table))),
+        distances=(*gaps, *(() if table is None else read_distances(table))),
         lens=None if camera is None else read_lens(camera),
         fit_lens=arguments["fit_camera"],
     )

@@ -8,12 +8,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from pincal.calibration.result import ParameterRow, Result, shown_parameters
+from pincal.cli.detectability import print_detectability
+from pincal.cli.replicates import print_replicates
 from pincal.cli.screen import cell, console, hanging, new_table
-from pincal.cli.sights import print_outlook
-from pincal.cli.visits import print_visits
-from pincal.report.result import ParameterRow, Result, shown_parameters
-from pincal.report.shrink import Gap, gap_names
-from pincal.report.survey import Survey
+from pincal.discover.precheck import DataReport
+from pincal.discover.shrink import StageError, gap_names
 from pincal.report.words import effect_words, noise_words
 
 __all__ = [
@@ -36,7 +36,7 @@ def print_result(result: Result, out: Console) -> None:
     """Print errors before and after, the parameters, and what the user should know."""
     out.print(_summary(result))
     out.print(error_table(result.error))
-    print_visits(result.iso9283, result.lack_of_fit, out)
+    print_replicates(result.iso9283, result.lack_of_fit, out)
     shown = shown_parameters(result.parameters)
     out.print(parameter_table(shown))
     print_reasons(shown, out)
@@ -121,29 +121,29 @@ def print_reasons(parameters: Iterable[ParameterRow], out: Console) -> None:
         out.print(hanging(f"{f'({number})':>5s}", reason))
 
 
-def print_survey(survey: Survey, out: Console) -> None:
+def print_survey(precheck: DataReport, out: Console) -> None:
     """Print what a table can tell."""
-    out.print(f"{survey.rows} rows of kind {survey.kind}; nominal robot, base and tool fitted: mean "
-              f"{survey.nominal['mean_mm']:.3f} mm, max {survey.nominal['max_mm']:.3f} mm")  # fmt: skip
-    out.print(f"noise {noise_words(survey.noise)} ({survey.noise['source']})")
-    out.print(f"rank {survey.rank} of {survey.released} parameters, condition {survey.condition:.2g}")
+    out.print(f"{precheck.rows} rows of kind {precheck.kind}; nominal robot, base and tool fitted: mean "
+              f"{precheck.nominal['mean_mm']:.3f} mm, max {precheck.nominal['max_mm']:.3f} mm")  # fmt: skip
+    out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
+    out.print(f"rank {precheck.rank} of {precheck.released} parameters, condition {precheck.condition:.2g}")
     table = new_table("Coverage of the joints")
     for name in ("joint", "from", "to", "limits", "covered"):
         table.add_column(name, justify="left" if name == "joint" else "right")
-    for joint in survey.joints:
+    for joint in precheck.joints:
         limits, share = "none", "-"
         if joint.lower_limit is not None and joint.upper_limit is not None:
             limits = f"{joint.lower_limit:.3f} .. {joint.upper_limit:.3f}"
             share = f"{100 * (joint.high - joint.low) / (joint.upper_limit - joint.lower_limit):.0f} %"
         table.add_row(cell(joint.joint), f"{joint.low:.3f}", f"{joint.high:.3f}", limits, share)
     out.print(table)
-    rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect) for p in survey.parameters]
+    rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect) for p in precheck.parameters]
     shown = shown_parameters(rows)
     out.print(expectation_table(shown))
     print_reasons(shown, out)
     _tell_hidden_points(len(rows) - len(shown), out)
-    print_outlook(survey.detectable, [joint.joint for joint in survey.joints], out)
-    for note in survey.warnings:
+    print_detectability(precheck.detectable, [joint.joint for joint in precheck.joints], out)
+    for note in precheck.warnings:
         out.print(hanging("note:", note), style="yellow")
 
 
@@ -167,7 +167,7 @@ def expectation_table(rows: Sequence[ParameterRow]) -> Table:
     return table
 
 
-def print_discovery(report: dict[str, Any], out: Console, gaps: tuple[Gap, ...] = ()) -> None:
+def print_discovery(report: dict[str, Any], out: Console, gaps: tuple[StageError, ...] = ()) -> None:
     """Print where the disagreement sat, what made it, and how the gap shrank down to the noise.
 
     Args:
@@ -214,7 +214,7 @@ def _effect_table(effects: list[dict[str, Any]]) -> Table:
     return table
 
 
-def gap_table(report: dict[str, Any], gaps: tuple[Gap, ...] = ()) -> Table:
+def gap_table(report: dict[str, Any], gaps: tuple[StageError, ...] = ()) -> Table:
     """Return the errors on held-out rows, step by step where known, beside the noise."""
     table = new_table("How the gap shrank: errors on held-out rows in mm")
     table.add_column("model", overflow="fold")

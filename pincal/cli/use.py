@@ -28,35 +28,37 @@ _SHOWN = 5
 def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float | None, as_json: bool, quiet: bool) -> int:
     """Say how true a calibrated model is on measurements that it never saw."""
     show_progress(quiet)
+    from pincal.calibration.calibrated import load_model
+    from pincal.calibration.run import check_table
     from pincal.cli.inputs import load_table
-    from pincal.measure.served import judged_rows
-    from pincal.report.lack_of_fit import found_in_visits
-    from pincal.report.model_file import load_model
-    from pincal.report.run import check_table
-    from pincal.report.validation import error_table
+    from pincal.measure.admission import scorable_rows
+    from pincal.validate.accuracy import error_table
+    from pincal.validate.lack_of_fit import replicate_statistics
 
     calibrated = load_model(model)
     robot = calibrated.model.chain.robot
     table = load_table(robot, data, ignore=ignore)
     _check_targets(calibrated, table)
     if calibrated.setup.points and calibrated.sensor_kind == table.kind:
-        table = judged_rows(table, calibrated.setup)
+        table = scorable_rows(table, calibrated.setup)
     check_table(robot, table, minimum=1)
     problem = calibrated.readings(table)
     error = {"calibrated": {"test": error_table(problem, calibrated.values)}}
-    visited = found_in_visits(calibrated, table, problem)
+    visited = replicate_statistics(
+        problem, calibrated.values, table, sigma=calibrated.sigma, covariance=calibrated.covariance
+    )
     outside = calibrated.outside(problem.conditions)
     curves = [found._asdict() for found in calibrated.outside_curves(problem.conditions)]
     if as_json:
         counted = {"rows": {"test": len(table)}, "error": error}
         print_json(counted | visited | {"outside": len({row for row, *_ in outside}), "curves": curves})
     else:
+        from pincal.cli.replicates import print_replicates
         from pincal.cli.tables import console  # fmt: skip
         from pincal.cli.tables import error_table as as_table
-        from pincal.cli.visits import print_visits
 
         console().print(as_table(error))
-        print_visits(visited.get("iso9283"), visited.get("lack_of_fit"), console())
+        print_replicates(visited.get("iso9283"), visited.get("lack_of_fit"), console())
     _warn_outside(outside, table.rows)
     _warn_outside_curves(curves, robot)
     mean = error["calibrated"]["test"]["mean_mm"]
@@ -75,11 +77,11 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
 def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> int:
     """Predict where the target is at given joint positions, in the instrument's frame, with its uncertainty."""
     show_progress(quiet)
+    from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
     from pincal.identify.problem import conditions_of
     from pincal.measure.sensors import quaternions
     from pincal.measure.table import write_table
-    from pincal.report.model_file import load_model
 
     calibrated = load_model(model)
     table = load_table(calibrated.model.chain.robot, poses, joints_only=True)
@@ -114,8 +116,8 @@ def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> 
 def export(model: Path, urdf: Path | None, camera: Path | None, as_json: bool, quiet: bool) -> int:
     """Write the calibrated URDF: the original file with its joint origins corrected, checked against the model."""
     show_progress(quiet)
-    from pincal.report.model_file import load_model
-    from pincal.report.urdf_export import calibrated_urdf
+    from pincal.calibration.calibrated import load_model
+    from pincal.io.urdf_export import calibrated_urdf
 
     if urdf is None and camera is None:
         raise click.UsageError("give --urdf FILE.urdf, --camera FILE.json, or both")

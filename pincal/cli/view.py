@@ -87,10 +87,10 @@ def view(model: Path, html_file: Path | None, open_page: bool | None, port: int,
 
 def _scene(model: Path, data: Path | None, pose: str | None, holdout: Path | None, ignore: tuple[str, ...],
            grid: int, scale: float | None, axis_scale: float | None, meshes: tuple[Path, ...]) -> Any:  # fmt: skip
+    from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
     from pincal.cli.use import _check_targets
     from pincal.measure.table import concatenate
-    from pincal.report.model_file import load_model
     from pincal.viewer import build_scene, held_out_rows
 
     calibrated = load_model(model)

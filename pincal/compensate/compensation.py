@@ -11,12 +11,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.frames import Frame, base_in_instrument, compose, in_base_frame, program_poses
 from pincal.compensate.reach import reach
 from pincal.compensate.task import Task
 from pincal.errors import BadInputError
 from pincal.model.effects import Conditions
-from pincal.report.model_file import CalibratedModel
 from pincal.robot.robot import Robot
 
 Orientation = Literal["keep", "free"]
@@ -93,7 +93,7 @@ def compensate_poses(
         >>> from pincal.model.chain import Chain
         >>> from pincal.model.effects import JointOffset
         >>> from pincal.model.model import Model
-        >>> from pincal.report.model_file import Covered
+        >>> from pincal.calibration.calibrated import Covered
         >>> from pincal.robot.robot import Robot
         >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), (JointOffset(),))
         >>> offset, covered = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0]), Covered(np.zeros((6, 2)), np.zeros(2))

@@ -12,10 +12,10 @@ from typing import Literal
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions, Effect
 from pincal.model.model import Model
-from pincal.report.model_file import CalibratedModel
 
 Frame = Literal["instrument", "base"]
 FalseTarget = Literal["tip", "target"]

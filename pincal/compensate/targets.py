@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.problem import conditions_of
 from pincal.measure.columns import converted, match_columns, quantities_of
@@ -18,7 +19,6 @@ from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.sheet import Column, open_sheet, read_cells
 from pincal.measure.table import column_names
 from pincal.model.effects import Conditions
-from pincal.report.model_file import CalibratedModel
 from pincal.robot.robot import Robot
 
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")

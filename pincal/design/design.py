@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pincal.design.foresight import Foresight
+from pincal.design.design_model import DesignModel
 from pincal.design.observability import Observed
-from pincal.design.reach import Draw, Limits, Reach, Rig
+from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.refine import Refinement
 from pincal.design.route import length, short_route, travel
-from pincal.design.study import Criterion, CurvePoint, Quality, Study, Wish, total
+from pincal.design.study import Criterion, CurvePoint, DesignRequest, Quality, Study, total
 from pincal.errors import BadInputError, PincalWarning
 from pincal.identify.calibrate import Options
 from pincal.measure.measurements import Measurements
@@ -56,10 +56,10 @@ class Design:
 
     robot: Robot
     conditions: Conditions
-    rig: Rig
+    rig: SensorSetup
     criterion: str
     rivals: tuple[str, ...]
-    foresight: Foresight
+    foresight: DesignModel
     drawn: Draw
     found: CurvePoint
     before: Quality | None
@@ -133,7 +133,7 @@ def design_poses(
     poses: int | None = None,
     options: Options | None = None,
     *,
-    rig: Rig | None = None,
+    rig: SensorSetup | None = None,
     limits: Limits | None = None,
     criterion: Criterion = "task",
     tell_apart: tuple[str, str] | None = None,
@@ -183,9 +183,9 @@ def design_poses(
     begun = time.perf_counter()
     candidates = max(CANDIDATES, 2 * (poses or 0)) if candidates is None else candidates
     loads = None if payloads is None else tuple(float(load) for load in payloads)
-    wish = Wish(criterion, tell_apart, task, measured, loads, candidates, poses or 1, seed)
+    wish = DesignRequest(criterion, tell_apart, task, measured, loads, candidates, poses or 1, seed)
     _check(poses, accuracy, wish)
-    reach = Reach(robot, Rig() if rig is None else rig, Limits() if limits is None else limits)
+    reach = Reach(robot, SensorSetup() if rig is None else rig, Limits() if limits is None else limits)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         study = Study.of(reach, Options() if options is None else options, wish)
@@ -223,7 +223,7 @@ def design_poses(
     )
 
 
-def _check(poses: int | None, accuracy: float | None, wish: Wish) -> None:
+def _check(poses: int | None, accuracy: float | None, wish: DesignRequest) -> None:
     if poses is None and accuracy is None:
         raise BadInputError("neither a number of poses nor an accuracy is given; expected one of them")
     if poses is not None and poses < 1:
@@ -281,7 +281,7 @@ def _observability(
     return observed.indices(H - prior, n_all), {name: float(np.median([i[name] for i in indices])) for name in indices[0]}
 
 
-def _settings(study: Study, wish: Wish) -> tuple[str, ...]:
+def _settings(study: Study, wish: DesignRequest) -> tuple[str, ...]:
     """Return the columns beside the joints that belong to the poses."""
     has = {
         "target": len(study.foresight.model.chain.targets) > 1,

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.design.foresight import Foresight
+from pincal.design.design_model import DesignModel
 from pincal.identify.normal import NULL
 
 SOURCES = {
@@ -39,13 +39,13 @@ class Observed:
         directions: shape (H, r), orthonormal, in units of the priors of the H parameters that have one.
     """
 
-    foresight: Foresight
+    foresight: DesignModel
     directions: np.ndarray
 
     @classmethod
-    def of(cls, foresight: Foresight, mean: np.ndarray, n: int) -> Observed:
+    def of(cls, foresight: DesignModel, mean: np.ndarray, n: int) -> Observed:
         """Return the directions that n average candidates tell; ``mean`` is the information of one, shape (F, F)."""
-        told = foresight.told(n * mean)
+        told = foresight.posterior(n * mean)
         return cls(foresight, told.directions[:, told.information > 1.0])
 
     @property
@@ -57,7 +57,7 @@ class Observed:
         """Return O1 to O5 of n poses with information H, shape (F, F); empty where they tell nothing."""
         if not self.rank:
             return {}
-        told = self.foresight.told(H)
+        told = self.foresight.posterior(H)
         seen = self.directions.T @ told.directions
         squares = np.linalg.eigvalsh((seen * told.information) @ seen.T)
         if squares[0] <= NULL * squares[-1]:

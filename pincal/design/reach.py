@@ -23,7 +23,7 @@ _OFF_AXIS, _ALONG = 0.05, 0.05
 
 
 @dataclass(frozen=True)
-class Rig:
+class SensorSetup:
     """With what and from where poses are measured.
 
     Attributes:
@@ -145,14 +145,14 @@ class Reach:
         limits: where it may go.
 
     Example:
-        >>> reach = Reach(Robot.from_urdf("ur10"), Rig(instrument=(3.0, 0.0, 1.0)))
+        >>> reach = Reach(Robot.from_urdf("ur10"), SensorSetup(instrument=(3.0, 0.0, 1.0)))
         >>> found = reach.draw(20, np.random.default_rng(0))
         >>> bool(reach.allows(found.q).all())
         True
     """
 
     robot: Robot
-    rig: Rig = Rig()
+    rig: SensorSetup = SensorSetup()
     limits: Limits = Limits()
 
     @cached_property
@@ -246,7 +246,7 @@ class Reach:
             at_fault[left] = self.collides(placed.q[left])
             yield "self-collision", at_fault
 
-    def _unseen(self, placed: _Placed, rig: Rig, limits: Limits) -> Iterator[tuple[str, np.ndarray]]:
+    def _unseen(self, placed: _Placed, rig: SensorSetup, limits: Limits) -> Iterator[tuple[str, np.ndarray]]:
         """Yield what keeps a target from being measured."""
         if limits.box is not None:
             low, high = np.array(limits.box[:3]), np.array(limits.box[3:])

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.design.design_model import DesignModel
 from pincal.design.exchange import covariance, gains, weigh
-from pincal.design.foresight import Foresight
 from pincal.design.reach import Reach
 from pincal.model.effects import Conditions
 
@@ -34,7 +34,7 @@ class Refinement:
         H: shape (F, F), information that is there before.
     """
 
-    foresight: Foresight
+    foresight: DesignModel
     reach: Reach
     W: np.ndarray | None
     H: np.ndarray

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from pincal.design.foresight import RIVAL
+from pincal.design.design_model import RIVAL
 from pincal.discover.loop import place_of
 from pincal.errors import BadInputError
 from pincal.model.catalogue import TransmissionError, candidates, untestable

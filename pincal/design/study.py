@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from pincal.design.bound import lower_bound
+from pincal.design.design_model import DesignModel
 from pincal.design.exchange import choose_greedily, covariance, exchange, information, value
-from pincal.design.foresight import Foresight
 from pincal.design.reach import Draw, Reach
 from pincal.design.rivals import find_rival, needs_approach, noncentrality, weights
 from pincal.errors import BadInputError, PincalWarning
@@ -39,7 +39,7 @@ _FEW_PASSES = 2
 
 
 @dataclass(frozen=True)
-class Wish:
+class DesignRequest:
     """What is to be designed.
 
     Attributes:
@@ -114,7 +114,7 @@ class Study:
         rng: source of random designs.
     """
 
-    foresight: Foresight
+    foresight: DesignModel
     drawn: Draw
     candidates: Conditions
     A: np.ndarray
@@ -125,7 +125,7 @@ class Study:
     rng: np.random.Generator
 
     @classmethod
-    def of(cls, reach: Reach, options: Options, wish: Wish) -> Study:
+    def of(cls, reach: Reach, options: Options, wish: DesignRequest) -> Study:
         """Draw candidates, and work out what each would tell.
 
         Raises:
@@ -141,7 +141,7 @@ class Study:
         rivals = _rivals(reach, options, wish, candidates)
         known = None if wish.measured is None else poses.of(wish.measured)
         rows = candidates if known is None else _joined(candidates, known)
-        foresight = Foresight.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
+        foresight = DesignModel.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
         H = np.eye(foresight.n_free)
         if known is not None:
             H += total(foresight.readings(known))
@@ -162,7 +162,7 @@ class Study:
 
     def rank(self, n: int) -> int:
         """Return how many directions n average candidates would tell better than the priors do, base and tool included."""
-        return self.foresight.told(n * self.mean).told
+        return self.foresight.posterior(n * self.mean).identifiable_rank
 
     def quality(self, H: np.ndarray) -> Quality:
         """Return what information H, shape (F, F), comes to."""
@@ -233,7 +233,7 @@ class _Poses:
     """How joint positions become conditions: loads, directions of approach and targets."""
 
     options: Options
-    wish: Wish
+    wish: DesignRequest
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -279,7 +279,7 @@ def _joined(one: Conditions, other: Conditions) -> Conditions:
     )
 
 
-def _rivals(reach: Reach, options: Options, wish: Wish, candidates: Conditions) -> list[Effect]:
+def _rivals(reach: Reach, options: Options, wish: DesignRequest, candidates: Conditions) -> list[Effect]:
     """Return the effects that are to be told apart."""
     if wish.tell_apart is None:
         return []
@@ -291,7 +291,7 @@ def _rivals(reach: Reach, options: Options, wish: Wish, candidates: Conditions) 
     return rivals
 
 
-def _check_draw(drawn: Draw, wish: Wish) -> None:
+def _check_draw(drawn: Draw, wish: DesignRequest) -> None:
     """Refuse constraints that leave too few poses, and say which of them it is."""
     found, needed = len(drawn.q), max(wish.least, 2)
     if found < needed:

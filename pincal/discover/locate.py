@@ -20,8 +20,9 @@ from pincal.discover.nuisance import MassError
 from pincal.identify.calibrate import Fit
 from pincal.identify.normal import block_rows
 from pincal.model.catalogue.places import nominal_moments
-from pincal.model.chain import FRAME_SYMBOLS, Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect, Term
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 # Chance that sound data show a place at all.
 _ALPHA = 0.01

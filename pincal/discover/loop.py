@@ -1,4 +1,4 @@
-"""Fit, criticise, name, extend, refit, verify: until nothing that the data demand is missing."""
+"""Fit, score_test, name, extend, refit, verify: until nothing that the data demand is missing."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.discover.criticism import Criticism, Score
 from pincal.discover.generic import generic_candidates
-from pincal.discover.nuisance import compliances_of, criticise_beside_masses
+from pincal.discover.nuisance import compliances_of, score_test_beside_masses
 from pincal.discover.resolution import curves_over, refined, resolved
+from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.calibrate import Fit, refit, without
 from pincal.model.catalogue import (
     AxisWobble,
@@ -87,12 +87,12 @@ class Step:
     equivalent: tuple[Effect, ...]
     before: Fit
     after: Fit
-    criticism: Criticism
+    criticism: ScoreTests
     index: tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Trail:
+class History:
     """What a discovery went through.
 
     Attributes:
@@ -105,12 +105,12 @@ class Trail:
     first: Fit
     steps: tuple[Step, ...]
     final: Fit
-    last: Criticism
+    last: ScoreTests
 
 
 def discover_effects(
     fit: Fit, groups: np.ndarray, *, extra: Sequence[Effect] = (), alpha: float = ALPHA, elastic: bool = True
-) -> Trail:
+) -> History:
     """Find the effects that a fit misses.
 
     Args:
@@ -134,8 +134,8 @@ def discover_effects(
     fit, steps = _backward(fit, steps, groups, alpha)
     fit, steps = _finished(fit, steps, first, all_groups)
     steps = _with_whole_curves(fit, _merged(fit, steps))
-    last = criticise_beside_masses(sampled(fit)[0], groups, _candidates(fit, extra, elastic))
-    return Trail(first, tuple(steps), fit, last)
+    last = score_test_beside_masses(sampled(fit)[0], groups, _candidates(fit, extra, elastic))
+    return History(first, tuple(steps), fit, last)
 
 
 def _noise_of(step: Step) -> tuple[float, float]:
@@ -234,7 +234,7 @@ def _generics(fit: Fit, near: str | None) -> list[Effect]:
 def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> Step | None:
     if elastic and not any(isinstance(e, JointElasticity) for e in fit.model.effects):
         block = _elasticity(fit)
-        found = criticise_beside_masses(fit, groups, block)
+        found = score_test_beside_masses(fit, groups, block)
         score = found.score((0, 1), 1)
         if score.p_value < _ELASTIC:
             return _accept(fit, block, _Choice(block[0], score, (), found, (0, 1)))
@@ -264,12 +264,12 @@ class _Choice:
     effect: Effect
     score: Score
     equivalent: tuple[Effect, ...]
-    criticism: Criticism
+    criticism: ScoreTests
     index: tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class _Contest:
+class _CandidateTable:
     """Candidates against one fit, each with its test and what it costs to believe it.
 
     Attributes:
@@ -280,16 +280,16 @@ class _Contest:
         least: the gain below which an effect matters to nobody.
     """
 
-    found: Criticism
+    found: ScoreTests
     scores: list[Score]
     costs: np.ndarray
     limits: np.ndarray
     least: float
 
     @classmethod
-    def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _Contest:
+    def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _CandidateTable:
         """Test candidates, named and nameless ones; each kind shares the chance of a false name."""
-        found = criticise_beside_masses(fit, groups, effects)
+        found = score_test_beside_masses(fit, groups, effects)
         nameless = np.array([isinstance(e, Unnamed) for e in effects], bool)
         n = {kind: len({_key(e) for e, no in zip(effects, nameless, strict=True) if no == kind}) for kind in (False, True)}
         scores = [found.score([i], n[bool(no)]) for i, no in enumerate(nameless)]
@@ -334,18 +334,18 @@ def _surcharge(effect: Effect) -> float:
 
 def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> _Choice | None:
     """Return the best explanation of what a fit leaves, if it is more than chance."""
-    names = _Contest.of(fit, _candidates(fit, extra, elastic), groups, alpha)
+    names = _CandidateTable.of(fit, _candidates(fit, extra, elastic), groups, alpha)
     best = next((i for i in names.passed()[:5] if _predicts(names.found, i)), None)
     curve = None if best is None else _promoted(names, best)
     near = None if best is None else place_of(names.found.effects[best])[0]
     close = [] if best is None else [best, *(i for i in np.argsort(names.costs)[:_CLOSE] if i != best)]
     together = [*(names.found.effects[i] for i in close), *_generics(fit, near)]
-    both = _Contest.of(fit, together, np.zeros_like(groups), alpha)
+    both = _CandidateTable.of(fit, together, np.zeros_like(groups), alpha)
     # Names are as costly as among all names.
     both.costs[: len(close)] = names.costs[close]
     nameless = next((i for i in both.passed() if i >= len(close)), None)
     better = nameless is not None and (best is None or both.costs[nameless] < both.costs[0])
-    if nameless is not None and better and _predicts(criticise_beside_masses(fit, groups, [together[nameless]]), 0):
+    if nameless is not None and better and _predicts(score_test_beside_masses(fit, groups, [together[nameless]]), 0):
         whole = _also_curve(together[nameless], names)
         return _chosen(both, nameless, whole if best is None else (*whole, *_also_curve(together[0], names, best)))
     if best is None:
@@ -390,13 +390,13 @@ def _with_curves(steps: Sequence[Step], by: dict[TransmissionError, Transmission
     return [replace(step, effects=_exchanged(step.effects, by)) for step in steps]
 
 
-def _predicts(found: Criticism, i: int) -> bool:
+def _predicts(found: ScoreTests, i: int) -> bool:
     """Return whether a candidate improves the prediction of blocks left out by more than chance."""
     gain, error = found.cross_validated_gain([i])
     return gain > error
 
 
-def _chosen(contest: _Contest, best: int, others: Sequence[Effect]) -> _Choice:
+def _chosen(contest: _CandidateTable, best: int, others: Sequence[Effect]) -> _Choice:
     """Return a choice with its rivals, each name once."""
     effects = contest.found.effects
     rivals = _each_name_once([*(effects[i] for i in contest.rivals(best)), *others], effects[best])
@@ -419,13 +419,13 @@ def _is_own_curve(effect: Effect) -> bool:
     return isinstance(effect, GearEccentricity | GearRatio | GravityCompensator)
 
 
-def _curves_like(effect: Effect, names: _Contest) -> list[int]:
+def _curves_like(effect: Effect, names: _CandidateTable) -> list[int]:
     """Return the drive curves of the same joint as a simple one."""
     joint, effects = place_of(effect)[0], names.found.effects
     return [i for i, e in enumerate(effects) if isinstance(e, TransmissionError) and e.joint == joint]
 
 
-def _beyond(names: _Contest, best: int) -> tuple[float, int]:
+def _beyond(names: _CandidateTable, best: int) -> tuple[float, int]:
     """Return the chance that some simple curve of the joint's position is all of the curve, and the drive curve."""
     effect = names.found.effects[best]
     if not _is_own_curve(effect):
@@ -440,7 +440,7 @@ def _beyond(names: _Contest, best: int) -> tuple[float, int]:
     return min(chances, default=(1.0, -1))
 
 
-def _promoted(names: _Contest, best: int) -> int | None:
+def _promoted(names: _CandidateTable, best: int) -> int | None:
     """Return the drive curve of which the simple names are only a part, unless a second name explains the rest as well."""
     chance, curve = _beyond(names, best)
     if chance > _ADDS_NOTHING:
@@ -454,7 +454,7 @@ def _promoted(names: _Contest, best: int) -> int | None:
     return curve if names.costs[curve] < min(pairs, default=np.inf) else None
 
 
-def _also_curve(effect: Effect, names: _Contest, best: int | None = None) -> tuple[Effect, ...]:
+def _also_curve(effect: Effect, names: _CandidateTable, best: int | None = None) -> tuple[Effect, ...]:
     """Return the drive curve that a simple curve of the joint's position may be a part of."""
     if best is not None:
         chance, curve = _beyond(names, best)
@@ -542,7 +542,7 @@ def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> 
         smaller = fit
         for effect in step.effects:
             smaller = without(smaller, effect)
-        tested = criticise_beside_masses(smaller, groups, list(step.effects))
+        tested = score_test_beside_masses(smaller, groups, list(step.effects))
         limit = _ELASTIC if isinstance(step.effects[0], JointElasticity) else alpha / 10.0
         if tested.score(range(len(step.effects)), 1).p_value > limit:
             log.info("dropped %s: what was found later explains it", _words(step.effects))

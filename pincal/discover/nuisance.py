@@ -8,13 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.discover.criticism import Criticism, criticise
+from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.calibrate import Fit
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Compliance, Conditions, Effect, Parameter, Term
+from pincal.model.effects import Compliance, Conditions, Effect, Term
 from pincal.model.kernels import Payload, Values
 from pincal.model.model import Model
+from pincal.parameters import Parameter
 
 # How well a URDF knows masses and first moments of mass: fractions of the link's own.
 MASS_SIZE = 0.05
@@ -101,7 +102,7 @@ def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
     return k
 
 
-def criticise_beside_masses(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> Criticism:
-    """Test effects against a fit with masses and first moments projected out; see :func:`criticise`."""
+def score_test_beside_masses(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> ScoreTests:
+    """Test effects against a fit with masses and first moments projected out; see :func:`score_test`."""
     masses = MassError.of(fit.model, fit.values)
-    return criticise(fit, effects, [masses] if masses else [], groups)
+    return score_test(fit, effects, [masses] if masses else [], groups)

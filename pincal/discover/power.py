@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
-from pincal.discover.criticism import Criticism, criticise
 from pincal.discover.loop import ALPHA, least_gain, place_of
 from pincal.discover.nuisance import MassError, compliances_of
+from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.calibrate import Fit
 from pincal.model.catalogue import PayloadError, TransmissionError
 from pincal.model.effects import Conditions, Effect
@@ -80,14 +80,14 @@ def minimum_detectable(
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
     masses = MassError.of(fit.model, fit.values)
-    found = criticise(quiet, tested, [masses] if masses else [], np.zeros(len(fit.problem), int))
+    found = score_test(quiet, tested, [masses] if masses else [], np.zeros(len(fit.problem), int))
     if found.dof < _FEWEST:
         return [Detectable(e, "", "", None, None, None, _too_few(found)) for e in effects]
     groups = len({(e.name, *place_of(e), vars(e).get("order"), vars(e).get("frame")) for e in effects})
     return [row for i in range(len(tested)) for row in _sizes(fit, found, i, alpha, groups)]
 
 
-def _too_few(found: Criticism) -> str:
+def _too_few(found: ScoreTests) -> str:
     return f"{found.readings} readings leave {found.dof:.0f} degrees of freedom to judge by; measure more poses"
 
 
@@ -101,7 +101,7 @@ def _foretold(effect: Effect, fit: Fit) -> Effect:
     return effect
 
 
-def _sizes(fit: Fit, found: Criticism, i: int, alpha: float, groups: int) -> Iterator[Detectable]:
+def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> Iterator[Detectable]:
     """Yield the detectable size of an effect, one a unit of its parameters."""
     effect = found.effects[i]
     parameters = effect.parameters(fit.model.chain)
@@ -208,7 +208,7 @@ def _power_curve(test: Test) -> tuple[np.ndarray, np.ndarray]:
     return grid, np.array([power_of(value, test) for value in np.maximum(grid, 1e-9)])
 
 
-def deciding_measurement(fit: Fit, found: Criticism, best: int, rival: Effect) -> str:
+def deciding_measurement(fit: Fit, found: ScoreTests, best: int, rival: Effect) -> str:
     """Return, in words, the cheapest further measurement that would tell an effect from a rival.
 
     For each kind of further run the power to tell them apart is computed from the Jacobian at its poses.
@@ -220,7 +220,7 @@ def deciding_measurement(fit: Fit, found: Criticism, best: int, rival: Effect) -
         rival: the other one.
     """
     pair = [found.effects[best], rival]
-    here = criticise(fit, pair, [], np.zeros(len(fit.problem), int))
+    here = score_test(fit, pair, [], np.zeros(len(fit.problem), int))
     value, _ = found.estimate([best])
     again = _separation(replace(here, S=2.0 * here.S), value)
     for words, conditions in _designs(fit):
@@ -236,7 +236,7 @@ def deciding_measurement(fit: Fit, found: Criticism, best: int, rival: Effect) -
     return "no further run of this kind tells them apart; look at the joint itself, or at its drive's own encoder"
 
 
-def _separation(found: Criticism, value: np.ndarray) -> float:
+def _separation(found: ScoreTests, value: np.ndarray) -> float:
     """Return the signal of the first effect that the second can't take over, squared, in units of the noise."""
     S, _ = found._projected
     c, g = found.columns_of([0]), found.columns_of([1])
@@ -270,8 +270,8 @@ def _designs(fit: Fit) -> Iterator[tuple[str, Conditions]]:
     yield "poses over the whole range of the joints", replace(c, q=robot.random_configurations(len(c), rng))
 
 
-def _criticised_at(fit: Fit, pair: list[Effect], conditions: Conditions, here: Criticism) -> Criticism:
+def _criticised_at(fit: Fit, pair: list[Effect], conditions: Conditions, here: ScoreTests) -> ScoreTests:
     """Return the tests that the present readings and those at further conditions would allow together."""
     problem = replace(fit.problem, conditions=conditions)
-    there = criticise(replace(fit, problem=problem), pair, [], np.zeros(len(problem), int))
+    there = score_test(replace(fit, problem=problem), pair, [], np.zeros(len(problem), int))
     return replace(here, S=here.S + there.S)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.discover.nuisance import criticise_beside_masses
+from pincal.discover.nuisance import score_test_beside_masses
 from pincal.identify.calibrate import Fit
 from pincal.model.catalogue import TransmissionError
 
@@ -38,5 +38,5 @@ def refined(fit: Fit, curve: TransmissionError, groups: np.ndarray) -> Transmiss
 
 def _gains(fit: Fit, curves: Sequence[TransmissionError], groups: np.ndarray) -> np.ndarray:
     """Return by how much each curve lowers the squared error on each block left out, shape (curves, blocks)."""
-    found = criticise_beside_masses(fit, groups, curves)
+    found = score_test_beside_masses(fit, groups, curves)
     return np.array([found.gains_by_block([i]) for i in range(len(curves))])

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.exact import is_exact, rounding
 from pincal.identify.normal import accumulate, posterior, posterior_step
-from pincal.identify.placement import Placement
+from pincal.identify.placement import Extrinsics
 from pincal.identify.problem import Problem, conditions_of, problem_of
 from pincal.identify.rows import some_rows
 from pincal.identify.solve import Loss, Noise, Priors, Solution, solve
@@ -20,9 +20,10 @@ from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import sensor_of
 from pincal.measure.setup import Setup
-from pincal.model.chain import FRAME_SYMBOLS, Chain, MomentFrame
+from pincal.model.chain import Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Effect, ToolFrame
 from pincal.model.model import Model
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
 
 Stages = Literal["joint", "paper"]
@@ -32,7 +33,7 @@ LENGTH_BOUND = 0.01
 # A point that seems farther away than this [m] was seen from too much the same side.
 _FARTHEST = 50.0
 # Effects of what stands around the robot; a lens's distortion would only hide the robot's own.
-PLACES = ("base_frame", "tool_frame", "named_point", "lens")
+EXTRINSICS = ("base_frame", "tool_frame", "named_point", "lens")
 # Chance that sound data call for a parameter that is not there.
 _MISSED = 1e-6
 # The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
@@ -183,7 +184,7 @@ def _without_outliers(problem: Problem, nominal: Solution, fitted: Solution, pri
     return replace(again, weights=fitted.weights, iterations=nominal.iterations)
 
 
-def foresee(robot: Robot, measurements: Measurements, options: Options | None = None) -> Fit:
+def expected_fit(robot: Robot, measurements: Measurements, options: Options | None = None) -> Fit:
     """Return what a calibration could tell from these poses, before one is made.
 
     The solution stands at the nominal geometry; its posterior is what the poses and the noise allow. Noise that is not
@@ -265,7 +266,7 @@ def _begin(robot: Robot, measurements: Measurements, options: Options) -> tuple[
 
 def frames_of(problem: Problem) -> np.ndarray:
     """Return which parameters say where things are: base and tool, named points, a camera's pinhole."""
-    return np.array([p.effect in PLACES for p in problem.parameters], bool)
+    return np.array([p.effect in EXTRINSICS for p in problem.parameters], bool)
 
 
 def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[Problem, np.ndarray]:
@@ -301,7 +302,7 @@ def place(robot: Robot, measurements: Measurements, options: Options) -> tuple[P
     return problem, np.array([start.get(p.name, 0.0) for p in problem.parameters])
 
 
-def _known(placement: Placement, chain: Chain, options: Options) -> Placement:
+def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
     """Put in what the user knows of base and tools."""
     base = placement.base if options.base is None else np.asarray(options.base, float)
     tools = placement.tools.copy()
@@ -315,7 +316,7 @@ def _known(placement: Placement, chain: Chain, options: Options) -> Placement:
     return replace(placement, base=base, tools=tools)
 
 
-def _at(model: Model, measurements: Measurements, placement: Placement, options: Options) -> tuple[Problem, np.ndarray]:
+def _at(model: Model, measurements: Measurements, placement: Extrinsics, options: Options) -> tuple[Problem, np.ndarray]:
     """Return the problem and values that stand at a placement."""
     chain = model.chain.with_references(placement.base[:3, :3], placement.tools[:, :3, :3])
     problem = problem_of(model.with_chain(chain), measurements, np.array(options.payload_centre), options.setup)
@@ -342,7 +343,7 @@ def released_of(problem: Problem, options: Options) -> np.ndarray:
     """Return which parameters a fit may move: all but a known base, known tools and what the sensor knows of itself."""
     known = known_frames(options)
     free = np.array([p.name not in known for p in problem.parameters], bool)
-    free[problem.model.n_parameters :] = ~problem.sensor.held
+    free[problem.model.n_parameters :] = ~problem.sensor.fixed
     return free
 
 
@@ -438,7 +439,7 @@ def doubts_lens(fit: Fit) -> bool:
     """Return whether the images call for another camera than the given one, which the fit held (a score test)."""
     problem = fit.problem
     usual = np.zeros(len(problem.parameters), bool)
-    usual[problem.model.n_parameters :] = problem.sensor.held
+    usual[problem.model.n_parameters :] = problem.sensor.fixed
     usual &= np.array([p.effect in ("lens", "lens_distortion") for p in problem.parameters], bool)
     return bool(usual.any()) and _is_missed(problem, fit.solution, fit.solution.free | usual, fit.priors)
 
@@ -447,7 +448,7 @@ def _refuse_too_few(measurements: Measurements, problem: Problem, fitted: Soluti
     """Refuse a fit through all readings: it leaves nothing to estimate the noise from."""
     counted = int(np.sum(fitted.weights > 0.0))
     readings = counted * sum(block.size for block in problem.sensor.blocks)
-    if noise.declared[0] is None and fitted.posterior.rank >= readings:
+    if noise.declared[0] is None and fitted.posterior.visible_rank >= readings:
         raise MeasurementError(
             f"{measurements.source}: {counted} training rows give {readings} readings, no more than the parameters that "
             "they would fit, so nothing is left to tell the noise from; measure more poses, declare the noise (--noise) "

@@ -91,7 +91,7 @@ def polish(
 
 
 def _whitened(problem: Problem, values: np.ndarray, free: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Jacobian, shape (F, M), and residuals, shape (M,), in units of the noise, beliefs among them."""
+    """Return Jacobian, shape (F, M), and residuals, shape (M,), in units of the noise, constraints among them."""
     parts = list(problem.linearise(values, free))
     r = (np.concatenate([part[1] for part in parts], axis=1) * weights).ravel()
     J = np.concatenate([part[2] for part in parts], axis=2) * weights

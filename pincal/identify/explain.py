@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from pincal.identify.calibrate import PLACES, Fit, known_frames
+from pincal.identify.calibrate import EXTRINSICS, Fit, known_frames
 from pincal.identify.normal import NULL, accumulate, posterior
 from pincal.identify.rows import some_rows
 
@@ -218,7 +218,7 @@ class _Nominal:
     @cached_property
     def _beside_frames(self) -> np.ndarray:
         """G with what base and tool absorb taken out."""
-        frames = self._of(*PLACES)
+        frames = self._of(*EXTRINSICS)
         inverse = np.linalg.pinv(self.G[np.ix_(frames, frames)], rcond=1e-10, hermitian=True)
         return np.asarray(self.G - self.G[:, frames] @ inverse @ self.G[frames])
 

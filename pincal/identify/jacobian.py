@@ -12,17 +12,17 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pincal.identify.thin import Thin, thin_product, thin_rows, thin_times
+from pincal.identify.sparse_basis import SparseBasis, sparse_product, sparse_rows, sparse_times
 
 # Part of a basis function's values that are not zero, below which it is kept sparse.
 _THIN = 0.25
 
 
-Basis: TypeAlias = np.ndarray | Thin
+Basis: TypeAlias = np.ndarray | SparseBasis
 
 
 @dataclass(frozen=True)
-class Family:
+class SharedColumns:
     """Parameters that share a column.
 
     Attributes:
@@ -50,7 +50,7 @@ class Jacobian:
     size: int
     places: np.ndarray
     dense: np.ndarray
-    families: tuple[Family, ...] = ()
+    families: tuple[SharedColumns, ...] = ()
 
     def weighted(self, weights: np.ndarray) -> Jacobian:
         """Return it times weights of the readings, shape (m, n) or (n,)."""
@@ -99,21 +99,21 @@ def _block(rows: slice | np.ndarray, columns: slice | np.ndarray) -> tuple[slice
 
 
 def _poses(basis: Basis, rows: slice) -> Basis:
-    if isinstance(basis, Thin):
+    if isinstance(basis, SparseBasis):
         return basis._replace(starts=basis.starts[rows.start : rows.stop + 1])
     return basis[:, rows]
 
 
 def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:
     """Return basis times a matrix of shape (n, D), shape (S, D)."""
-    return np.asarray(thin_times(basis, matrix)) if isinstance(basis, Thin) else basis @ matrix
+    return np.asarray(sparse_times(basis, matrix)) if isinstance(basis, SparseBasis) else basis @ matrix
 
 
 def _product(left: Basis, weights: np.ndarray, right: Basis) -> np.ndarray:
     """Return left diag(weights) right^T, dense."""
-    if isinstance(right, Thin):
-        if isinstance(left, Thin):
-            return np.asarray(thin_product(left, weights, right))
+    if isinstance(right, SparseBasis):
+        if isinstance(left, SparseBasis):
+            return np.asarray(sparse_product(left, weights, right))
         return _times(right, np.ascontiguousarray((left * weights).T)).T
     return _times(left, np.ascontiguousarray((right * weights).T))
 
@@ -124,7 +124,7 @@ def split_by_density(basis: np.ndarray) -> list[tuple[np.ndarray, Basis]]:
     split: list[tuple[np.ndarray, Basis]] = []
     if thin.any():
         rows = np.flatnonzero(thin)
-        split.append((rows, thin_rows(basis, rows)))
+        split.append((rows, sparse_rows(basis, rows)))
     if not thin.all():
         split.append((np.flatnonzero(~thin), basis[~thin]))
     return split

@@ -86,14 +86,14 @@ def accumulate(problem: Problem, values: np.ndarray, free: np.ndarray, robust: n
 
 
 def believed(problem: Problem, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Return G, shape (F, F), g, shape (F,), and the sum of squares of the sensor's beliefs; None where it has none."""
+    """Return G, shape (F, F), g, shape (F,), and the sum of squares of the sensor's constraints; None where it has none."""
     J, r = belief_rows(problem, values, free)
     return (J @ J.T, J @ r, float(r @ r)) if len(r) else None
 
 
 def belief_rows(problem: Problem, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Jacobian, shape (F, C), and residuals, shape (C,), of the sensor's C beliefs in units of their noise."""
-    facts, n = problem.sensor.beliefs(problem.own(values)), problem.model.n_parameters
+    """Return Jacobian, shape (F, C), and residuals, shape (C,), of the sensor's C constraints in units of their noise."""
+    facts, n = problem.sensor.constraints(problem.own(values)), problem.model.n_parameters
     if facts is None:
         return np.zeros((int(free.sum()), 0)), np.zeros(0)
     J = np.zeros((int(free.sum()), len(facts.sigma)))
@@ -128,12 +128,12 @@ class Posterior:
     has_prior: np.ndarray
 
     @property
-    def rank(self) -> int:
+    def visible_rank(self) -> int:
         """Number of directions that the data see at all, however faintly."""
         return self.frame_rank + int(np.count_nonzero(self.information))
 
     @property
-    def told(self) -> int:
+    def identifiable_rank(self) -> int:
         """Number of directions that the data determine better than the priors do."""
         return self.frame_rank + int(np.count_nonzero(self.information > 1.0))
 

@@ -12,7 +12,7 @@ RANK = 1e-6
 
 
 @dataclass(frozen=True)
-class Placement:
+class Extrinsics:
     """Where instrument and tools stand.
 
     Attributes:
@@ -26,13 +26,13 @@ class Placement:
     own: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def from_distances(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Placement]:
+def from_distances(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
     """Yield placements by distances ``d``, shape (N,), from one point; tools at the tip, then where the data have them."""
     p, R = tips[:, :, 3], tips[:, :, :3]
     tools = np.tile(np.eye(4), (n_targets, 1, 1))
     squares = (d**2 - np.einsum("ni,ni->n", p, p))[:, None]
     solution, _ = least_squares(np.hstack([2.0 * p, np.ones((len(p), 1))]), squares)
-    yield Placement(frame(np.eye(3), solution[:3, 0]), tools)
+    yield Extrinsics(frame(np.eye(3), solution[:3, 0]), tools)
     lever = by_target(2.0 * np.einsum("nji,nj->ni", R, p), target, n_targets)
     products = by_target(2.0 * R.reshape(-1, 9), target, n_targets)
     constants = by_target(np.ones((len(p), 1)), target, n_targets)
@@ -40,7 +40,7 @@ def from_distances(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_target
     if complete:
         found = tools.copy()
         found[:, :3, 3] = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
-        yield Placement(frame(np.eye(3), solution[:3, 0]), found)
+        yield Extrinsics(frame(np.eye(3), solution[:3, 0]), found)
 
 
 def by_target(columns: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:

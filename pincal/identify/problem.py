@@ -8,13 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.identify.jacobian import Family, Jacobian, split_by_density
+from pincal.identify.jacobian import Jacobian, SharedColumns, split_by_density
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import sensor_of
 from pincal.measure.sensors import Sensor
 from pincal.measure.setup import Setup
-from pincal.model.effects import Conditions, Parameter
+from pincal.model.effects import Conditions
 from pincal.model.model import Model
+from pincal.parameters import Parameter
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
 _PIECE = 4096
@@ -124,7 +125,7 @@ class Problem:
             dense = columns[:n_apart] if not shared and not len(own) else np.concatenate([columns[:n_apart], own])
             column_of = np.cumsum(free) - 1
             families = (
-                Family(column_of[group.parameters[rows]], basis, columns[n_apart + i])
+                SharedColumns(column_of[group.parameters[rows]], basis, columns[n_apart + i])
                 for i, group in enumerate(shared)
                 for rows, basis in split_by_density(group.basis)
             )

@@ -18,7 +18,7 @@ import numpy as np
 
 from pincal.identify.placement import (
     RANK,
-    Placement,
+    Extrinsics,
     by_target,
     frame,
     from_distances,
@@ -36,7 +36,7 @@ from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
 _ROWS = 2000
 
 
-def placements(sensor: Sensor, tips: np.ndarray, target: np.ndarray, n_targets: int) -> list[Placement]:
+def placements(sensor: Sensor, tips: np.ndarray, target: np.ndarray, n_targets: int) -> list[Extrinsics]:
     """Return candidates for the placement of instrument and tools, some perhaps far off.
 
     Args:
@@ -61,14 +61,14 @@ def placements(sensor: Sensor, tips: np.ndarray, target: np.ndarray, n_targets: 
         return list(from_camera_points(sensor, tips))
     if isinstance(sensor, CameraPixelSensor):
         return list(from_pixels(sensor, tips))
-    return [Placement(np.eye(4), np.tile(np.eye(4), (n_targets, 1, 1)), np.zeros(len(sensor.parameters)))]
+    return [Extrinsics(np.eye(4), np.tile(np.eye(4), (n_targets, 1, 1)), np.zeros(len(sensor.parameters)))]
 
 
-def _from_positions(m: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Placement]:
+def _from_positions(m: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
     p, R = tips[:, :, 3], tips[:, :, :3]
     tools = np.tile(np.eye(4), (n_targets, 1, 1))
     base = frame(*rigid(p, m))
-    yield Placement(base, tools)
+    yield Extrinsics(base, tools)
     columns = by_target(R.reshape(-1, 9), target, n_targets)
     solution, complete = least_squares(np.hstack([p, columns, np.ones((len(p), 1))]), m)
     if not complete:
@@ -78,10 +78,10 @@ def _from_positions(m: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targe
         products = solution[3 + 9 * t : 12 + 9 * t].T.reshape(3, 3, 3)  # [a, c, d] = R[a, c] t[d]
         tools[t, :3, 3] = np.einsum("ac,acd->d", rotation, products) / 3.0
     ends = p + np.einsum("nij,nj->ni", R, tools[target, :3, 3])
-    yield Placement(frame(*rigid(ends, m)), tools)
+    yield Extrinsics(frame(*rigid(ends, m)), tools)
 
 
-def _from_poses(sensor: PoseSensor, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Placement]:
+def _from_poses(sensor: PoseSensor, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
     tools = np.tile(np.eye(4), (n_targets, 1, 1))
     blocks = np.zeros((9 + 9 * n_targets, 9 + 9 * n_targets))
     for t in range(n_targets):
@@ -101,7 +101,7 @@ def _from_poses(sensor: PoseSensor, tips: np.ndarray, target: np.ndarray, n_targ
     solution = np.linalg.lstsq(A, (sensor.position - tips[:, :, 3] @ rotation.T).ravel(), rcond=RANK)[0]
     for t in range(n_targets):
         tools[t, :3, 3] = solution[3 + 3 * t : 6 + 3 * t]
-    yield Placement(frame(rotation, solution[:3]), tools)
+    yield Extrinsics(frame(rotation, solution[:3]), tools)
 
 
 def _rotation_equations(tips: np.ndarray, measured: np.ndarray) -> np.ndarray:

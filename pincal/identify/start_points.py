@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.identify.placement import RANK, Placement, by_target, frame, from_distances, nearest_rotation, rigid
+from pincal.identify.placement import RANK, Extrinsics, by_target, frame, from_distances, nearest_rotation, rigid
 from pincal.identify.rows import some_rows
 from pincal.measure.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.lens import Lens
@@ -34,7 +34,7 @@ _NEAR = 0.02
 _ROUNDS = 20
 
 
-def from_contacts(sensor: ContactSensor, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Placement]:
+def from_contacts(sensor: ContactSensor, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
     """Yield the tool points that keep best still in their sockets."""
     p, R = tips[:, :, 3], tips[:, :, :3]
     columns = by_target(R, target, n_targets)
@@ -48,7 +48,7 @@ def from_contacts(sensor: ContactSensor, tips: np.ndarray, target: np.ndarray, n
 
 def from_anchors(
     sensor: AnchoredDistanceSensor, tips: np.ndarray, target: np.ndarray, n_targets: int
-) -> Iterator[Placement]:
+) -> Iterator[Extrinsics]:
     """Yield the anchors about which the distances close, each found by itself; the tool where all agree."""
     n = len(sensor.points.names)
     found = [
@@ -62,7 +62,7 @@ def from_anchors(
         yield _of_places(sensor, anchors, tools)
 
 
-def from_camera_points(sensor: CameraPointSensor, tips: np.ndarray) -> Iterator[Placement]:
+def from_camera_points(sensor: CameraPointSensor, tips: np.ndarray) -> Iterator[Extrinsics]:
     """Yield the camera's place in the hand in which the points of the object stand still."""
     p, R = tips[:, :, 3], tips[:, :, :3]
     products = np.einsum("nab,nc->nabc", R, sensor.camera_point).reshape(len(p), 3, 9)
@@ -73,7 +73,7 @@ def from_camera_points(sensor: CameraPointSensor, tips: np.ndarray) -> Iterator[
     yield _placed(sensor, p + seen + R @ t, frame(W, t)[None])
 
 
-def from_pixels(sensor: CameraPixelSensor, tips: np.ndarray) -> Iterator[Placement]:
+def from_pixels(sensor: CameraPixelSensor, tips: np.ndarray) -> Iterator[Extrinsics]:
     """Yield the best places and focal lengths of the camera: those on a grid, made better one by one."""
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
@@ -174,7 +174,7 @@ def _triangulated(index: np.ndarray, n_points: int, tips: np.ndarray, rays: np.n
     return _Sight(focal * float(np.mean(angle)), image.ravel(), t, places)
 
 
-def _placed(sensor: PointSensor, ends: np.ndarray, tools: np.ndarray) -> Placement:
+def _placed(sensor: PointSensor, ends: np.ndarray, tools: np.ndarray) -> Extrinsics:
     """Return the placement in which each point stands at the mean of its rows' ``ends``, shape (N, 3), in the base frame."""
     n = len(sensor.points.names)
     count = np.bincount(sensor.index, minlength=n).astype(float)
@@ -182,14 +182,14 @@ def _placed(sensor: PointSensor, ends: np.ndarray, tools: np.ndarray) -> Placeme
     return _of_places(sensor, places / np.maximum(count, 1.0)[:, None], tools)
 
 
-def _of_places(sensor: PointSensor, places: np.ndarray, tools: np.ndarray, rest: np.ndarray | None = None) -> Placement:
+def _of_places(sensor: PointSensor, places: np.ndarray, tools: np.ndarray, rest: np.ndarray | None = None) -> Extrinsics:
     """Return the placement of points, shape (K, 3), in the robot's base frame; the known ones say where the base is."""
     points = sensor.points
     seen = points.known & np.isin(np.arange(len(places)), sensor.index)
     base = frame(*rigid(places[seen], points.given[seen])) if seen.any() else np.eye(4)
     moved = places @ base[:3, :3].T + base[:3, 3]
     own = moved[~points.known].ravel()
-    return Placement(base, tools, own if rest is None else np.concatenate([own, rest]))
+    return Extrinsics(base, tools, own if rest is None else np.concatenate([own, rest]))
 
 
 def _centred(values: np.ndarray, index: np.ndarray) -> np.ndarray:

@@ -15,8 +15,7 @@ from pincal.measure.lens import NEAREST, Lens
 from pincal.measure.points import PointSensor
 from pincal.measure.sensors import Block
 from pincal.measure.setup import Setup
-from pincal.model.chain import FRAME_SYMBOLS
-from pincal.model.effects import Parameter
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
@@ -93,9 +92,9 @@ class CameraPixelSensor(_CameraSensor):
         return self.points.parameters + self.setup.lens_parameters()
 
     @property
-    def held(self) -> np.ndarray:
+    def fixed(self) -> np.ndarray:
         """The camera's parameters where it is known, and always those that a usual lens does not have."""
-        return np.concatenate([np.zeros(len(self.points.parameters), bool), self.setup.lens_held()])
+        return np.concatenate([np.zeros(len(self.points.parameters), bool), self.setup.lens_fixed()])
 
     def lens(self, own: np.ndarray) -> Lens:
         """Return the camera for values of the sensor's parameters."""

@@ -11,10 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.measure.sensors import Beliefs, Block, Sensor
+from pincal.measure.sensors import Block, Constraints, Sensor
 from pincal.measure.setup import NamedPoints
-from pincal.model.chain import FRAME_SYMBOLS
-from pincal.model.effects import Parameter
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,9 @@ class PointSensor(Sensor):
         """Coordinates of the unknown points."""
         return self.points.parameters
 
-    def beliefs(self, own: np.ndarray) -> Beliefs | None:
+    def constraints(self, own: np.ndarray) -> Constraints | None:
         """Return the known distances between points."""
-        gaps = self.points.gaps
+        gaps = self.points.distances
         if not gaps:
             return None
         names, places = self.points.names, self.points.positions(own)
@@ -64,7 +63,7 @@ class PointSensor(Sensor):
                 slot = int(self.points.slot[end])
                 if slot >= 0:
                     jacobian[3 * slot : 3 * slot + 3, c] += sign * line / length
-        return Beliefs(residuals, jacobian, np.array([gap.sigma for gap in gaps]))
+        return Constraints(residuals, jacobian, np.array([gap.sigma for gap in gaps]))
 
     def _by_points(self, by_place: np.ndarray) -> np.ndarray:
         """Return the derivative by the unknown points, shape (own, m, N), from that by each row's, shape (3, m, N)."""

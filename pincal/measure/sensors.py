@@ -13,8 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.model.chain import FRAME_SYMBOLS
-from pincal.model.effects import Parameter
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Beliefs:
+class Constraints:
     """C facts on a sensor's own parameters, as if they were readings.
 
     Attributes:
@@ -79,7 +78,7 @@ class Sensor(ABC):
         return ()
 
     @property
-    def held(self) -> np.ndarray:
+    def fixed(self) -> np.ndarray:
         """Which of its own parameters are known and stay as they are, shape (own,)."""
         return np.zeros(len(self.parameters), bool)
 
@@ -93,7 +92,7 @@ class Sensor(ABC):
         """Whether the rows make sense only together, so that they can't be worked on in pieces."""
         return False
 
-    def beliefs(self, own: np.ndarray) -> Beliefs | None:
+    def constraints(self, own: np.ndarray) -> Constraints | None:
         """Return what is known of the sensor's own parameters beside the readings, None where nothing is."""
         return None
 

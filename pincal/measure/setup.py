@@ -16,7 +16,7 @@ from pincal.errors import MeasurementError
 from pincal.measure.lens import DISTORTION, PINHOLE, Lens
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_columns
-from pincal.model.effects import Parameter
+from pincal.parameters import Parameter
 
 Place = tuple[float, float, float]
 
@@ -31,7 +31,7 @@ _LINE = 1e-3
 
 
 @dataclass(frozen=True)
-class Gap:
+class KnownDistance:
     """A known distance between two named points: ``length`` and its standard deviation ``sigma`` [m]."""
 
     first: str
@@ -57,7 +57,7 @@ class NamedPoints:
 
     Attributes:
         places: each point's position [m], None where it is unknown.
-        gaps: known distances between points.
+        distances: known distances between points.
 
     Example:
         >>> points = NamedPoints({"a": (0.0, 0.0, 0.0), "b": None})
@@ -66,10 +66,10 @@ class NamedPoints:
     """
 
     places: Mapping[str, Place | None] = field(default_factory=dict)
-    gaps: tuple[Gap, ...] = ()
+    distances: tuple[KnownDistance, ...] = ()
 
     def __post_init__(self) -> None:
-        for gap in self.gaps:
+        for gap in self.distances:
             for name in (gap.first, gap.second):
                 if self.places and name not in self.places:
                     raise MeasurementError(f"a distance names {name!r}; the points are {_listed(self.places)}")
@@ -130,13 +130,13 @@ class Setup:
     Attributes:
         points: positions of named points (sockets, anchors, points of a calibration object) in the instrument's frame [m],
             where they are known.
-        gaps: known distances between such points.
+        distances: known distances between such points.
         lens: the camera, where it is known.
         fit_lens: whether to find a known camera's parameters again, too; those of an unknown camera always are.
     """
 
     points: Mapping[str, Place | None] = field(default_factory=dict)
-    gaps: tuple[Gap, ...] = ()
+    distances: tuple[KnownDistance, ...] = ()
     lens: Lens | None = None
     fit_lens: bool = False
 
@@ -147,9 +147,9 @@ class Setup:
 
     def named(self, names: Sequence[str] | np.ndarray = ()) -> NamedPoints:
         """Return the named points, others of these names among them as unknown."""
-        gaps = self.gaps
         found = NamedPoints(self.points).with_names([str(name) for name in names])
-        return replace(found, gaps=tuple(gap for gap in gaps if {gap.first, gap.second} <= found.places.keys()))
+        inside = tuple(d for d in self.distances if {d.first, d.second} <= found.places.keys())
+        return replace(found, distances=inside)
 
     def lens_parameters(self) -> tuple[Parameter, ...]:
         """Return the camera's parameters, as deviations from what is known of it."""
@@ -165,7 +165,7 @@ class Setup:
             for name, value in zip((*PINHOLE, *DISTORTION), nominal, strict=True)
         )
 
-    def lens_held(self) -> np.ndarray:
+    def lens_fixed(self) -> np.ndarray:
         """Return which of the camera's parameters stay as they are, shape (9,)."""
         free = self.lens is None or self.fit_lens
         return np.array([not (free and name in _USUAL) for name in (*PINHOLE, *DISTORTION)])
@@ -192,7 +192,7 @@ def read_points(path: str | os.PathLike[str]) -> dict[str, Place]:
     return found
 
 
-def read_gaps(path: str | os.PathLike[str]) -> tuple[Gap, ...]:
+def read_distances(path: str | os.PathLike[str]) -> tuple[KnownDistance, ...]:
     """Read known distances from a table with columns ``first second distance`` and perhaps ``sigma``.
 
     Raises:
@@ -202,7 +202,7 @@ def read_gaps(path: str | os.PathLike[str]) -> tuple[Gap, ...]:
     columns = read_columns(path, quantities, optional=("sigma",))
     sigma = columns.get("sigma", np.full(len(columns["first"]), GAP_SIGMA))
     return tuple(
-        Gap(str(a), str(b), float(length), float(s))
+        KnownDistance(str(a), str(b), float(length), float(s))
         for a, b, length, s in zip(columns["first"], columns["second"], columns["distance"], sigma, strict=True)
     )
 

@@ -23,12 +23,12 @@ from typing import Literal
 import numpy as np
 
 from pincal.model.kernels import BLOCK, FRAME, Layout
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
 
 MomentFrame = Literal["paper", "before", "after"]
 MOMENT_FRAMES: tuple[MomentFrame, ...] = ("paper", "before", "after")
 
-FRAME_SYMBOLS = ("x", "y", "z", "rx", "ry", "rz")
 _JOINT_SYMBOLS = ("s_x", "s_y", "theta", "gamma_z", "gamma_y", "gamma_x", "d", "a", "alpha")
 # A compliance that stays with the previous link bends before the joint turns.
 _JOINT_SYMBOLS_BEFORE = ("s_x", "s_y", "gamma_z", "gamma_y", "gamma_x", "theta", "d", "a", "alpha")

@@ -16,32 +16,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.model.chain import FRAME_SYMBOLS, Chain
+from pincal.model.chain import Chain
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 # Size of real errors by kind [rad, m], used as prior where the data can't tell. The paper (IV.C) knows of deviations of
 # up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
 BENDING_SIZE = 1e-3
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number that a fit may find.
-
-    Attributes:
-        name: ``<element>.<symbol>``, e.g. ``joint_2.s_x``.
-        unit: "rad", "m" or "rad/(N m)".
-        effect: name of the effect that owns it.
-        nominal: what the URDF says; a fit finds the deviation from it.
-        size: how far it typically moves its coordinate [rad or m]; inf for frames that are anywhere.
-    """
-
-    name: str
-    unit: str
-    effect: str
-    nominal: float
-    size: float
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.effects import Conditions, Effect, Term
 from pincal.model.kernels import Compliances, Payload, Terms, Values
+from pincal.parameters import Parameter
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
 # arm needs more, and the Jacobian as many sweeps again.

@@ -1,1 +1,1 @@
-"""What a calibration is worth and where it goes: validation, result files, calibrated URDF."""
+"""Rendering: one page for a reader who does not know the model, its figures, tables and words."""

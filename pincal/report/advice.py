@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.report.result import ParameterRow
-from pincal.report.run import Calibration
+from pincal.calibration.result import ParameterRow
+from pincal.calibration.run import Calibration
 
 # Words of a reason (see pincal.identify.explain) -> cause, and what to do about it; the first that fits.
 _CAUSES = (
@@ -62,7 +62,7 @@ _NARROW = 0.3
 
 
 @dataclass(frozen=True)
-class Gap:
+class UnidentifiedGroup:
     """Parameters that the data do not tell, for one and the same cause.
 
     Attributes:
@@ -76,7 +76,7 @@ class Gap:
     rows: tuple[ParameterRow, ...]
 
 
-def not_told(parameters: Sequence[ParameterRow]) -> tuple[Gap, ...]:
+def not_told(parameters: Sequence[ParameterRow]) -> tuple[UnidentifiedGroup, ...]:
     """Return the parameters that are not identified, by cause, the causes that call for action last.
 
     Example:
@@ -90,7 +90,7 @@ def not_told(parameters: Sequence[ParameterRow]) -> tuple[Gap, ...]:
         if row.status != "identified":
             cause = next(((t, a) for words, t, a in _CAUSES if any(w in row.reason for w in words)), _OTHER)
             found[cause].append(row)
-    return tuple(Gap(title, advice, tuple(rows)) for (title, advice), rows in found.items() if rows)
+    return tuple(UnidentifiedGroup(title, advice, tuple(rows)) for (title, advice), rows in found.items() if rows)
 
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:

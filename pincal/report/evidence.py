@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.calibration.run import Calibration
 from pincal.identify.problem import Problem
-from pincal.report.run import Calibration
 
 # Units of readings -> factor and unit in which people read their errors.
 _READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}

@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from pincal.calibration.result import ParameterRow, Result, shown_parameters
+from pincal.calibration.run import Calibration
+from pincal.discover.run import Discovery
+from pincal.discover.shrink import gap_names
 from pincal.report.advice import not_told
-from pincal.report.discovery import Discovery
 from pincal.report.glossary import TERMS, effect_meaning
 from pincal.report.illustrations import Picture, illustrations
-from pincal.report.lack_of_fit import lack_words, pure_words
-from pincal.report.nutshell import next_steps, verdict_of
-from pincal.report.replicates import ANGLE_WORDS, cycle_words
-from pincal.report.result import ParameterRow, Result, shown_parameters
-from pincal.report.run import Calibration
-from pincal.report.shrink import gap_names
-from pincal.report.units import digits, small_unit
+from pincal.report.summary import next_steps, verdict_of
 from pincal.report.words import effect_words, noise_words
+from pincal.units import digits, small_unit
+from pincal.validate.lack_of_fit import lack_words, pure_words
+from pincal.validate.replicates import ANGLE_WORDS, cycle_words
 
 log = logging.getLogger(__name__)
 

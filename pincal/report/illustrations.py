@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pincal.report.discovery import Discovery
+from pincal.calibration.run import Calibration
+from pincal.discover.run import Discovery
+from pincal.discover.shrink import gap_names, partial_residual_title
 from pincal.report.evidence import Evidence, evidence_of
-from pincal.report.run import Calibration
-from pincal.report.shrink import gap_names, trace_title
 from pincal.report.svg import inline_svg
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def _of_discovery(discovery: Discovery) -> Iterator[tuple[str, Figure, str, str]
     figure = shrinking_figure(gap_names(gaps), errors, discovery.report["noise_floor_mm"])
     yield "gap", figure, "Error on held-out rows after each step", _SHRINKING
     for trace in discovery.traces:
-        title = trace_title(trace)
+        title = partial_residual_title(trace)
         caption = (
             f"{title}: what is off against {trace.variable}, the effect left out of the final model (above) and in it "
             "(below). Small dots are poses, those with bars their mean among neighbours, the line what was fitted. Below, "

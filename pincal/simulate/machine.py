@@ -20,7 +20,7 @@ from pincal.simulate.chain import build_chain
 from pincal.simulate.conditions import fitted, poses_of
 from pincal.simulate.effect import DeformingEffect, HiddenEffect, LoadingEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity
-from pincal.simulate.rest import Equilibrium, Settler
+from pincal.simulate.equilibrium import Equilibrium, Settler
 from pincal.simulate.state import Poses
 
 GRAVITY = (0.0, 0.0, -9.81)

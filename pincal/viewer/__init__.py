@@ -6,7 +6,7 @@ Example:
     >>> from pincal.model.chain import Chain
     >>> from pincal.model.effects import GEOMETRIC
     >>> from pincal.model.model import Model
-    >>> from pincal.report.model_file import CalibratedModel, Covered
+    >>> from pincal.calibration.calibrated import CalibratedModel, Covered
     >>> from pincal.robot.robot import Robot
     >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
     >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
@@ -21,8 +21,8 @@ from __future__ import annotations
 from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
 from pincal.viewer.live import LiveView, show
 from pincal.viewer.page import page, write_html
+from pincal.viewer.row_provenance import held_out_rows
 from pincal.viewer.scene import Scene, build_scene
-from pincal.viewer.seen import held_out_rows
 
 __all__ = [
     "Fields",

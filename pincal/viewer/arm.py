@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.chain import Chain
-from pincal.report.model_file import CalibratedModel
 from pincal.robot.dh import rotation, translation
 from pincal.robot.robot import Robot
 

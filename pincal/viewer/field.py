@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
-from pincal.identify.calibrate import PLACES
+from pincal.identify.calibrate import EXTRINSICS
 from pincal.identify.problem import Problem, conditions_of
 from pincal.identify.solve import Noise, Priors, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensors import PoseSensor, PositionSensor
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
-from pincal.report.model_file import CalibratedModel
 from pincal.report.words import effect_words
 from pincal.viewer.workspace import workspace_poses
 
@@ -198,7 +198,7 @@ def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.n
 
 
 def _is_frame(calibrated: CalibratedModel) -> np.ndarray:
-    return np.array([p.effect in PLACES for p in calibrated.parameters], bool)
+    return np.array([p.effect in EXTRINSICS for p in calibrated.parameters], bool)
 
 
 def _nominal_from_data(

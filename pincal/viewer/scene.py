@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
-from pincal.model.chain import FRAME_SYMBOLS, Chain
-from pincal.report.model_file import CalibratedModel
+from pincal.model.chain import Chain
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.dh import rotation, translation
 from pincal.viewer.arm import Axis, Steps, axes_of, round_down, steps_of
 from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
@@ -112,7 +113,7 @@ def build_scene(
         >>> from pincal.builtin import kuka_urdf_path
         >>> from pincal.model.effects import GEOMETRIC
         >>> from pincal.model.model import Model
-        >>> from pincal.report.model_file import Covered
+        >>> from pincal.calibration.calibrated import Covered
         >>> from pincal.robot.robot import Robot
         >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
         >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))

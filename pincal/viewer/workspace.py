@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.effects import Conditions
-from pincal.report.model_file import CalibratedModel
 
 # Random poses a place: enough that hardly a cell of the grid is missed.
 _DRAWS = 40

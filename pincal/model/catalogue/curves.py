@@ -10,7 +10,8 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.model.catalogue.places import WAVE, drive_terms, drive_unit, parameters_of, positions
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.effects import Conditions, Effect, Term
+from pincal.parameters import Parameter
 
 TURN = 2.0 * np.pi
 # Part of a turn from which on the curve is taken as periodic: what is left is too small a gap for a Fourier series to swing.

@@ -28,7 +28,8 @@ from pincal.model.catalogue.places import (
     waves,
 )
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.effects import Conditions, Effect, Term
+from pincal.parameters import Parameter
 
 Order = Literal[1, 2]
 WobbleFrame = Literal["before", "after"]

@@ -28,7 +28,8 @@ from pincal.model.catalogue.places import (
     waves,
 )
 from pincal.model.chain import Chain
-from pincal.model.effects import BENDING_SIZE, Conditions, Effect, Parameter, Term
+from pincal.model.effects import BENDING_SIZE, Conditions, Effect, Term
+from pincal.parameters import Parameter
 
 # Part of the largest moment of an axis that friction holds before its play goes to one side.
 _TRANSITION = 0.02

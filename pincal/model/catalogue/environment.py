@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.model.catalogue.places import GROWTH, TILT, height_on_axis, joint_index, parameters_of, recorded
-from pincal.model.chain import FRAME_SYMBOLS, Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect, Term
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)

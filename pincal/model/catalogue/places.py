@@ -10,7 +10,8 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.effects import Conditions, Effect, Term
+from pincal.parameters import Parameter
 
 # Typical sizes of what an effect does to its coordinate (DISCOVERY.md, table of effects) [rad or m].
 PLAY = 2e-4

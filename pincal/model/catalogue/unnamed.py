@@ -10,7 +10,8 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.model.catalogue.places import joint_index, positions, waves
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Parameter, Term
+from pincal.model.effects import Conditions, Effect, Term
+from pincal.parameters import Parameter
 
 Shape = Literal["curve", "waves", "product", "step", "kink"]
 ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]

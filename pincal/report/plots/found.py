@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pincal.discover.shrink import PartialResidual
 from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, TEXT, THIRD, canvas, dress, legend, log_axis, plain
-from pincal.report.shrink import Trace
-from pincal.report.units import told
+from pincal.units import told
 
 # Bins of a variable, and rows that a bin needs.
 _BINS, _FEWEST = 30, 4
@@ -68,7 +68,7 @@ def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]]
     return figure
 
 
-def effect_figure(trace: Trace, title: str) -> Figure:
+def effect_figure(trace: PartialResidual, title: str) -> Figure:
     """Draw what an effect explains: errors against the variable that it follows, before and after it entered the model.
 
     Grey is each row's error at the coordinate on which the effect acts, black the mean in a bin of the variable with its
@@ -106,7 +106,7 @@ def effect_figure(trace: Trace, title: str) -> Figure:
     return figure
 
 
-def _axis(trace: Trace) -> tuple[np.ndarray, str]:
+def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
     """Return the variable in the unit of its axis, and the axis' label."""
     if trace.unit == "rad":
         return np.degrees(trace.x), f"{plain(trace.variable)} [deg]"

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from pincal.model.chain import FRAME_SYMBOLS
+from pincal.calibration.result import ParameterRow
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.report.plots.style import AFTER, INK, MUTED, SMALL, canvas, dress, plain
-from pincal.report.result import ParameterRow
 
 _PER_ROW, _LETTER = 0.22, 0.082  # [in]
 _MOST, _LONGEST = 24, 26

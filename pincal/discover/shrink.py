@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.discover.locate import levers
-from pincal.discover.loop import Trail, place_of
+from pincal.discover.loop import History, place_of
 from pincal.identify.calibrate import Fit
 from pincal.identify.normal import block_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import Backlash, GravityCompensator
 from pincal.model.effects import Effect, JointElasticity
-from pincal.report.validation import error_table
+from pincal.validate.accuracy import error_table
 
 # Periods that have to be seen, and the part of the excess that one tone has to explain, before a curve is called periodic.
 _PERIODS, _TONE = 1.8, 0.7
@@ -24,7 +24,7 @@ _OVERSAMPLED = 8
 
 
 @dataclass(frozen=True)
-class Gap:
+class StageError:
     """Errors on held-out rows (on the fitted ones where none were held out) under one model [mm]."""
 
     effects: tuple[Effect, ...]
@@ -37,14 +37,14 @@ class Gap:
         return {"mean_mm": self.mean_mm, "rms_mm": self.rms_mm, "max_mm": self.max_mm}
 
 
-def gap_of(fit: Fit, held: Measurements, effects: tuple[Effect, ...] = ()) -> Gap:
+def gap_of(fit: Fit, held: Measurements, effects: tuple[Effect, ...] = ()) -> StageError:
     """Return the errors of a fit on held-out rows, ``effects`` what entered it last."""
     problem = fit.readings(held) if len(held) else fit.problem
     errors = error_table(problem, fit.values)
-    return Gap(effects, *(errors[name] for name in ("mean_mm", "rms_mm", "max_mm")))
+    return StageError(effects, *(errors[name] for name in ("mean_mm", "rms_mm", "max_mm")))
 
 
-def gaps_of(trail: Trail, held: Measurements) -> tuple[Gap, ...]:
+def gaps_of(trail: History, held: Measurements) -> tuple[StageError, ...]:
     """Return the errors at the start, after each step, and with everything fitted together."""
     gaps = [gap_of(trail.first, held), *(gap_of(step.after, held, step.effects) for step in trail.steps)]
     last = trail.steps[-1].after if trail.steps else trail.first
@@ -52,7 +52,7 @@ def gaps_of(trail: Trail, held: Measurements) -> tuple[Gap, ...]:
 
 
 @dataclass(frozen=True)
-class Trace:
+class PartialResidual:
     """What one effect explains at each of N rows.
 
     Attributes:
@@ -81,17 +81,17 @@ class Trace:
     error_unit: str
 
 
-def traces_of(trail: Trail) -> tuple[Trace, ...]:
+def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
     """Return what each step's effect explains in the final model."""
     found = []
     for step in trail.steps:
         effect = next((e for e in step.effects if e in trail.final.model.effects), None)
         if effect is not None:
-            found.append(trace_of(trail.final, effect))
+            found.append(partial_residual(trail.final, effect))
     return tuple(found)
 
 
-def trace_of(fit: Fit, effect: Effect) -> Trace:
+def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
     """Return what an effect of a fit explains at the rows that count.
 
     An effect on one coordinate of the chain is seen through this coordinate's lever, any other along the way by which it
@@ -123,7 +123,7 @@ def trace_of(fit: Fit, effect: Effect) -> Trace:
         fitted = np.sum(lever * change, axis=0) / np.maximum(weights, 1e-300)
         unit = "m" if joint is not None and _is_prismatic(fit, joint) else "rad"
     variable, x_unit, x = _explaining(fit, effect, joint)
-    return Trace(effect, joint, variable, x_unit, x[rows], parts[0], parts[1], fitted, weights, unit)
+    return PartialResidual(effect, joint, variable, x_unit, x[rows], parts[0], parts[1], fitted, weights, unit)
 
 
 def _scale(fit: Fit) -> np.ndarray:
@@ -180,7 +180,7 @@ def _explaining(fit: Fit, effect: Effect, joint: str | None) -> tuple[str, str, 
     return source, "m" if _is_prismatic(fit, source) else "rad", conditions.q[:, names.index(source)]
 
 
-def period_of(trace: Trace) -> float | None:
+def period_of(trace: PartialResidual) -> float | None:
     """Return the period of what an effect explains, in units of its variable; None if it is not periodic.
 
     It is called periodic if one tone explains most of what the noise does not, and about two periods of it are seen: a
@@ -213,7 +213,7 @@ def _tone_gain(phase: np.ndarray, y: np.ndarray, w: np.ndarray) -> float:
     return float(b @ np.linalg.pinv(G, rcond=1e-9, hermitian=True) @ b)
 
 
-def gap_names(gaps: tuple[Gap, ...]) -> list[str]:
+def gap_names(gaps: tuple[StageError, ...]) -> list[str]:
     """Return what each gap's model is called."""
     names = ["at the start"]
     for gap in gaps[1:]:
@@ -222,7 +222,7 @@ def gap_names(gaps: tuple[Gap, ...]) -> list[str]:
     return names
 
 
-def trace_title(trace: Trace) -> str:
+def partial_residual_title(trace: PartialResidual) -> str:
     """Return the name of an effect and where it acts."""
     return _title(trace.effect, trace.joint)
 

@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from pincal.calibration.run import check_count, check_gaps, check_table
 from pincal.discover.loop import ALPHA, place_of
 from pincal.discover.power import POWER, minimum_detectable
 from pincal.errors import PincalWarning
-from pincal.identify.agreement import check_agreement
-from pincal.identify.calibrate import Fit, Options, foresee, refit
+from pincal.identify.calibrate import Fit, Options, expected_fit, refit
 from pincal.identify.explain import explain
+from pincal.measure.admission import unobservable_notes, usable_rows
 from pincal.measure.measurements import Measurements
-from pincal.measure.served import limits_of_knowledge, served_rows
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
-from pincal.report.run import check_count, check_gaps, check_table
-from pincal.report.validation import error_table
 from pincal.robot.robot import Robot
+from pincal.validate.accuracy import error_table
+from pincal.validate.agreement import check_agreement
 
 # Noise of a good laser tracker in a hall, or of a camera, where nothing else is known of it.
 _ASSUMED = {"m": 5e-5, "rad": 5e-5, "px": 0.1}
@@ -52,7 +52,7 @@ class Expectation:
 
 
 @dataclass(frozen=True)
-class Sight:
+class Detectability:
     """How large an effect would have to be to be found.
 
     Attributes:
@@ -80,7 +80,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Outlook:
+class DetectabilityTable:
     """What a discovery could find with these poses and this noise.
 
     Attributes:
@@ -97,11 +97,11 @@ class Outlook:
     source: str
     alpha: float
     power: float
-    effects: tuple[Sight, ...]
+    effects: tuple[Detectability, ...]
 
 
 @dataclass(frozen=True)
-class Survey:
+class DataReport:
     """What a table can tell.
 
     Attributes:
@@ -127,15 +127,15 @@ class Survey:
     released: int
     condition: float
     parameters: tuple[Expectation, ...]
-    detectable: Outlook
+    detectable: DetectabilityTable
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the survey as plain data."""
+        """Return the precheck as plain data."""
         return asdict(self)
 
 
-def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey:
+def precheck(robot: Robot, measurements: Measurements, options: Options) -> DataReport:
     """Look at a table as a calibration would, without fitting more than base and tool.
 
     Args:
@@ -149,23 +149,23 @@ def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey
     idle = check_gaps(options.setup, [measurements])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        measurements = served_rows(measurements, options.setup)
+        measurements = usable_rows(measurements, options.setup)
         check_count(robot, measurements, options.setup)
         check_table(robot, measurements)
-    fit = foresee(robot, measurements, options)
+    fit = expected_fit(robot, measurements, options)
     check_agreement(robot, measurements, fit)
     notes = [str(w.message) for w in caught if issubclass(w.category, PincalWarning)]
     notes += idle
-    notes += limits_of_knowledge(measurements, options.setup)
+    notes += unobservable_notes(measurements, options.setup)
     posterior = fit.solution.posterior
     sigma, unit = options.sigma, f"sigma_{fit.problem.sensor.blocks[0].unit}"
-    return Survey(
+    return DataReport(
         kind=measurements.kind,
         rows=len(measurements),
         joints=_ranges(robot, measurements),
         nominal=error_table(fit.problem, fit.nominal.values),
         noise={unit: float(fit.solution.sigma[0]), "source": "declared" if sigma else "foreseen by a fit"},
-        rank=posterior.told,
+        rank=posterior.identifiable_rank,
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
         parameters=_expectations(fit),
@@ -174,7 +174,7 @@ def survey(robot: Robot, measurements: Measurements, options: Options) -> Survey
     )
 
 
-def _outlook(robot: Robot, fit: Fit) -> Outlook:
+def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
     """Return what could be found beyond the elastic model, or the geometric one of an arm without masses."""
     base = refit(fit, GEOMETRIC if robot.massless else ELASTIC)
     declared = fit.noise.declared
@@ -188,15 +188,15 @@ def _outlook(robot: Robot, fit: Fit) -> Outlook:
     if robot.massless:
         tested = tuple(effect for effect in tested if not effect.uses_moments)
     sights = [
-        Sight(*_which(d.effect), d.measure, d.unit, d.size, d.best, d.absorbed, d.reason)
+        Detectability(*_which(d.effect), d.measure, d.unit, d.size, d.best, d.absorbed, d.reason)
         for d in minimum_detectable(base, tested, sigma=sigma)
     ]
     sights += [
-        Sight(*_which(effect), "", "", None, None, None, reason)
+        Detectability(*_which(effect), "", "", None, None, None, reason)
         for effect, reason in untestable(base.model.chain, conditions)
     ]
     sigma_m = float(sigma[0]) * fit.problem.metres_per_reading(fit.nominal.values)
-    return Outlook("geometric" if robot.massless else "elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
+    return DetectabilityTable("geometric" if robot.massless else "elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
 
 
 def _which(effect: Effect) -> tuple[str, str | None, str | None, int | None, str | None]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from pincal.calibration.result import Result
+from pincal.calibration.run import Calibration
+from pincal.discover.run import Discovery
 from pincal.report.advice import narrow_joints
-from pincal.report.discovery import Discovery
-from pincal.report.lack_of_fit import MISFIT
-from pincal.report.result import Result
-from pincal.report.run import Calibration
 from pincal.report.words import effect_words
+from pincal.validate.lack_of_fit import MISFIT
 
 # Chance below which residuals count as larger than the declared noise allows.
 _MISFIT = 1e-3

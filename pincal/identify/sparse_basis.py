@@ -10,7 +10,7 @@ from numba import njit
 _COMPILE = {"cache": True, "nogil": True}
 
 
-class Thin(NamedTuple):
+class SparseBasis(NamedTuple):
     """S basis functions at n poses, most of which are zero: those of pose i stand from ``starts[i]`` to ``starts[i + 1]``.
 
     Attributes:
@@ -26,14 +26,14 @@ class Thin(NamedTuple):
     size: int
 
 
-def thin_rows(basis: np.ndarray, rows: np.ndarray) -> Thin:
+def sparse_rows(basis: np.ndarray, rows: np.ndarray) -> SparseBasis:
     """Return the functions ``rows`` of a basis of shape (S, n)."""
     starts, place, value = _entries(basis, rows)
-    return Thin(starts, place, value, len(rows))
+    return SparseBasis(starts, place, value, len(rows))
 
 
 @njit(**_COMPILE)
-def thin_product(left, weights, right):
+def sparse_product(left, weights, right):
     """Return left diag(weights) right^T, dense, of two thin bases; weights of shape (n,)."""
     out = np.zeros((left.size, right.size))
     for i in range(len(weights)):
@@ -45,7 +45,7 @@ def thin_product(left, weights, right):
 
 
 @njit(**_COMPILE)
-def thin_times(basis, matrix):
+def sparse_times(basis, matrix):
     """Return a thin basis times a matrix of shape (n, D), shape (S, D)."""
     out = np.zeros((basis.size, matrix.shape[1]))
     for i in range(matrix.shape[0]):

@@ -9,18 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.calibration.result import Result, result_of
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.identify.agreement import check_agreement
 from pincal.identify.calibrate import Fit, Options, calibrate, doubts_lens
 from pincal.identify.problem import Problem
 from pincal.identify.split import Split, hold_out
+from pincal.measure.admission import scorable_rows, unobservable_notes, usable_rows
 from pincal.measure.checks import TableFindings, check_measurements
 from pincal.measure.fields import nearest_first
 from pincal.measure.measurements import Measurements
-from pincal.measure.served import judged_rows, limits_of_knowledge, served_rows
 from pincal.measure.setup import Setup, point_names
-from pincal.report.result import Result, result_of
 from pincal.robot.robot import Robot
+from pincal.validate.agreement import check_agreement
 
 
 @dataclass(frozen=True)
@@ -98,20 +98,20 @@ def run_calibration(
     idle = check_gaps(options.setup, [measurements] if holdout is None else [measurements, holdout])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        measurements = served_rows(measurements, options.setup)
+        measurements = usable_rows(measurements, options.setup)
         check_count(robot, measurements, options.setup)
         check_table(robot, measurements)
         if holdout is None:
             train, test = hold_out(measurements, test_fraction, split=split, seed=seed)
-            train = served_rows(train, options.setup)
-            test = judged_rows(test, options.setup.over(train))
+            train = usable_rows(train, options.setup)
+            test = scorable_rows(test, options.setup.over(train))
         else:
-            train, test = measurements, judged_rows(holdout, options.setup.over(measurements))
+            train, test = measurements, scorable_rows(holdout, options.setup.over(measurements))
             check_table(robot, test, minimum=1)
     fit = calibrate(robot, train, options)
     check_agreement(robot, train, fit)
     notes = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, PincalWarning)))
-    notes = (*robot.notes, *notes, *idle, *limits_of_knowledge(train, options.setup), *_few_rows(fit))
+    notes = (*robot.notes, *notes, *idle, *unobservable_notes(train, options.setup), *_few_rows(fit))
     if options.setup.lens is not None and doubts_lens(fit):
         notes = (*notes, "the images call for another camera than the given one: --fit-camera finds its parameters")
     held = fit.readings(test) if len(test) else None
@@ -131,7 +131,7 @@ def check_gaps(setup: Setup, tables: Sequence[Measurements]) -> tuple[str, ...]:
     found = [point_names(table) for table in tables]
     known = {str(name) for names in found if names is not None for name in np.unique(names)} | set(setup.points)
     idle = []
-    for gap in setup.gaps:
+    for gap in setup.distances:
         unknown = [name for name in (gap.first, gap.second) if name not in known]
         if len(unknown) == 1 or not known:
             near = ", ".join(nearest_first(unknown, sorted(known))[:6]) if known else "none"

@@ -11,10 +11,11 @@ import numpy as np
 
 # Imported for its classes, which known_effects finds.
 import pincal.model.catalogue  # noqa: F401
+from pincal.io.json_section import Section
 from pincal.model.chain import MOMENT_FRAMES, Chain
-from pincal.model.effects import Effect, Parameter
+from pincal.model.effects import Effect
 from pincal.model.model import Model
-from pincal.report.json_section import Section
+from pincal.parameters import Parameter
 from pincal.robot.dh import DhFrames
 from pincal.robot.robot import Robot
 

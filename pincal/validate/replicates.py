@@ -39,7 +39,7 @@ ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axi
 
 
 @dataclass(frozen=True)
-class Visits:
+class Replicates:
     """Rows of one table under a model.
 
     Attributes:
@@ -57,7 +57,7 @@ class Visits:
     counted: np.ndarray
 
 
-def same_poses(tables: Sequence[Measurements]) -> list[np.ndarray]:
+def replicate_groups(tables: Sequence[Measurements]) -> list[np.ndarray]:
     """Return the number of the pose that each row of some tables visits.
 
     Args:
@@ -69,7 +69,7 @@ def same_poses(tables: Sequence[Measurements]) -> list[np.ndarray]:
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
         >>> q, load = [[0.1], [0.5], [0.100001], [0.1]], [0.0, 0.0, 0.0, 80.0]
-        >>> same_poses([measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)])[0].tolist()
+        >>> replicate_groups([measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)])[0].tolist()
         [0, 1, 0, 2]
     """
     keys = [_same_joints(np.vstack([table.q for table in tables]))]
@@ -163,7 +163,7 @@ def angle_accuracy(residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.abs(residuals.mean(axis=1)), 3.0 * residuals.std(axis=1, ddof=1)
 
 
-def iso9283(visits: Sequence[Visits], models: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+def iso9283(visits: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
     """Return accuracy and repeatability of all poses that were visited more than once.
 
     Args:
@@ -190,7 +190,7 @@ def iso9283(visits: Sequence[Visits], models: Mapping[str, np.ndarray]) -> dict[
     return found | {"per_pose": poses}
 
 
-def _all_poses(visits: Sequence[Visits], values: np.ndarray) -> list[dict[str, Any]]:
+def _all_poses(visits: Sequence[Replicates], values: np.ndarray) -> list[dict[str, Any]]:
     """Return AP and RP of each pose with at least two visits, in the order of the tables."""
     residuals = np.hstack([v.problem.residuals(values) for v in visits])
     pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in visits])

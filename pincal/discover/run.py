@@ -11,9 +11,13 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from pincal.discover.loop import Step, Trail, discover_effects, is_of_loads, least_gain, place_of, sampled
+from pincal.calibration.result import result_of
+from pincal.calibration.run import Calibration, run_calibration
+from pincal.discover.loop import History, Step, discover_effects, is_of_loads, least_gain, place_of, sampled
 from pincal.discover.power import deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
+from pincal.discover.shrink import PartialResidual, StageError, gap_of, gaps_of, partial_residuals, period_of
+from pincal.discover.where import elastic_entries, noise_floor, where_of
 from pincal.identify.calibrate import Fit, Options, refit
 from pincal.identify.solve import outlier_limit
 from pincal.identify.split import Split, row_groups
@@ -22,10 +26,6 @@ from pincal.model.catalogue import untestable
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect, JointElasticity
-from pincal.report.result import result_of
-from pincal.report.run import Calibration, run_calibration
-from pincal.report.shrink import Gap, Trace, gap_of, gaps_of, period_of, traces_of
-from pincal.report.where import elastic_entries, noise_floor, where_of
 from pincal.robot.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -49,10 +49,10 @@ class Discovery:
     """
 
     calibration: Calibration
-    trail: Trail
+    trail: History
     report: dict[str, Any]
-    gaps: tuple[Gap, ...]
-    traces: tuple[Trace, ...]
+    gaps: tuple[StageError, ...]
+    traces: tuple[PartialResidual, ...]
 
 
 def run_discovery(
@@ -116,11 +116,11 @@ def run_discovery(
     seconds = time.perf_counter() - begun
     result = result_of(trail.final, held, seconds=seconds, tables=(first.train, first.test), notes=notes)
     final = replace(first, fit=trail.final, result=result, notes=notes)
-    gaps, traces = gaps_of(trail, final.test), traces_of(trail)
+    gaps, traces = gaps_of(trail, final.test), partial_residuals(trail)
     return Discovery(final, trail, discovery_report(final, trail, traces), gaps, traces)
 
 
-def _discover(first: Calibration, extra: tuple[Effect, ...]) -> tuple[Calibration, Trail]:
+def _discover(first: Calibration, extra: tuple[Effect, ...]) -> tuple[Calibration, History]:
     blocks = row_groups(first.train, split="blocked", seed=0) % _CV_BLOCKS
     return first, discover_effects(first.fit, blocks, extra=extra, elastic=not first.robot.massless)
 
@@ -136,7 +136,7 @@ def _likeliest(fit: Fit, frames: Sequence[MomentFrame]) -> MomentFrame:
     return frames[best] if misfits[best] < misfits[0] - _FRAME_BETTER else frames[0]
 
 
-def _other_frames(trail: Trail, frames: Sequence[MomentFrame]) -> list[MomentFrame]:
+def _other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentFrame]:
     """Return the conventions worth a discovery of their own.
 
     They fit what was found better, or as well without the effects of loads and the nameless that were found, which a wrong
@@ -167,7 +167,7 @@ def _misfit(fit: Fit) -> float:
     return 2.0 * n * float(np.dot(sizes, np.log(fit.solution.estimated))) + outliers * outlier_limit(n, sum(sizes))
 
 
-def _cost(trail: Trail) -> float:
+def _cost(trail: History) -> float:
     """Return the extended Bayesian information criterion of all that was found."""
     named = sum(not isinstance(step.effects[0], JointElasticity) for step in trail.steps)
     return _fit_cost(trail.final) + 2.0 * named * float(np.log(max(len(trail.last.effects), 2)))
@@ -179,7 +179,7 @@ def _fit_cost(fit: Fit) -> float:
     return _misfit(fit) + fit.solution.posterior.effective * float(np.log(readings))
 
 
-def discovery_report(calibration: Calibration, trail: Trail, traces: tuple[Trace, ...]) -> dict[str, Any]:
+def discovery_report(calibration: Calibration, trail: History, traces: tuple[PartialResidual, ...]) -> dict[str, Any]:
     """Return the contents of ``discovery.json`` (contract).
 
     Args:
@@ -222,7 +222,7 @@ def _is_misfit(fit: Fit) -> bool:
 
 
 def _entries(
-    calibration: Calibration, trail: Trail, step: Step, periods: dict[Effect, float | None]
+    calibration: Calibration, trail: History, step: Step, periods: dict[Effect, float | None]
 ) -> list[dict[str, Any]]:
     """Return the entries of one step: one an effect, elasticity one a joint."""
     gap = {
@@ -281,7 +281,7 @@ def _scatter_entry(scatter: Scatter, fit: Fit) -> dict[str, Any]:
     return {"joint": scatter.joint, "sigma_rad": scatter.sigma, "missing": missing}
 
 
-def _not_testable(trail: Trail) -> list[dict[str, Any]]:
+def _not_testable(trail: History) -> list[dict[str, Any]]:
     """Return what these data can't test, with the reason."""
     final = trail.final
     found = [_identity(e) | {"reason": reason} for e, reason in untestable(final.model.chain, final.problem.conditions)]

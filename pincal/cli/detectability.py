@@ -9,13 +9,13 @@ from rich.console import Console
 from rich.table import Table
 
 from pincal.cli.screen import new_table
-from pincal.report.survey import Outlook, Sight
-from pincal.report.units import digits, small_unit
+from pincal.discover.precheck import Detectability, DetectabilityTable
+from pincal.units import digits, small_unit
 
 _JOINTS_ABREAST = 7
 
 
-def print_outlook(outlook: Outlook, joints: list[str], out: Console) -> None:
+def print_detectability(outlook: DetectabilityTable, joints: list[str], out: Console) -> None:
     """Print how large each effect has to be to be found, and which can't be."""
     source = {"assumed": "assumed, as it is neither declared nor to be estimated from so few rows"}
     noise = f"noise of {outlook.sigma_m * 1e3:.4g} mm a coordinate ({source.get(outlook.source, outlook.source)})"
@@ -40,13 +40,13 @@ def _batched(joints: list[str], size: int) -> Iterator[list[str]]:
     yield from (joints[i : i + size] for i in range(0, len(joints), size))
 
 
-def _table(sights: list[Sight], joints: list[str]) -> Table:
+def _table(sights: list[Detectability], joints: list[str]) -> Table:
     table = new_table("Smallest effects that would be found")
     table.add_column("effect")
     table.add_column("unit", no_wrap=True)
     for joint in joints:
         table.add_column(joint.replace("_", "_\n"), justify="right", overflow="fold")
-    rows: dict[tuple[str, str], dict[str, list[Sight]]] = {}
+    rows: dict[tuple[str, str], dict[str, list[Detectability]]] = {}
     units = {sight.effect: sight.unit for sight in sights if sight.unit}
     for sight in sights:
         name = sight.effect + (f" order {sight.order}" if sight.order else "")
@@ -58,7 +58,7 @@ def _table(sights: list[Sight], joints: list[str]) -> Table:
     return table
 
 
-def _size(sights: list[Sight]) -> str:
+def _size(sights: list[Detectability]) -> str:
     """Return the size in its small unit; of several sources the range, of several frames the larger."""
     factor = small_unit(sights[0].unit)[0]
     sizes = np.array([s.size for s in sights if s.size is not None]) * factor
@@ -69,7 +69,7 @@ def _size(sights: list[Sight]) -> str:
     return f"{digits(float(sizes.min()))}-{digits(float(sizes.max()))}"
 
 
-def _reasons(sights: tuple[Sight, ...], n_joints: int) -> dict[str, list[str]]:
+def _reasons(sights: tuple[Detectability, ...], n_joints: int) -> dict[str, list[str]]:
     """Return reason -> effects that it keeps from being tested; the joints where they are not all."""
     found: dict[str, dict[str, list[str]]] = {}
     for sight in sights:

@@ -1,8 +1,8 @@
 """Lack of fit against pure error: whether a model misses something, whatever was declared of the noise.
 
-Visits of one pose differ by what the instrument and the robot do at random, whatever the model is. If poses are off their
-predictions by more than that, the model misses something: an F test on the sums of squares (Draper and Smith, Applied
-Regression Analysis, 2.1). What a pose means is told in :mod:`pincal.report.replicates`.
+Replicates of one pose differ by what the instrument and the robot do at random, whatever the model is. If poses are off
+their predictions by more than that, the model misses something: an F test on the sums of squares (Draper and Smith, Applied
+Regression Analysis, 2.1). What a pose means is told in :mod:`pincal.validate.replicates`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from scipy.special import fdtrc
 from pincal.identify.normal import accumulate, block_rows
 from pincal.identify.problem import Problem
 from pincal.measure.measurements import Measurements
-from pincal.report.model_file import CalibratedModel
-from pincal.report.replicates import Visits, groups, iso9283, same_poses
+from pincal.validate.replicates import Replicates, groups, iso9283, replicate_groups
 
 MISFIT = 1e-3
 """Chance below which a lack of fit counts as one."""
@@ -47,7 +46,7 @@ class Squares:
     spread: np.ndarray
 
 
-def squares_of(visits: Visits, values: np.ndarray, sigma: np.ndarray) -> Squares:
+def squares_of(visits: Replicates, values: np.ndarray, sigma: np.ndarray) -> Squares:
     """Return the squares of the rows that are no outliers.
 
     Args:
@@ -119,7 +118,9 @@ def evenness(spread: np.ndarray) -> float:
     return float(np.clip((trace**2 - variance) / (readings * square), 1.0 / readings, 1.0))
 
 
-def lack_of_fit(visits: Sequence[Visits], values: np.ndarray, sigma: np.ndarray, *, spent: float) -> dict[str, Any] | None:
+def lack_of_fit(
+    visits: Sequence[Replicates], values: np.ndarray, sigma: np.ndarray, *, spent: float
+) -> dict[str, Any] | None:
     r"""Return whether the fitted rows are off by more than visits of the same pose differ by: an F test.
 
     .. math:: F = \frac{(SS - SS_{pure}) / (N - p - f_{pure})}{SS_{pure} / f_{pure}}
@@ -144,7 +145,7 @@ def lack_of_fit(visits: Sequence[Visits], values: np.ndarray, sigma: np.ndarray,
 
 
 def lack_of_prediction(
-    visits: Visits, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray
+    visits: Replicates, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray
 ) -> dict[str, Any] | None:
     r"""Return the same of rows that the fit has not seen: whether predictions are off by more than they may.
 
@@ -230,20 +231,24 @@ def pure_words(found: Mapping[str, Any]) -> str:
     return f"{' and '.join(f'{s * factor:.3g} {unit}' for s, factor, unit in sizes)} a coordinate at {found['poses']} poses"
 
 
-def found_in_visits(calibrated: CalibratedModel, table: Measurements, problem: Problem) -> dict[str, Any]:
+def replicate_statistics(
+    problem: Problem, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
+) -> dict[str, Any]:
     """Return what rows that a calibrated model has not seen tell of it, as far as poses were visited more than once.
 
     Args:
-        calibrated: the model.
+        problem: the calibrated model over the rows.
+        values: shape (P,), its values.
         table: the rows.
-        problem: the model over them.
+        sigma: shape (blocks,), noise of one component of each block of readings.
+        covariance: shape (P, P), of the values.
 
     Returns:
         ``iso9283`` and ``lack_of_fit`` as in ``result.json``, those that there are.
     """
-    visits = Visits("test", table, problem, same_poses([table])[0], np.ones(len(table), bool))
+    visits = Replicates("test", table, problem, replicate_groups([table])[0], np.ones(len(table), bool))
     found = {
-        "iso9283": iso9283([visits], {"calibrated": calibrated.values}),
-        "lack_of_fit": lack_of_prediction(visits, calibrated.values, calibrated.sigma, calibrated.covariance),
+        "iso9283": iso9283([visits], {"calibrated": values}),
+        "lack_of_fit": lack_of_prediction(visits, values, sigma, covariance),
     }
     return {name: value for name, value in found.items() if value is not None}

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.errors import PincalWarning, RobotFileError
+from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
 from pincal.model.augmented import joint_placements
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
-from pincal.report.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
 from pincal.robot.robot import Robot
 from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf
 

@@ -8,13 +8,13 @@ from rich.console import Console
 from rich.table import Table
 
 from pincal.cli.screen import hanging, new_table
-from pincal.report.lack_of_fit import lack_words, pure_words
-from pincal.report.replicates import ANGLE_WORDS, cycle_words
+from pincal.validate.lack_of_fit import lack_words, pure_words
+from pincal.validate.replicates import ANGLE_WORDS, cycle_words
 
 _PARTS = {"train": "fitted", "test": "held out"}
 
 
-def print_visits(iso: dict[str, Any] | None, lack: dict[str, Any] | None, out: Console) -> None:
+def print_replicates(iso: dict[str, Any] | None, lack: dict[str, Any] | None, out: Console) -> None:
     """Print what poses that were visited more than once tell; nothing where there are none.
 
     Args:

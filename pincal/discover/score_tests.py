@@ -49,7 +49,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Criticism:
+class ScoreTests:
     """Gram matrices of a fitted model and of all candidates.
 
     Attributes:
@@ -189,7 +189,7 @@ class _LeftOut:
     step: np.ndarray
 
     @classmethod
-    def of(cls, found: Criticism, k: int) -> _LeftOut:
+    def of(cls, found: ScoreTests, k: int) -> _LeftOut:
         """Factor once what all candidates share."""
         S, b = found.blocks_S[k], found.blocks_b[k]
         N = slice(0, found.n_model)
@@ -221,7 +221,7 @@ def _scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return scale, cholesky(H, lower=True, overwrite_a=True, check_finite=False)
 
 
-def criticise(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect], groups: np.ndarray) -> Criticism:
+def score_test(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect], groups: np.ndarray) -> ScoreTests:
     """Test candidates against a fit.
 
     Args:
@@ -257,7 +257,7 @@ def _gram(
     sizes: np.ndarray,
     columns: tuple[slice, ...],
     groups: np.ndarray,
-) -> Criticism:
+) -> ScoreTests:
     """Accumulate Gram matrices block of poses by block of poses."""
     kept = np.flatnonzero(free)
     sigma = fit.solution.estimated
@@ -289,7 +289,7 @@ def _gram(
     shift = n_model - (columns[0].start if columns else 0)
     at, priors = values[kept], sizes[kept]
     precision = priors[:n_model] ** -2.0
-    return Criticism(
+    return ScoreTests(
         effects=tuple(problem.model.effects[-len(columns) :]) if columns else (),
         columns=tuple(slice(c.start + shift, c.stop + shift) for c in columns),
         n_model=n_model,

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.discover.locate import levers, locate
-from pincal.discover.loop import Trail
+from pincal.discover.loop import History
 from pincal.discover.scatter import Scatter
+from pincal.discover.words import location_words, region_words
 from pincal.identify.calibrate import Fit
 from pincal.model.effects import Compliance, JointElasticity
-from pincal.report.words import place_words, region_words
 
 # Standard deviations that a compliance has to be away from zero to be named by itself.
 _SIGNIFICANT = 4.0
@@ -24,7 +24,7 @@ def noise_floor(fit: Fit) -> np.ndarray:
     return np.array([estimated if declared is None else declared for declared, estimated in pairs])
 
 
-def where_of(trail: Trail, scatter: Scatter | None, *, is_misfit: bool) -> list[dict[str, Any]]:
+def where_of(trail: History, scatter: Scatter | None, *, is_misfit: bool) -> list[dict[str, Any]]:
     """Return the entries ``where`` of ``discovery.json``, the share that of the excess over the noise.
 
     The disagreement is located in the first fit that has elasticity, if the arm is elastic, else in the first of all,
@@ -46,7 +46,7 @@ def where_of(trail: Trail, scatter: Scatter | None, *, is_misfit: bool) -> list[
     for place in location.places:
         entry = {"joint": place.joint} if place.joint else {"region": "whole arm"}
         more = {"acts_on": place.acts_on, "depends_on": place.depends_on}
-        found.append(entry | {"statement": place_words(place, robot), "share": place.share} | more)
+        found.append(entry | {"statement": location_words(place, robot), "share": place.share} | more)
     for region in location.regions:
         name, statement = region_words(region, robot)
         found.append({"region": name, "statement": statement, "share": region.share})

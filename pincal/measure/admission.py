@@ -20,7 +20,7 @@ _WHAT = {"socket": "a socket", "camera_point": "a point", "camera_pixel": "a poi
 _LISTED = 8
 
 
-def served_rows(measurements: Measurements, setup: Setup) -> Measurements:
+def usable_rows(measurements: Measurements, setup: Setup) -> Measurements:
     """Return the rows that can tell something; each reason to leave rows out causes a `PincalWarning`.
 
     Left out are points behind the camera, sockets that were touched only once, unknown points that were seen only once, and
@@ -55,7 +55,7 @@ def served_rows(measurements: Measurements, setup: Setup) -> Measurements:
     return measurements if np.all(keep & ~lonely) else measurements.select(keep & ~lonely)
 
 
-def judged_rows(measurements: Measurements, setup: Setup) -> Measurements:
+def scorable_rows(measurements: Measurements, setup: Setup) -> Measurements:
     """Return the rows that a calibration can be judged by; rows left out cause a `PincalWarning`.
 
     A socket that the calibration did not have is judged by the mean of its rows, so it needs two; any other point that it
@@ -83,7 +83,7 @@ def _tell(measurements: Measurements, rows: np.ndarray, reason: str) -> None:
         warnings.warn(text, PincalWarning, stacklevel=3)
 
 
-def limits_of_knowledge(measurements: Measurements, setup: Setup) -> Iterator[str]:
+def unobservable_notes(measurements: Measurements, setup: Setup) -> Iterator[str]:
     """Yield what measurements of this kind can't determine, in words.
 
     Args:
@@ -95,7 +95,7 @@ def limits_of_knowledge(measurements: Measurements, setup: Setup) -> Iterator[st
     if kind == "socket":
         if not known:
             yield "contacts see only the arm against itself: neither where its base stands nor how it is turned"
-        if known < 2 and not points.gaps:
+        if known < 2 and not points.distances:
             yield (
                 "contacts without a known length can't tell the scale of the arm, which rests on its nominal lengths: give "
                 "the distance of two sockets (--socket-distance A B METRES)"
@@ -110,7 +110,7 @@ def limits_of_knowledge(measurements: Measurements, setup: Setup) -> Iterator[st
             "the points of the calibration object are not known, so they are found in the robot's base frame; with "
             "--points FILE.csv (columns point x y z) they tell more"
         )
-    if kind == "camera_pixel" and not known and not points.gaps:
+    if kind == "camera_pixel" and not known and not points.distances:
         yield "images of unknown points have no scale of their own: it rests on the nominal lengths of the arm"
     if known and points.are_in_line:
         some = "fewer than three of the named points are known" if known < 3 else "the known points stand in a line"

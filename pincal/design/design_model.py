@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.design.reach import Rig
+from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Options, noise_of, priors_of
 from pincal.identify.normal import Posterior, posterior
@@ -45,7 +45,7 @@ READINGS: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
 
 
 @dataclass(frozen=True)
-class Foresight:
+class DesignModel:
     """The parameters of a fit, and how readings at any pose depend on them.
 
     Attributes:
@@ -74,11 +74,11 @@ class Foresight:
         robot: Robot,
         conditions: Conditions,
         options: Options,
-        rig: Rig,
+        rig: SensorSetup,
         *,
         rivals: Sequence[Effect] = (),
         targets: tuple[str, ...] = ("tool",),
-    ) -> Foresight:
+    ) -> DesignModel:
         """Return the foresight for poses like these.
 
         Args:
@@ -143,7 +143,7 @@ class Foresight:
         problem = _problem(self.model, self.values, self.sensor, conditions)
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
 
-    def told(self, H: np.ndarray) -> Posterior:
+    def posterior(self, H: np.ndarray) -> Posterior:
         """Return what information in units of noise and priors tells, shape (F, F), with the priors left out of it."""
         G = H / np.outer(self.units, self.units)
         return posterior(G, np.zeros(self.n_free), self.sizes, np.zeros(self.n_free))
@@ -162,7 +162,7 @@ def _problem(model: Model, values: np.ndarray, sensor: str, conditions: Conditio
     return replace(problem_of(model, table, conditions.payload_centre), conditions=conditions)
 
 
-def _nominal(model: Model, rig: Rig, target: np.ndarray) -> np.ndarray:
+def _nominal(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
     """Return the values of the nominal arm, its targets in place and the instrument's axes parallel to the base's."""
     values = np.zeros(model.n_parameters)
     instrument = np.zeros(3) if rig.instrument is None else np.array(rig.instrument)
@@ -194,7 +194,7 @@ def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[n
     return tuple(found)
 
 
-def _check(robot: Robot, options: Options, rig: Rig) -> None:
+def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:
     if rig.sensor not in READINGS:
         raise BadInputError(f"sensor {rig.sensor!r}: not one to design for; expected one of {', '.join(READINGS)}")
     if rig.sensor == "distance" and rig.instrument is None:

@@ -13,9 +13,9 @@ from pincal.identify.calibrate import Fit
 from pincal.identify.explain import explain
 from pincal.identify.problem import Problem
 from pincal.measure.measurements import Measurements
-from pincal.report.lack_of_fit import MISFIT, lack_of_fit, lack_words
-from pincal.report.replicates import Visits, iso9283, same_poses
-from pincal.report.validation import error_table, pose_errors
+from pincal.validate.accuracy import error_table, pose_errors
+from pincal.validate.lack_of_fit import MISFIT, lack_of_fit, lack_words
+from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
 # Correlations below this are not worth a reader's time.
 _CORRELATED = 0.9
@@ -121,7 +121,7 @@ def result_of(
         noise=_noise(fit),
         rows={"train": len(fit.problem), "test": 0 if test is None else len(test)},
         parameters=parameters,
-        rank=solution.posterior.told,
+        rank=solution.posterior.identifiable_rank,
         condition=solution.posterior.condition,
         chi2_reduced=solution.cost,
         chi2_p_value=p_value,
@@ -143,12 +143,12 @@ def result_of(
     )
 
 
-def _visits(fit: Fit, test: Problem | None, tables: tuple[Measurements, Measurements]) -> list[Visits]:
+def _visits(fit: Fit, test: Problem | None, tables: tuple[Measurements, Measurements]) -> list[Replicates]:
     """Return fitted and held-out rows by the poses that they visit."""
-    train_poses, test_poses = same_poses(tables)
-    found = [Visits("train", tables[0], fit.problem, train_poses, fit.solution.weights > 0.0)]
+    train_poses, test_poses = replicate_groups(tables)
+    found = [Replicates("train", tables[0], fit.problem, train_poses, fit.solution.weights > 0.0)]
     if test is not None and len(test):
-        found.append(Visits("test", tables[1], test, test_poses, np.ones(len(test), bool)))
+        found.append(Replicates("test", tables[1], test, test_poses, np.ones(len(test), bool)))
     return found
 
 

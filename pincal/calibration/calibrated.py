@@ -15,16 +15,16 @@ import numpy as np
 from pincal.errors import BadInputError, MeasurementError, ModelFileError, OutputError
 from pincal.identify.calibrate import Fit
 from pincal.identify.problem import Problem, problem_of
+from pincal.io.json_section import Section
+from pincal.io.model_json import model_from_json, model_to_json, parameters_from_json, parameters_to_json
+from pincal.io.setup_json import setup_from_json, setup_to_json
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.model.catalogue import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed, variable
-from pincal.model.chain import FRAME_SYMBOLS
-from pincal.model.effects import Conditions, Parameter
+from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.report.json_section import Section
-from pincal.report.model_json import model_from_json, model_to_json, parameters_from_json, parameters_to_json
-from pincal.report.setup_json import setup_from_json, setup_to_json
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 FORMAT_VERSION = 1
 # What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].

@@ -1,0 +1,1 @@
+"""Files: model.json, setups, URDF."""
