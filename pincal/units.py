@@ -1,51 +1,98 @@
-"""Numbers in the units that people measure such things in."""
+"""Units in which people read quantities, and the formatting of numbers; the only home of such conversion factors.
+
+The library computes in SI units throughout. Factors enter where a number is shown.
+"""
 
 from __future__ import annotations
 
-# SI unit -> factor and unit of small errors of robots.
+from typing import NamedTuple
+
+
+class Unit(NamedTuple):
+    """A unit for display.
+
+    Attributes:
+        factor: by which an SI value is multiplied.
+        name: symbol of the unit.
+    """
+
+    factor: float
+    name: str
+
+
+# SI unit -> unit in which calibration parameters and errors are read.
+_READABLE = {
+    "m": Unit(1e3, "mm"),
+    "rad": Unit(1e3, "mrad"),
+    "px": Unit(1.0, "px"),
+    "rad/(N m)": Unit(1e6, "µrad/(N m)"),
+}
+# SI unit -> unit in which small effects of a robot are read.
 _SMALL = {
-    "rad": (1e6, "µrad"),
-    "m": (1e6, "µm"),
-    "1": (1e6, "ppm"),
-    "1/K": (1e6, "ppm/K"),
-    "rad/K": (1e6, "µrad/K"),
-    "m/K": (1e6, "µm/K"),
-    "m/s": (3.6e9, "µm/h"),
-    "rad/s": (3.6e9, "µrad/h"),
-    "rad/m": (1e3, "µrad/mm"),
-    "m/rad": (1e3, "µm/mrad"),
+    "rad": Unit(1e6, "µrad"),
+    "m": Unit(1e6, "µm"),
+    "1": Unit(1e6, "ppm"),
+    "1/K": Unit(1e6, "ppm/K"),
+    "rad/K": Unit(1e6, "µrad/K"),
+    "m/K": Unit(1e6, "µm/K"),
+    "m/s": Unit(3.6e9, "µm/h"),
+    "rad/s": Unit(3.6e9, "µrad/h"),
+    "rad/m": Unit(1e3, "µrad/mm"),
+    "m/rad": Unit(1e3, "µm/mrad"),
+    "rad/(N m)": Unit(1e6, "µrad/(N m)"),
 }
 
 
-def small_unit(unit: str) -> tuple[float, str]:
-    """Return the factor and the name of the unit in which small errors are told; an unknown unit stays as it is.
+def readable_unit(unit: str) -> Unit:
+    """Return the unit in which parameters and errors given in an SI unit are read; an unknown unit stays as it is.
+
+    Example:
+        >>> readable_unit("m"), readable_unit("kg")
+        (Unit(factor=1000.0, name='mm'), Unit(factor=1.0, name='kg'))
+    """
+    return _READABLE.get(unit, Unit(1.0, unit))
+
+
+def small_unit(unit: str) -> Unit:
+    """Return the unit in which small effects given in an SI unit are read; an unknown unit stays as it is.
 
     Example:
         >>> small_unit("rad/K")
-        (1000000.0, 'µrad/K')
+        Unit(factor=1000000.0, name='µrad/K')
     """
-    return _SMALL.get(unit, (1.0, unit))
+    return _SMALL.get(unit, Unit(1.0, unit))
 
 
-def told(value: float, unit: str) -> str:
-    """Return a small number with two or three digits and its unit.
+def format_readable(value: float, unit: str, form: str = ".3g") -> str:
+    """Return an SI value in its readable unit.
 
     Example:
-        >>> told(2.13e-5, "rad"), told(3.2e-3, "rad"), told(6.31e-6, "1/K")
+        >>> format_readable(2.5e-4, "rad"), format_readable(0.0123456, "m", ".4f")
+        ('0.25 mrad', '12.3456 mm')
+    """
+    factor, name = readable_unit(unit)
+    return f"{value * factor:{form}} {name}"
+
+
+def format_small(value: float, unit: str) -> str:
+    """Return a small SI value with two or three significant digits in its small unit.
+
+    Example:
+        >>> format_small(2.13e-5, "rad"), format_small(3.2e-3, "rad"), format_small(6.31e-6, "1/K")
         ('21 µrad', '3.2 mrad', '6.3 ppm/K')
     """
     factor, name = small_unit(unit)
     scaled = value * factor
     if abs(scaled) >= 1000.0 and name in ("µrad", "µm"):
         scaled, name = scaled / 1000.0, name.replace("µ", "m")
-    return f"{digits(scaled)} {name}"
+    return f"{format_digits(scaled)} {name}"
 
 
-def digits(value: float) -> str:
-    """Return a number with at least two significant digits and no exponent where it is of ordinary size.
+def format_digits(value: float) -> str:
+    """Return a number with at least two significant digits, without an exponent where it is of ordinary size.
 
     Example:
-        >>> digits(21.3), digits(3.21), digits(0.0312), digits(12345.0), digits(2e-9)
+        >>> format_digits(21.3), format_digits(3.21), format_digits(0.0312), format_digits(12345.0), format_digits(2e-9)
         ('21', '3.2', '0.031', '12345', '2.0e-09')
     """
     if value == 0.0:
@@ -53,3 +100,16 @@ def digits(value: float) -> str:
     if not 1e-4 <= abs(value) < 1e6:
         return f"{value:.1e}"
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{float(f'{value:.2g}'):.{2 if abs(value) >= 0.1 else 4}g}"
+
+
+def format_noise(sigma: float, unit: str) -> str:
+    """Return the standard deviation of one coordinate of a reading.
+
+    Example:
+        >>> format_noise(5e-5, "m"), format_noise(3e-7, "m"), format_noise(0.1, "px")
+        ('0.0500 mm per coordinate', '0.0003 mm per coordinate', '0.1 px per coordinate')
+    """
+    factor, name = readable_unit(unit)
+    scaled = sigma * factor
+    form = ".4g" if unit == "px" else ".4f" if scaled >= 1e-3 else ".2g"
+    return f"{scaled:{form}} {name} per coordinate"

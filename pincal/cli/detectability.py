@@ -10,7 +10,7 @@ from rich.table import Table
 
 from pincal.cli.screen import new_table
 from pincal.discover.precheck import Detectability, DetectabilityTable
-from pincal.units import digits, small_unit
+from pincal.units import format_digits, small_unit
 
 _JOINTS_ABREAST = 7
 
@@ -18,7 +18,7 @@ _JOINTS_ABREAST = 7
 def print_detectability(outlook: DetectabilityTable, joints: list[str], out: Console) -> None:
     """Print how large each effect has to be to be found, and which can't be."""
     source = {"assumed": "assumed, as it is neither declared nor to be estimated from so few rows"}
-    noise = f"noise of {outlook.sigma_m * 1e3:.4g} mm a coordinate ({source.get(outlook.source, outlook.source)})"
+    noise = f"noise of {outlook.sigma_m * 1e3:.4g} mm per coordinate ({source.get(outlook.source, outlook.source)})"
     chances = f"{100 * outlook.power:.0f} times of 100 with a chance of {100 * outlook.alpha:g} % of any false name"
     out.print(
         f"\nSmallest effects that a discovery would find beside the {outlook.model} model, {chances}, at {noise}. "
@@ -65,8 +65,8 @@ def _size(sights: list[Detectability]) -> str:
     if not len(sizes):
         return "-"
     if sights[0].source is None or len(sizes) == 1:
-        return digits(float(sizes.max()))
-    return f"{digits(float(sizes.min()))}-{digits(float(sizes.max()))}"
+        return format_digits(float(sizes.max()))
+    return f"{format_digits(float(sizes.min()))}-{format_digits(float(sizes.max()))}"
 
 
 def _reasons(sights: tuple[Detectability, ...], n_joints: int) -> dict[str, list[str]]:

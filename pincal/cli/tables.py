@@ -15,6 +15,7 @@ from pincal.cli.screen import cell, console, hanging, new_table
 from pincal.discover.precheck import DataReport
 from pincal.discover.shrink import StageError, gap_names
 from pincal.report.words import effect_words, noise_words
+from pincal.units import readable_unit
 
 __all__ = [
     "console",
@@ -94,7 +95,7 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("status", no_wrap=True)
     for row in rows:
-        factor, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(row.unit, (1.0, row.unit))
+        factor, unit = readable_unit(row.unit)
         numbers = [row.nominal * factor, row.value * factor]
         sigma = "-" if row.sigma is None else _number(row.sigma * factor, unit, digits=2)
         mark = f" ({notes[row.reason]})" if row.reason else ""
@@ -106,7 +107,7 @@ def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
 def _number(value: float, unit: str, *, digits: int = 4) -> str:
     if unit == "px":
         return f"{value:z.3f}"
-    if unit not in ("mm", "mrad"):
+    if unit not in ("mm", "mrad", "µrad/(N m)"):
         return f"{value:.{digits - 1}e}" if value else "0"
     return f"{value:z.{digits}f}" if digits > 2 else f"{value:#.2g}"
 
@@ -160,7 +161,7 @@ def expectation_table(rows: Sequence[ParameterRow]) -> Table:
     for name in ("unit", "sigma to expect", "status"):
         table.add_column(name, justify="right" if name.startswith("sigma") else "left", no_wrap=True)
     for row in rows:
-        factor, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(row.unit, (1.0, row.unit))
+        factor, unit = readable_unit(row.unit)
         mark = f" ({notes[row.reason]})" if row.reason else ""
         sigma = _number((row.sigma or 0.0) * factor, unit, digits=2)
         table.add_row(cell(row.name), unit, sigma, row.status + mark, style=_STYLE[row.status])

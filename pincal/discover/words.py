@@ -6,7 +6,7 @@ import numpy as np
 
 from pincal.discover.locate import Place, Region
 from pincal.robot.robot import Robot
-from pincal.units import told
+from pincal.units import format_small
 
 _FOLLOWED = {
     "approach": "depending on the direction from which it arrives",
@@ -31,14 +31,14 @@ def _moves(place: Place, robot: Robot) -> str:
         return (
             "the whole arm moves on its base"
             if place.acts_on == "base"
-            else f"all lengths grow by {told(place.size, '1')} rms"
+            else f"all lengths grow by {format_small(place.size, '1')} rms"
         )
     prismatic = robot.joint_types[robot.joint_names.index(place.joint)] == "prismatic"
     if place.acts_on != "drive":
-        return f"the axis of {place.joint} tilts by {told(place.size, 'rad')} rms"
+        return f"the axis of {place.joint} tilts by {format_small(place.size, 'rad')} rms"
     if prismatic:
-        return f"{place.joint} is off along its axis by {told(place.size, 'm')} rms"
-    return f"{place.joint} is off about its own axis by {told(place.size, 'rad')} rms"
+        return f"{place.joint} is off along its axis by {format_small(place.size, 'm')} rms"
+    return f"{place.joint} is off about its own axis by {format_small(place.size, 'rad')} rms"
 
 
 def _range_words(place: Place, robot: Robot) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from pincal.identify.calibrate import EXTRINSICS, Fit, known_frames
 from pincal.identify.normal import NULL, accumulate, posterior
 from pincal.identify.rows import some_rows
+from pincal.units import format_readable
 
 Status = Literal["identified", "prior", "fixed", "unidentifiable", "at bound"]
 
@@ -76,14 +77,14 @@ def _frame_finding(fit: Fit, i: int, told: float, variance: float) -> Finding:
     parameter = fit.problem.parameters[i]
     if told > (1.0 - _IDENTIFIED**2) * variance:
         return Finding(parameter.name, "identified", "")
-    sharp = _readable(float(np.sqrt(told)), parameter.unit)
+    sharp = format_readable(float(np.sqrt(told)), parameter.unit)
     return Finding(parameter.name, "prior", f"+- {sharp} with the parameters that it absorbs at their values here")
 
 
 def _finding(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> Finding:
     parameter = fit.problem.parameters[i]
     if fit.solution.at_bound[i]:
-        return Finding(parameter.name, "at bound", f"held at its bound of {fit.priors.bounds[i] * 1e3:g} mm")
+        return Finding(parameter.name, "at bound", f"held at its bound of {format_readable(fit.priors.bounds[i], 'm', 'g')}")
     if not fit.solution.free[i]:
         if parameter.name in known_frames(fit.options):
             return Finding(parameter.name, "fixed", "given by the user")
@@ -107,8 +108,8 @@ def _not_excited(name: str, unit: str) -> str:
 
 def _weak(fit: Fit, i: int, ratio: float) -> str:
     parameter = fit.problem.parameters[i]
-    before = _readable(fit.priors.sizes[i], parameter.unit)
-    after = _readable(fit.priors.sizes[i] * ratio, parameter.unit)
+    before = format_readable(fit.priors.sizes[i], parameter.unit)
+    after = format_readable(fit.priors.sizes[i] * ratio, parameter.unit)
     told = (
         f"known beforehand to +- {before}; the poses narrow this only to +- {after}"
         if ratio < 0.97
@@ -127,11 +128,6 @@ def _small_moment(fit: Fit, name: str, unit: str) -> str:
     moments = fit.model.static_moments(np.zeros(fit.model.n_parameters), fit.problem.conditions.select(rows))
     largest = np.abs(moments[:, 3 * joints.index(joint) + "xyz".index(symbol[-1])]).max()
     return f" (the moment about this axis stays below {largest:.2g} N m)"
-
-
-def _readable(size: float, unit: str) -> str:
-    factor, name = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(unit, (1.0, unit))
-    return f"{size * factor:.3g} {name}"
 
 
 @dataclass(frozen=True)

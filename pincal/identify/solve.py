@@ -12,6 +12,7 @@ from scipy.special import chdtri
 from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
 from pincal.identify.normal import Normal, Posterior, accumulate, posterior, posterior_step
 from pincal.identify.problem import Problem
+from pincal.units import readable_unit
 
 log = logging.getLogger(__name__)
 
@@ -38,8 +39,6 @@ _SETTLED = 1e-3
 _FALSE_OUTLIER = 0.01
 # Declared noise is replaced by the residuals' own when these exceed it by this many standard deviations of chi-square.
 _MISFIT = 4.0
-
-_READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
 
 
 @dataclass(frozen=True)
@@ -272,7 +271,7 @@ class _Fit:
 
     def readable(self, state: _Judgement) -> str:
         """Return the size of the residuals for the log."""
-        units = [_READ[block.unit] for block in self.problem.sensor.blocks]
+        units = [readable_unit(block.unit) for block in self.problem.sensor.blocks]
         return ", ".join(
             f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(state.estimated, units, strict=True)
         )

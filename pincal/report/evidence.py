@@ -8,9 +8,7 @@ import numpy as np
 
 from pincal.calibration.run import Calibration
 from pincal.identify.problem import Problem
-
-# Units of readings -> factor and unit in which people read their errors.
-_READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
+from pincal.units import readable_unit
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
     ends = np.cumsum([0, *(block.size for block in fit.problem.sensor.blocks)])
     found = []
     for k, block in enumerate(fit.problem.sensor.blocks):
-        factor, unit = _READ.get(block.unit, (1.0, block.unit))
+        factor, unit = readable_unit(block.unit)
         declared = fit.noise.declared[k]
         found.append(
             Evidence(

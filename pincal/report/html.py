@@ -17,14 +17,12 @@ from pincal.report.glossary import TERMS, effect_meaning
 from pincal.report.illustrations import Picture, illustrations
 from pincal.report.summary import next_steps, verdict_of
 from pincal.report.words import effect_words, noise_words
-from pincal.units import digits, small_unit
+from pincal.units import format_digits, readable_unit, small_unit
 from pincal.validate.lack_of_fit import lack_words, pure_words
 from pincal.validate.replicates import ANGLE_WORDS, cycle_words
 
 log = logging.getLogger(__name__)
 
-_SOFT = (1e6, "µrad/(N m)")
-_READABLE = {"px": (1.0, "px"), "m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N m)": _SOFT}
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # An effect with more parameters than this is a curve; its numbers stand in discovery.json.
 _FEW = 4
@@ -156,9 +154,9 @@ def _effects(report: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _measured(value: float, sigma: float | None, unit: str) -> str:
     """Return a value with its standard deviation to two digits, in the unit that suits it."""
-    factor, name = _SOFT if unit == "rad/(N m)" else small_unit(unit)
+    factor, name = small_unit(unit)
     if not sigma:
-        return f"{digits(value * factor)} {name}"
+        return f"{format_digits(value * factor)} {name}"
     places = max(0, 1 - int(np.floor(np.log10(sigma * factor))))
     return f"{value * factor:z.{places}f} ± {sigma * factor:.{places}f} {name}"
 
@@ -174,7 +172,7 @@ def _untestable(report: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _readable(row: ParameterRow) -> tuple[str, str, str, str]:
     """Return unit, nominal, value and sigma of a parameter as text."""
-    factor, unit = _READABLE.get(row.unit, (1.0, row.unit))
+    factor, unit = readable_unit(row.unit)
     form = "{:z.4f}" if factor != 1.0 else "{:.3e}"
     sigma = "-" if row.sigma is None else f"{row.sigma * factor:#.2g}"
     nominal, value = (form.format(v * factor) if v or unit in ("mm", "mrad") else "0" for v in (row.nominal, row.value))

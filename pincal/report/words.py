@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pincal.units import format_noise
+
 
 def effect_words(entry: dict[str, Any], *, joint: bool = True) -> str:
     """Return an effect of ``discovery.json`` in words, with its joint unless that stands elsewhere.
@@ -31,7 +33,5 @@ def effect_words(entry: dict[str, Any], *, joint: bool = True) -> str:
 
 def noise_words(noise: Mapping[str, Any]) -> str:
     """Return the noise of the first block of readings in words, from its ``sigma_m`` or ``sigma_px``."""
-    if "sigma_px" in noise:
-        return f"{noise['sigma_px']:.4g} px a coordinate"
-    sigma_mm = noise["sigma_m"] * 1e3
-    return f"{sigma_mm:.4f} mm a coordinate" if sigma_mm >= 1e-3 else f"{sigma_mm:.2g} mm a coordinate"
+    unit = "px" if "sigma_px" in noise else "m"
+    return format_noise(noise[f"sigma_{unit}"], unit)

@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from pincal.identify.problem import Problem
-
-_READ = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
+from pincal.units import readable_unit
 
 
 @dataclass(frozen=True)
@@ -69,19 +68,19 @@ def pose_errors(problem: Problem, values: np.ndarray) -> dict[str, np.ndarray]:
     residuals = problem.residuals(values)
     ends = np.cumsum([0, *(block.size for block in problem.sensor.blocks)])
     found = {
-        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * _READ[block.unit][0]
+        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * readable_unit(block.unit).factor
         for block, a in zip(problem.sensor.blocks, ends, strict=False)
     }
     if problem.sensor.blocks[0].unit == "m":
         return found
-    return {"position": np.linalg.norm(problem.displacements(values), axis=1) * _READ["m"][0]} | found
+    return {"position": np.linalg.norm(problem.displacements(values), axis=1) * readable_unit("m").factor} | found
 
 
 def statistics(problem: Problem, values: np.ndarray) -> list[Errors]:
     """Return the statistics of the errors as :func:`pose_errors` has them, those in mm first; empty without rows."""
     if len(problem) == 0:
         return []
-    units = {block.name: _READ[block.unit][1] for block in problem.sensor.blocks}
+    units = {block.name: readable_unit(block.unit).name for block in problem.sensor.blocks}
     return [Errors.of(errors, units.get(name, "mm")) for name, errors in pose_errors(problem, values).items()]
 
 

@@ -17,6 +17,7 @@ from scipy.special import fdtrc
 from pincal.identify.normal import accumulate, block_rows
 from pincal.identify.problem import Problem
 from pincal.measure.measurements import Measurements
+from pincal.units import format_readable
 from pincal.validate.replicates import Replicates, groups, iso9283, replicate_groups
 
 MISFIT = 1e-3
@@ -224,11 +225,10 @@ def pure_words(found: Mapping[str, Any]) -> str:
 
     Example:
         >>> pure_words({"pure_error": {"sigma_m": 5.02e-5, "sigma_rad": 1e-4}, "poses": 8})
-        '0.0502 mm and 0.1 mrad a coordinate at 8 poses'
+        '0.0502 mm and 0.1 mrad per coordinate at 8 poses'
     """
-    units = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "px")}
-    sizes = [(sigma, *units[name.removeprefix("sigma_")]) for name, sigma in found["pure_error"].items()]
-    return f"{' and '.join(f'{s * factor:.3g} {unit}' for s, factor, unit in sizes)} a coordinate at {found['poses']} poses"
+    sizes = [format_readable(sigma, name.removeprefix("sigma_")) for name, sigma in found["pure_error"].items()]
+    return f"{' and '.join(sizes)} per coordinate at {found['poses']} poses"
 
 
 def replicate_statistics(

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from pincal.discover.shrink import PartialResidual
 from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, TEXT, THIRD, canvas, dress, legend, log_axis, plain
-from pincal.units import told
+from pincal.units import format_small, small_unit
 
 # Bins of a variable, and rows that a bin needs.
 _BINS, _FEWEST = 30, 4
@@ -85,13 +85,13 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
         raise ValueError(f"no rows of {title} to draw; expected at least one")
     figure = canvas(5.4, rows=2, left=0.84, top=0.92)
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
-    factor, unit = (1e6, "µrad") if trace.error_unit == "rad" else (1e6, "µm")
+    factor, unit = small_unit(trace.error_unit)
     x, label = _axis(trace)
     reached = [trace.fitted.min() * factor, trace.fitted.max() * factor]
     for axes, errors, name in zip(panels, (trace.before, trace.after), ("without it", "with it"), strict=True):
         reached += _draw_errors(axes, x, errors * factor, trace.weights / factor**2)
         spread = float(np.sqrt(np.average(errors**2, weights=trace.weights)))
-        dress(axes, title=f"{name}: rms {told(spread, trace.error_unit)}")
+        dress(axes, title=f"{name}: rms {format_small(spread, trace.error_unit)}")
     _draw_effect(panels[0], x, trace.fitted * factor)
     panels[1].axhline(0.0, color=AFTER, linewidth=1.4)
     margin = 0.08 * (max(reached) - min(reached)) or 1.0

@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from pincal.calibration.result import ParameterRow
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.report.plots.style import AFTER, INK, MUTED, SMALL, canvas, dress, plain
+from pincal.units import readable_unit
 
 _PER_ROW, _LETTER = 0.22, 0.082  # [in]
 _MOST, _LONGEST = 24, 26
-_PANELS = {"m": (1e3, "mm", "Lengths"), "rad": (1e3, "mrad", "Angles")}
+_TITLES = {"m": "Lengths", "rad": "Angles"}
 
 
 def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
@@ -31,7 +32,7 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
     told = [p for p in known if p.name.rsplit(".", 1)[1] not in FRAME_SYMBOLS]
     if not told:
         raise ValueError(f"no identified parameter in {unit} to draw")
-    factor, name, title = _PANELS[unit]
+    (factor, name), title = readable_unit(unit), _TITLES[unit]
     told.sort(key=lambda p: -abs(p.value - p.nominal))
     told = told[:_MOST]
     names = [plain(p.name, _LONGEST) for p in reversed(told)]
