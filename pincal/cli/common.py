@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import click
 
 from pincal.errors import OutputError
+from pincal.plugins import load_plugin
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -74,12 +75,30 @@ def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
     return stacked
 
 
+def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        load_plugin(name)
+    return names
+
+
+# Of every verb that reads a robot, a table or a model. Plugins are loaded before anything else is looked at.
+plugin_option = click.option(
+    "--plugin", metavar="MODULE", multiple=True, expose_value=False, is_eager=True, callback=_load_plugins,
+    help="A module or .py file that registers effects or sensors of your own; may be repeated.",
+)  # fmt: skip
+
 robot_options = options(
     click.argument("robot", metavar="ROBOT.urdf"),
     click.argument("data", metavar="DATA.csv", type=click.Path(path_type=Path)),
     click.option("--tip", metavar="LINK", help="Link at the end of the arm; found from the joint columns unless given."),
     click.option("--base", metavar="LINK", help="Link at its start; the root of the URDF unless given."),
     click.option("--ignore", metavar="COLUMN", multiple=True, help="A column of the table to leave unread."),
+    plugin_option,
+)
+
+model_argument = options(
+    click.argument("model", metavar="MODEL.json", type=click.Path(path_type=Path)),
+    plugin_option,
 )
 
 model_options = options(

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from pincal.cli import show_progress
-from pincal.cli.common import output_options, print_json
+from pincal.cli.common import model_argument, output_options, print_json
 
 # Rows that are listed one by one.
 _SHOWN = 5
@@ -39,7 +39,7 @@ no row is ok, or with --strict if any is not.
 
 
 @click.command(epilog=_EPILOG)
-@click.argument("model", metavar="MODEL.json", type=click.Path(path_type=Path))
+@model_argument
 @click.argument("targets", metavar="TARGETS.csv", type=click.Path(path_type=Path))
 @click.option("--out", required=True, metavar="FILE.csv", type=click.Path(path_type=Path), help="Table to write.")
 @click.option(

@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from pincal.cli import show_progress
-from pincal.cli.common import ANGLE, LENGTH, options, output_options, print_json
+from pincal.cli.common import ANGLE, LENGTH, options, output_options, plugin_option, print_json
 
 _EPILOG = """\b
 Examples:
@@ -84,6 +84,7 @@ _model = options(
 @_wanted
 @_constraints
 @_model
+@plugin_option
 @output_options
 def design(robot: str, out: Path, as_json: bool, quiet: bool, **chosen: Any) -> int:
     """Choose the poses to measure: those that tell most, within reach and in sight, and how many are needed."""

@@ -11,16 +11,15 @@ import click
 import numpy as np
 
 from pincal.cli import show_progress
-from pincal.cli.common import LENGTH, output_options, print_json
+from pincal.cli.common import LENGTH, model_argument, output_options, print_json
 from pincal.errors import AccuracyGateError, BadInputError, OutputError
 
-_MODEL = click.argument("model", metavar="MODEL.json", type=click.Path(path_type=Path))
 # Rows outside the covered range that a note lists one by one.
 _SHOWN = 5
 
 
 @click.command(epilog="\b\nExample:\n  pincal validate results/model.json new_measurements.csv --max-error 0.1mm\n")
-@_MODEL
+@model_argument
 @click.argument("data", metavar="DATA.csv", type=click.Path(path_type=Path))
 @click.option("--ignore", metavar="COLUMN", multiple=True, help="A column of the table to leave unread.")
 @click.option("--max-error", type=LENGTH, help="Fail (exit 5) if the mean error is larger, e.g. 0.1mm.")
@@ -70,7 +69,7 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
 
 
 @click.command(epilog="\b\nExample:\n  pincal predict results/model.json poses.csv --out predicted.csv\n")
-@_MODEL
+@model_argument
 @click.argument("poses", metavar="POSES.csv", type=click.Path(path_type=Path))
 @click.option("--out", required=True, metavar="FILE.csv", type=click.Path(path_type=Path), help="Table to write.")
 @output_options
@@ -108,7 +107,7 @@ def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> 
 
 
 @click.command(epilog="\b\nExample:\n  pincal export results/model.json --urdf calibrated.urdf\n")
-@_MODEL
+@model_argument
 @click.option("--urdf", metavar="FILE.urdf", type=click.Path(path_type=Path), help="URDF to write.")
 @click.option("--camera", metavar="FILE.json", type=click.Path(path_type=Path),
               help="Camera to write: lens and mount, as calibrate reads it.")  # fmt: skip

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from pincal.cli import show_progress
-from pincal.cli.common import output_options, print_json
+from pincal.cli.common import model_argument, output_options, print_json
 from pincal.errors import BadInputError
 
 _EPILOG = """\b
@@ -25,7 +25,7 @@ until Ctrl-C. Layers are switched on and off by name there, in the panel or in t
 
 
 @click.command(epilog=_EPILOG)
-@click.argument("model", metavar="MODEL.json", type=click.Path(path_type=Path))
+@model_argument
 @click.argument("data", metavar="[DATA.csv]", required=False, type=click.Path(path_type=Path))
 @click.option("--html", "html_file", metavar="FILE.html", type=click.Path(path_type=Path), help="Write one page instead.")
 @click.option(

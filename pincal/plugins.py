@@ -1,0 +1,131 @@
+"""Classes by name, and the code outside pincal that adds some: installed packages, and modules that the user names.
+
+A file never makes pincal import code. What a model file needs from elsewhere has to be installed as an entry point or named
+by the user, with ``--plugin`` on the command line or :func:`load_plugin` in Python.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Generic, TypeVar
+
+from pincal.errors import BadInputError, PincalWarning
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """The classes of one kind by name: those of pincal, those of plugins, and what a user registers.
+
+    Example:
+        >>> class Hose:
+        ...     name = "hose"
+        >>> hoses = Registry[Hose]("hose", group="pincal.hoses", name_of=lambda cls: cls.name)
+        >>> hoses.register(Hose) is Hose
+        True
+        >>> list(hoses.known())
+        ['hose']
+    """
+
+    def __init__(
+        self, kind: str, *, group: str, name_of: Callable[[type[T]], str], check: Callable[[type[T]], None] | None = None
+    ) -> None:
+        """Make an empty registry.
+
+        Args:
+            kind: what its classes are, for messages: "effect", "sensor".
+            group: the entry points by which installed packages declare classes, or modules that register them.
+            name_of: returns the name under which a class is known.
+            check: raises ``TypeError`` for a class that does not say all that it must.
+        """
+        self.kind = kind
+        self.group = group
+        self._name_of = name_of
+        self._check = check
+        self._classes: dict[str, type[T]] = {}
+        self._is_complete = False
+
+    def register(self, cls: type[T]) -> type[T]:
+        """Add a class, as a decorator or by a call.
+
+        Raises:
+            TypeError: if the class does not say all that it must, or another class has its name.
+        """
+        if self._check is not None:
+            self._check(cls)
+        name = self._name_of(cls)
+        there = self._classes.get(name)
+        # A module that is run and imported, or loaded again, defines its classes twice.
+        if there is not None and there.__qualname__ != cls.__qualname__:
+            raise TypeError(
+                f"{self.kind} {name!r} of {cls.__module__} has the name of {there.__module__}.{there.__qualname__}; "
+                "choose another name"
+            )
+        self._classes[name] = cls
+        return cls
+
+    def known(self) -> Mapping[str, type[T]]:
+        """Return all classes by name, those of installed packages among them."""
+        if not self._is_complete:
+            self._is_complete = True
+            self._load_entry_points()
+        return dict(self._classes)
+
+    def _load_entry_points(self) -> None:
+        """Load what installed packages declare; a package that fails is told of and left out."""
+        for point in entry_points(group=self.group):
+            try:
+                found = point.load()
+                if isinstance(found, type):
+                    self.register(found)
+            except Exception as error:  # Anything may go wrong in the code of others.
+                warnings.warn(
+                    f"{self.kind} {point.name!r} of the entry point {point.value} can't be loaded "
+                    f"({type(error).__name__}: {error}); it is left out",
+                    PincalWarning,
+                    stacklevel=3,
+                )
+
+
+def load_plugin(name: str) -> ModuleType:
+    """Import a module that registers effects or sensors.
+
+    Args:
+        name: its dotted name, looked up where Python looks and in the current folder, or the path of a ``.py`` file.
+
+    Raises:
+        BadInputError: if there is no such module, or it fails.
+    """
+    path = Path(name)
+    folder, module = (path.parent.resolve(), path.stem) if path.suffix == ".py" else (Path.cwd(), name)
+    try:
+        with _importable(folder):
+            return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not (module == error.name or module.startswith(error.name + ".")):
+            raise BadInputError(f"plugin {name!r} needs the module {error.name!r}, which is not installed") from error
+        raise BadInputError(
+            f"plugin {name!r}: no such module; expected the name of an installed one, or a file such as my_effects.py"
+        ) from None
+    except Exception as error:
+        raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
+
+
+@contextmanager
+def _importable(folder: Path) -> Iterator[None]:
+    """Let modules of a folder be imported, after all others of their names."""
+    place = os.fspath(folder)
+    sys.path.append(place)
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        sys.path.remove(place)
