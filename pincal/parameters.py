@@ -1,11 +1,27 @@
-"""Named parameters: what a fit may find, whoever owns it."""
+r"""Named parameters, and estimates of them: values with covariance, looked up by name.
+
+A fit of several stations has a robot's parameters once and each station's own parameters (where its instrument stands, its
+targets) once per station. Their joint covariance is
+
+.. math:: C = A A^T + \operatorname{diag}(K_1, K_2, \ldots),
+
+with one row of A per parameter and one block K per station: what stations share correlates everything, what is left
+correlates only the parameters of one station. So it is never stored as a whole.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
 
 # Coordinates of a frame: position [m] and small angles [rad].
 FRAME_SYMBOLS = ("x", "y", "z", "rx", "ry", "rz")
+
+Scope = Literal["robot", "station"]
 
 
 @dataclass(frozen=True)
@@ -13,11 +29,13 @@ class Parameter:
     """One number that a fit may find.
 
     Attributes:
-        name: ``<element>.<symbol>``, e.g. ``joint_2.s_x``.
+        name: ``<element>.<symbol>``, e.g. ``joint_2.s_x``; unique within a fit, so that a parameter of one station among
+            several is ``<station>/<element>.<symbol>``.
         unit: "rad", "m" or "rad/(N m)".
         effect: name of the effect that owns it.
         nominal: what the URDF says; a fit finds the deviation from it.
         size: how far it typically moves its coordinate [rad or m]; inf for frames that are anywhere.
+        station: name of the station that it belongs to; "" for the robot's own and where there is only one station.
     """
 
     name: str
@@ -25,3 +43,181 @@ class Parameter:
     effect: str
     nominal: float
     size: float
+    station: str = ""
+
+    def at(self, station: str) -> Parameter:
+        """Return the same parameter as that of one station among several; unchanged if the station has no name."""
+        return replace(self, name=f"{station}/{self.name}", station=station) if station else self
+
+    @property
+    def local_name(self) -> str:
+        """Its name within its station."""
+        return self.name.removeprefix(f"{self.station}/") if self.station else self.name
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of n parameters, C = A A^T + a block per group of parameters.
+
+    Attributes:
+        factor: A, shape (n, k).
+        groups: for each block, shape (b,), the parameters that it belongs to, and the block, shape (b, b).
+
+    Example:
+        >>> found = Covariance(np.array([[1.0], [2.0]]), ((np.array([1]), np.array([[3.0]])),))
+        >>> found.dense().tolist(), found.variance.tolist()
+        ([[1.0, 2.0], [2.0, 7.0]], [1.0, 7.0])
+    """
+
+    factor: np.ndarray
+    groups: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
+
+    @classmethod
+    def of(cls, matrix: np.ndarray) -> Covariance:
+        """Return a covariance that is given as a matrix, shape (n, n)."""
+        return cls(np.zeros((len(matrix), 0)), ((np.arange(len(matrix)), matrix),))
+
+    def __len__(self) -> int:
+        return len(self.factor)
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Its diagonal, shape (n,)."""
+        found = np.einsum("nk,nk->n", self.factor, self.factor)
+        for places, block in self.groups:
+            found[places] += np.diag(block)
+        return np.asarray(found)
+
+    def dense(self) -> np.ndarray:
+        """Return it as a matrix, shape (n, n)."""
+        found = self.factor @ self.factor.T
+        for places, block in self.groups:
+            found[np.ix_(places, places)] += block
+        return np.asarray(found)
+
+    def take(self, places: np.ndarray) -> Covariance:
+        """Return the covariance of some of the parameters, in the order of ``places``, shape (m,), each at most once."""
+        where = np.full(len(self), -1)
+        where[places] = np.arange(len(places))
+        groups = []
+        for members, block in self.groups:
+            kept = where[members] >= 0
+            if kept.any():
+                groups.append((where[members[kept]], block[np.ix_(kept, kept)]))
+        return Covariance(self.factor[places], tuple(groups))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Named parameters with values and covariance.
+
+    Attributes:
+        parameters: the P parameters.
+        values: shape (P,), deviations from the nominal.
+        free: shape (P,), which of them were fitted.
+        covariance: of the fitted ones, in their order.
+        prior: shape (P,), what was known of each before: standard deviations about zero; inf for nothing.
+
+    Example:
+        >>> a, b = (Parameter(name, "m", "frame", 0.0, np.inf) for name in ("a.x", "b.x"))
+        >>> free, prior = np.array([True, False]), np.array([1.0, 2.0])
+        >>> found = Estimate((a, b), np.array([0.3, 0.0]), free, Covariance.of(np.array([[0.25]])), prior)
+        >>> found["a.x"], found.sigma.tolist(), found.drop(["a.x"]).names
+        (0.3, [0.5, 2.0], ('b.x',))
+    """
+
+    parameters: tuple[Parameter, ...]
+    values: np.ndarray
+    free: np.ndarray
+    covariance: Covariance
+    prior: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.values[self.index(name)])
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
+    def index(self, name: str) -> int:
+        """Return the place of a parameter.
+
+        Raises:
+            KeyError: if there is none of this name.
+        """
+        return self._index[name]
+
+    def places(self, names: Iterable[str]) -> np.ndarray:
+        """Return the places of parameters, shape (n,).
+
+        Raises:
+            KeyError: if there is none of one of the names.
+        """
+        return np.array([self._index[name] for name in names], int)
+
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """What is known of each parameter, shape (P,): its standard deviation, that of the prior where it was not fitted."""
+        found = np.array(self.prior, float)
+        found[self.free] = np.sqrt(self.covariance.variance)
+        return found
+
+    @cached_property
+    def fitted_sigma(self) -> np.ndarray:
+        """What the fit knows of each parameter, shape (P,): its standard deviation, inf where it was not fitted."""
+        return np.where(self.free, self.sigma, np.inf)
+
+    def covariance_of(self, names: Iterable[str]) -> np.ndarray:
+        """Return the covariance of some parameters as a matrix, zero for those that were not fitted."""
+        return self.take(names).dense_covariance()
+
+    def dense_covariance(self) -> np.ndarray:
+        """Return the covariance as a matrix, shape (P, P), zero for parameters that were not fitted."""
+        found = np.zeros((len(self), len(self)))
+        found[np.ix_(self.free, self.free)] = self.covariance.dense()
+        return found
+
+    def take(self, names: Iterable[str]) -> Estimate:
+        """Return the estimate of some parameters, in the order of ``names``.
+
+        Raises:
+            KeyError: if there is none of one of the names.
+        """
+        return self._at(self.places(names))
+
+    def drop(self, names: Iterable[str]) -> Estimate:
+        """Return the estimate of all parameters but some; names that it doesn't have are ignored."""
+        gone = set(names)
+        return self._at(np.array([i for i, name in enumerate(self.names) if name not in gone], int))
+
+    def _at(self, places: np.ndarray) -> Estimate:
+        free = self.free[places]
+        rank = np.cumsum(self.free) - 1
+        return Estimate(
+            tuple(self.parameters[i] for i in places),
+            self.values[places],
+            free,
+            self.covariance.take(rank[places[free]]),
+            self.prior[places],
+        )
+
+    def carried_over(self, parameters: Sequence[Parameter]) -> np.ndarray:
+        """Return the values of other parameters as far as they are known here by name, shape (n,); zero for the rest."""
+        return carried_over(self.values, self._index, parameters)
+
+
+def carried_over(values: np.ndarray, index: dict[str, int], parameters: Sequence[Parameter]) -> np.ndarray:
+    """Return what a vector says of parameters by name, shape (n,); zero (or False) for names that are not in ``index``."""
+    found = np.zeros(len(parameters), values.dtype)
+    for i, parameter in enumerate(parameters):
+        if parameter.name in index:
+            found[i] = values[index[parameter.name]]
+    return found

@@ -179,8 +179,6 @@ def _noise(fit: Fit) -> dict[str, Any]:
 
 def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
     """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
-    sigma = np.full(len(fit.values), np.nan)
-    sigma[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
     values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
     for element, rotation in _references(fit).items():
         places = [i for i, p in enumerate(fit.problem.parameters) if p.name in {f"{element}.r{a}" for a in "xyz"}]
@@ -188,10 +186,7 @@ def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
             values[places] = _rotation_vector(rotation, values[places])
     rows = []
     for i, (parameter, finding) in enumerate(zip(fit.problem.parameters, explain(fit), strict=True)):
-        if finding.status == "fixed":
-            spread: float | None = None
-        else:
-            spread = float(sigma[i] if np.isfinite(sigma[i]) else fit.priors.sizes[i])
+        spread = None if finding.status == "fixed" else float(fit.estimate.sigma[i])
         rows.append(
             ParameterRow(
                 parameter.name,

@@ -219,8 +219,7 @@ def _ranges(robot: Robot, measurements: Measurements) -> tuple[JointRange, ...]:
 
 
 def _expectations(fit: Fit) -> tuple[Expectation, ...]:
-    sigma = np.where(np.isfinite(fit.priors.sizes), fit.priors.sizes, 0.0)
-    sigma[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
+    sigma = np.where(np.isfinite(fit.estimate.sigma), fit.estimate.sigma, 0.0)
     return tuple(
         Expectation(p.name, p.unit, float(s), f.status, f.reason, p.effect)
         for p, s, f in zip(fit.problem.parameters, sigma, explain(fit), strict=True)

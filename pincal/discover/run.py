@@ -259,16 +259,10 @@ def _identity(effect: Effect) -> dict[str, Any]:
 
 def _parameters(fit: Fit, effect: Effect) -> dict[str, dict[str, Any]]:
     """Return value, standard deviation (that of the prior where it was not fitted) and unit of an effect's parameters."""
-    sigma = fit.priors.sizes.copy()
-    sigma[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
-    places = [(parameter, fit.model.index(parameter.name)) for parameter in effect.parameters(fit.model.chain)]
+    found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
     return {
-        parameter.name: {
-            "value": parameter.nominal + float(fit.values[i]),
-            "sigma": float(sigma[i]),
-            "unit": parameter.unit,
-        }
-        for parameter, i in places
+        parameter.name: {"value": parameter.nominal + float(value), "sigma": float(sigma), "unit": parameter.unit}
+        for parameter, value, sigma in zip(found.parameters, found.values, found.sigma, strict=True)
     }
 
 

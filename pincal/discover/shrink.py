@@ -136,11 +136,8 @@ def _scale(fit: Fit) -> np.ndarray:
 
 def _stiffest(fit: Fit, effect: JointElasticity) -> str:
     """Return the joint whose compliance is furthest from zero, in units of its standard deviation."""
-    spread = np.full(len(fit.values), np.inf)
-    spread[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
-    places = [fit.model.index(parameter.name) for parameter in effect.parameters(fit.model.chain)]
-    best = places[int(np.argmax(np.abs(fit.values[places]) / spread[places]))]
-    return fit.model.names[best].rsplit(".", 1)[0]
+    found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
+    return found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))].rsplit(".", 1)[0]
 
 
 def _is_prismatic(fit: Fit, joint: str) -> bool:

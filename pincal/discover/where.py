@@ -89,8 +89,7 @@ def _scattered(fit: Fit, scatter: Scatter, sigma: np.ndarray) -> dict[str, Any]:
 
 def elastic_entries(fit: Fit) -> list[dict[str, Any]]:
     """Return the joints and bearings whose compliance is far from zero, the surest first."""
-    sigma = np.full(len(fit.values), np.inf)
-    sigma[fit.solution.free] = np.sqrt(np.diag(fit.solution.posterior.covariance))
+    sigma = fit.estimate.fitted_sigma
     found = []
     for effect in fit.model.effects:
         if not isinstance(effect, Compliance):

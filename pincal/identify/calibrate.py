@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -23,7 +24,7 @@ from pincal.measure.setup import Setup
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Effect, ToolFrame
 from pincal.model.model import Model
-from pincal.parameters import FRAME_SYMBOLS
+from pincal.parameters import FRAME_SYMBOLS, Covariance, Estimate
 from pincal.robot.robot import Robot
 
 Stages = Literal["joint", "paper"]
@@ -120,6 +121,12 @@ class Fit:
     def values(self) -> np.ndarray:
         """Calibrated values, shape (P,)."""
         return self.solution.values
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The calibrated values by name, with what is known of each."""
+        covariance = Covariance.of(self.solution.posterior.covariance)
+        return Estimate(self.problem.parameters, self.values, self.solution.free, covariance, self.priors.sizes)
 
     @property
     def iterations(self) -> int:

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
 # Size of real errors by kind [rad, m], used as prior where the data can't tell. The paper (IV.C) knows of deviations of
 # up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
@@ -88,6 +88,7 @@ class Effect(ABC):
 
     Attributes:
         name: its name in reports and files.
+        scope: whose parameters it has: the robot's, or those of a station, the set-up of an instrument and its targets.
         uses_moments: whether its terms need the static moments.
         needs: what must be recorded of the poses: "temperature", "time", "approach", "payload".
         alike: whether its basis functions are one function in several places, as those of a curve: one that the poses
@@ -95,6 +96,7 @@ class Effect(ABC):
     """
 
     name: ClassVar[str]
+    scope: ClassVar[Scope] = "robot"
     uses_moments: ClassVar[bool] = False
     alike: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
@@ -261,6 +263,7 @@ class BaseFrame(Effect):
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS
     name: ClassVar[str] = "base_frame"
+    scope: ClassVar[Scope] = "station"
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """x, y, z [m] and small angles rx, ry, rz [rad] about the chain's reference orientation."""
@@ -277,6 +280,7 @@ class ToolFrame(Effect):
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS[:3]
     name: ClassVar[str] = "tool_frame"
+    scope: ClassVar[Scope] = "station"
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """x, y, z [m], and for poses rx, ry, rz [rad], of every target."""

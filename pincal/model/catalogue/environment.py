@@ -10,7 +10,7 @@ import numpy as np
 from pincal.model.catalogue.places import GROWTH, TILT, height_on_axis, joint_index, parameters_of, recorded
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions, Effect, Term
-from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,7 @@ class BaseDrift(Effect):
     reference: float = 0.0
     turns: bool = True
     name: ClassVar[str] = "base_drift"
+    scope: ClassVar[Scope] = "station"
     needs: ClassVar[tuple[str, ...]] = ("time",)
 
     @classmethod
@@ -85,6 +86,7 @@ class MeasurementScale(Effect):
     """
 
     name: ClassVar[str] = "measurement_scale"
+    scope: ClassVar[Scope] = "station"
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Relative error of the scale [1]."""
