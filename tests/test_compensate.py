@@ -19,11 +19,10 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated import CalibratedModel, Covered, save_model
 from pincal.cli import main
 from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
-from pincal.compensate.frames import base_in_instrument, compose, false_targets, inverse, program_poses
+from pincal.compensate.frames import base_in_instrument, false_targets, program_poses
 from pincal.compensate.reach import STATUSES
 from pincal.compensate.targets import read_targets
 from pincal.errors import BadInputError
-from pincal.measure.sensors import quaternions
 from pincal.measure.table import write_table
 from pincal.model.augmented import calibrated_model
 from pincal.model.catalogue import Backlash, BaseDrift, GearEccentricity, GearRatio, TransmissionError
@@ -42,6 +41,7 @@ from pincal.model.effects import (
 )
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import compose, inverse, quaternions
 from pincal.simulate import paper_machine
 from pincal.simulate.planning import reach as nominal_joints
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors

@@ -16,6 +16,7 @@ PACKAGE = Path(pincal.__file__).resolve().parent
 # From the bottom up; a layer imports itself and what stands before it.
 LAYERS = (
     "errors",
+    "atomic",
     "plugins",
     "units",
     "parameters",

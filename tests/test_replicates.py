@@ -14,11 +14,12 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.problem import problem_of
 from pincal.measure.measurements import measurements_from_arrays
-from pincal.measure.sensors import Block, quaternions
+from pincal.measure.sensors import Block
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
 from pincal.report.summary import verdict_of
+from pincal.robot.se3 import quaternions
 from pincal.validate.lack_of_fit import evenness, explained_by_uncertainty, lack_of_fit, spread_of, squares_of
 from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy, replicate_groups
 

@@ -15,9 +15,10 @@ from pincal.measure.lens import Lens
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, DistanceSensor
 from pincal.measure.sensing import sensor_of
-from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor, rotation_matrices, rotation_vectors
+from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.se3 import rotation_matrices, rotation_vectors
 
 N = 12
 OWN = np.zeros(0)

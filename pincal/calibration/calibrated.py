@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import uuid
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from pincal.atomic import write_whole
 from pincal.errors import BadInputError, MeasurementError, ModelFileError, OutputError
 from pincal.identify.calibrate import Fit
 from pincal.identify.problem import Problem, problem_of
@@ -25,6 +23,7 @@ from pincal.model.catalogue.unnamed import Unnamed, variable
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import placed
 
 FORMAT_VERSION = 1
 # What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
@@ -135,15 +134,11 @@ class CalibratedModel:
         Raises:
             BadInputError: if the model was not calibrated with images.
         """
-        from scipy.spatial.transform import Rotation
-
         places = {p.name.removeprefix("camera."): i for i, p in enumerate(self.parameters) if p.effect.startswith("lens")}
         if not places:
             raise BadInputError(f"this model was calibrated with {self.sensor_kind}, not with images: it has no camera")
-        tool = [self.values[self.model.index(f"camera.{symbol}")] for symbol in FRAME_SYMBOLS]
-        mount = np.eye(4)
-        mount[:3, 3] = tool[:3]
-        mount[:3, :3] = self.model.chain.tool_rotations[0] @ Rotation.from_euler("XYZ", tool[3:]).as_matrix()
+        tool = self.values[[self.model.index(f"camera.{symbol}") for symbol in FRAME_SYMBOLS]]
+        mount = placed(self.model.chain.tool_rotations[0], tool)
         lens = {name: self.parameters[i].nominal + float(self.values[i]) for name, i in places.items()}
         return {**lens, "T_tip_camera": mount.tolist()}
 
@@ -251,7 +246,7 @@ def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> Non
         raise OutputError(
             f"{os.fspath(path)}: the model has a number that is not finite ({error}); calibrate again"
         ) from None
-    _write_whole(Path(path), "{\n" + ",\n".join(lines) + "\n}\n")
+    write_whole(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
@@ -293,15 +288,3 @@ def _check_version(whole: Section) -> None:
             f"{found.file}: format_version is {found.value}, written by a newer pincal; "
             f"expected at most {FORMAT_VERSION}: update pincal"
         )
-
-
-def _write_whole(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"{path}: can't be written ({error}); choose a folder that exists and is writable") from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()

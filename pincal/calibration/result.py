@@ -13,6 +13,7 @@ from pincal.identify.calibrate import Fit
 from pincal.identify.explain import explain
 from pincal.identify.problem import Problem
 from pincal.measure.measurements import Measurements
+from pincal.robot.se3 import placed, rotation_vectors
 from pincal.validate.accuracy import error_table, pose_errors
 from pincal.validate.lack_of_fit import MISFIT, lack_of_fit, lack_words
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
@@ -183,7 +184,8 @@ def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
     for element, rotation in _references(fit).items():
         places = [i for i, p in enumerate(fit.problem.parameters) if p.name in {f"{element}.r{a}" for a in "xyz"}]
         if len(places) == 3:
-            values[places] = _rotation_vector(rotation, values[places])
+            turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
+            values[places] = rotation_vectors(turned[None, :3, :3])[0]
     rows = []
     for i, (parameter, finding) in enumerate(zip(fit.problem.parameters, explain(fit), strict=True)):
         spread = None if finding.status == "fixed" else float(fit.estimate.sigma[i])
@@ -211,14 +213,6 @@ def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
 def _references(fit: Fit) -> dict[str, np.ndarray]:
     chain = fit.model.chain
     return {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
-
-
-def _rotation_vector(reference: np.ndarray, small: np.ndarray) -> np.ndarray:
-    """Return the rotation vector of R_ref R(x) R(y) R(z)."""
-    from scipy.spatial.transform import Rotation
-
-    turned = Rotation.from_matrix(reference) * Rotation.from_euler("XYZ", small)
-    return np.asarray(turned.as_rotvec())
 
 
 def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[dict[str, Any], ...]:

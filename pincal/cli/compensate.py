@@ -135,7 +135,7 @@ def _columns(calibrated: Any, done: Any, false_targets: Any) -> dict[str, np.nda
 
 
 def _pose_columns(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.ndarray]:
-    from pincal.measure.sensors import quaternions
+    from pincal.robot.se3 import quaternions
 
     columns = dict(zip("xyz", poses[:, :, 3].T, strict=True))
     if with_orientation:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
+from pincal.atomic import write_whole
 from pincal.cli import show_progress
 from pincal.cli.common import LENGTH, model_argument, output_options, print_json
-from pincal.errors import AccuracyGateError, BadInputError, OutputError
+from pincal.errors import AccuracyGateError, BadInputError
 
 # Rows outside the covered range that a note lists one by one.
 _SHOWN = 5
@@ -79,8 +79,8 @@ def predict(model: Path, poses: Path, out: Path, as_json: bool, quiet: bool) -> 
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
     from pincal.identify.problem import conditions_of
-    from pincal.measure.sensors import quaternions
     from pincal.measure.table import write_table
+    from pincal.robot.se3 import quaternions
 
     calibrated = load_model(model)
     table = load_table(calibrated.model.chain.robot, poses, joints_only=True)
@@ -122,7 +122,7 @@ def export(model: Path, urdf: Path | None, camera: Path | None, as_json: bool, q
         raise click.UsageError("give --urdf FILE.urdf, --camera FILE.json, or both")
     calibrated = load_model(model)
     if camera is not None:
-        _write_whole(camera, (json.dumps(calibrated.camera(), indent=1) + "\n").encode())
+        write_whole(camera, json.dumps(calibrated.camera(), indent=1) + "\n", advice="choose another file")
         if urdf is None:
             print_json({"camera": str(camera)}) if as_json else click.echo(f"written to {camera}")
             return 0
@@ -130,7 +130,7 @@ def export(model: Path, urdf: Path | None, camera: Path | None, as_json: bool, q
     if not calibrated.model.chain.robot.urdf:
         raise BadInputError(f"{model}: holds no URDF to correct; calibrate again from a URDF file")
     written = calibrated_urdf(calibrated.model, calibrated.values)
-    _write_whole(urdf, written.text)
+    write_whole(urdf, written.text, advice="choose another file")
     if as_json:
         print_json({"urdf": str(urdf), "max_error_m": written.max_error_m, "notes": list(written.notes)})
         return 0
@@ -138,16 +138,6 @@ def export(model: Path, urdf: Path | None, camera: Path | None, as_json: bool, q
     for note in written.notes:
         click.echo(f"note: {note}")
     return 0
-
-
-def _write_whole(path: Path, text: bytes) -> None:
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_bytes(text)
-        os.replace(draft, path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise OutputError(f"{path}: can't be written ({error.strerror}); choose another file") from None
 
 
 def _check_targets(calibrated: Any, table: Any) -> None:

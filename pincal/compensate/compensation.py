@@ -12,12 +12,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.compensate.frames import Frame, base_in_instrument, compose, in_base_frame, program_poses
+from pincal.compensate.frames import Frame, base_in_instrument, in_base_frame, program_poses
 from pincal.compensate.reach import reach
 from pincal.compensate.task import Task
 from pincal.errors import BadInputError
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import compose
 
 Orientation = Literal["keep", "free"]
 # Rows worked on at once: some 100 MB, and enough for the few rows that need more steps to share their cost.

@@ -16,6 +16,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions, Effect
 from pincal.model.model import Model
+from pincal.robot.se3 import compose, inverse
 
 Frame = Literal["instrument", "base"]
 FalseTarget = Literal["tip", "target"]
@@ -73,18 +74,6 @@ def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> n
     placed = _with_effects(calibrated, lambda effect: effect.name in _PLACING, calibrated.model.chain.base_rotation)
     bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
     return compose(placed.predict(conditions), inverse(bare.predict(conditions)))
-
-
-def compose(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the products of transforms, shape (N, 3, 4) each."""
-    R = A[:, :, :3]
-    return np.concatenate([R @ B[:, :, :3], R @ B[:, :, 3:] + A[:, :, 3:]], axis=2)
-
-
-def inverse(A: np.ndarray) -> np.ndarray:
-    """Return the inverses of transforms, shape (N, 3, 4)."""
-    turned = A[:, :, :3].swapaxes(1, 2)
-    return np.concatenate([turned, -turned @ A[:, :, 3:]], axis=2)
 
 
 def false_targets(calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip") -> np.ndarray:

@@ -8,10 +8,10 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import Compensation, Orientation, compensate_poses, middle_of_range
-from pincal.compensate.frames import Frame, base_in_instrument, compose, in_base_frame, inverse, program_poses
+from pincal.compensate.frames import Frame, base_in_instrument, in_base_frame, program_poses
 from pincal.compensate.targets import Targets, check_positions
-from pincal.measure.sensors import rotation_matrices
 from pincal.model.effects import Conditions
+from pincal.robot.se3 import compose, inverse, rotation_matrices
 
 
 @dataclass(frozen=True)

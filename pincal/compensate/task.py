@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.measure.sensors import rotation_vectors
 from pincal.model.effects import Conditions, JointOffset
 from pincal.model.model import Model
+from pincal.robot.se3 import rotation_vectors
 
 # What counts as reached [m and rad]: a tenth of what is promised, a thousand times the rounding of a pose.
 REACHED = 1e-10

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from pincal.design.collisions import Collisions, read_collisions, without_touching
-from pincal.robot.dh import rotation, translation
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import rotation, translation
 
 # Half the width of a link that a URDF says nothing of, at the base, in reaches of the arm, and what of it a tip loses.
 _WIDTH, _SLIMMER = 1.0 / 22.0, 0.6

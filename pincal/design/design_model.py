@@ -21,11 +21,11 @@ from pincal.identify.calibrate import Options, noise_of, priors_of
 from pincal.identify.normal import Posterior, posterior
 from pincal.identify.problem import Problem, problem_of
 from pincal.measure.measurements import measurements_from_arrays
-from pincal.measure.sensors import quaternions
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import quaternions
 
 # Noise of a good laser tracker in a hall, where none is declared, by the unit of a reading [m, rad].
 ASSUMED_NOISE = {"m": 5e-5, "rad": 1e-4}

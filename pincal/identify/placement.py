@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pincal.robot.se3 import transform
+
 # Relative size of singular values below which a linear start says nothing about a direction.
 RANK = 1e-6
 
@@ -32,7 +34,7 @@ def from_distances(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_target
     tools = np.tile(np.eye(4), (n_targets, 1, 1))
     squares = (d**2 - np.einsum("ni,ni->n", p, p))[:, None]
     solution, _ = least_squares(np.hstack([2.0 * p, np.ones((len(p), 1))]), squares)
-    yield Extrinsics(frame(np.eye(3), solution[:3, 0]), tools)
+    yield Extrinsics(transform(np.eye(3), solution[:3, 0]), tools)
     lever = by_target(2.0 * np.einsum("nji,nj->ni", R, p), target, n_targets)
     products = by_target(2.0 * R.reshape(-1, 9), target, n_targets)
     constants = by_target(np.ones((len(p), 1)), target, n_targets)
@@ -40,7 +42,7 @@ def from_distances(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_target
     if complete:
         found = tools.copy()
         found[:, :3, 3] = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
-        yield Extrinsics(frame(np.eye(3), solution[:3, 0]), found)
+        yield Extrinsics(transform(np.eye(3), solution[:3, 0]), found)
 
 
 def by_target(columns: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:
@@ -55,23 +57,3 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, bool]:
     scale[scale == 0.0] = 1.0
     solution, _, rank, _ = np.linalg.lstsq(A / scale, y, rcond=RANK)
     return solution / scale[:, None], bool(rank == A.shape[1])
-
-
-def rigid(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return R, t that bring points ``a`` nearest to ``b`` (Kabsch 1976, Umeyama 1991)."""
-    ca, cb = a.mean(axis=0), b.mean(axis=0)
-    R = nearest_rotation((b - cb).T @ (a - ca))
-    return R, cb - R @ ca
-
-
-def nearest_rotation(M: np.ndarray) -> np.ndarray:
-    """Return the rotation nearest to a matrix."""
-    U, _, Vt = np.linalg.svd(M)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
-
-
-def frame(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the transform of a rotation and a translation, shape (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
-    return T

@@ -20,17 +20,15 @@ from pincal.identify.placement import (
     RANK,
     Extrinsics,
     by_target,
-    frame,
     from_distances,
     least_squares,
-    nearest_rotation,
-    rigid,
 )
 from pincal.identify.rows import some_rows
 from pincal.identify.start_points import from_anchors, from_camera_points, from_contacts, from_pixels
 from pincal.measure.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, DistanceSensor
 from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
+from pincal.robot.se3 import align, nearest_rotation, transform
 
 # More rows than this add nothing to a start.
 _ROWS = 2000
@@ -67,7 +65,7 @@ def placements(sensor: Sensor, tips: np.ndarray, target: np.ndarray, n_targets: 
 def _from_positions(m: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
     p, R = tips[:, :, 3], tips[:, :, :3]
     tools = np.tile(np.eye(4), (n_targets, 1, 1))
-    base = frame(*rigid(p, m))
+    base = transform(*align(p, m))
     yield Extrinsics(base, tools)
     columns = by_target(R.reshape(-1, 9), target, n_targets)
     solution, complete = least_squares(np.hstack([p, columns, np.ones((len(p), 1))]), m)
@@ -78,7 +76,7 @@ def _from_positions(m: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targe
         products = solution[3 + 9 * t : 12 + 9 * t].T.reshape(3, 3, 3)  # [a, c, d] = R[a, c] t[d]
         tools[t, :3, 3] = np.einsum("ac,acd->d", rotation, products) / 3.0
     ends = p + np.einsum("nij,nj->ni", R, tools[target, :3, 3])
-    yield Extrinsics(frame(*rigid(ends, m)), tools)
+    yield Extrinsics(transform(*align(ends, m)), tools)
 
 
 def _from_poses(sensor: PoseSensor, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -101,7 +99,7 @@ def _from_poses(sensor: PoseSensor, tips: np.ndarray, target: np.ndarray, n_targ
     solution = np.linalg.lstsq(A, (sensor.position - tips[:, :, 3] @ rotation.T).ravel(), rcond=RANK)[0]
     for t in range(n_targets):
         tools[t, :3, 3] = solution[3 + 3 * t : 6 + 3 * t]
-    yield Extrinsics(frame(rotation, solution[:3]), tools)
+    yield Extrinsics(transform(rotation, solution[:3]), tools)
 
 
 def _rotation_equations(tips: np.ndarray, measured: np.ndarray) -> np.ndarray:

@@ -18,11 +18,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.identify.placement import RANK, Extrinsics, by_target, frame, from_distances, nearest_rotation, rigid
+from pincal.identify.placement import RANK, Extrinsics, by_target, from_distances
 from pincal.identify.rows import some_rows
 from pincal.measure.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.lens import Lens
 from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, PointSensor
+from pincal.robot.se3 import align, nearest_rotation, transform
 
 # Focal lengths that are tried where none is known, in widths of the part of the image that is used.
 _FOCAL = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0)
@@ -70,7 +71,7 @@ def from_camera_points(sensor: CameraPointSensor, tips: np.ndarray) -> Iterator[
     W = nearest_rotation(_least_squares(-_centred(A, sensor.index), _centred(p, sensor.index))[:9].reshape(3, 3))
     seen = np.einsum("nab,bc,nc->na", R, W, sensor.camera_point)
     t = _least_squares(-_centred(R, sensor.index), _centred(p + seen, sensor.index))
-    yield _placed(sensor, p + seen + R @ t, frame(W, t)[None])
+    yield _placed(sensor, p + seen + R @ t, transform(W, t)[None])
 
 
 def from_pixels(sensor: CameraPixelSensor, tips: np.ndarray) -> Iterator[Extrinsics]:
@@ -94,7 +95,7 @@ def from_pixels(sensor: CameraPixelSensor, tips: np.ndarray) -> Iterator[Extrins
     for x in sorted(found, key=lambda x: missed(x).error)[:_KEPT]:
         turn, scaled = Rotation.from_rotvec(x[:3]).as_matrix(), _scaled(lens, x[3:])
         sight = _triangulated(sensor.index, n, tips, _rays(scaled, sensor.pixel) @ turn.T, scaled.fx)
-        hand = frame(turn, sight.camera)
+        hand = transform(turn, sight.camera)
         yield _of_places(sensor, sight.places, hand[None], scaled.values - nominal)
 
 
@@ -186,7 +187,7 @@ def _of_places(sensor: PointSensor, places: np.ndarray, tools: np.ndarray, rest:
     """Return the placement of points, shape (K, 3), in the robot's base frame; the known ones say where the base is."""
     points = sensor.points
     seen = points.known & np.isin(np.arange(len(places)), sensor.index)
-    base = frame(*rigid(places[seen], points.given[seen])) if seen.any() else np.eye(4)
+    base = transform(*align(places[seen], points.given[seen])) if seen.any() else np.eye(4)
     moved = places @ base[:3, :3].T + base[:3, 3]
     own = moved[~points.known].ravel()
     return Extrinsics(base, tools, own if rest is None else np.concatenate([own, rest]))

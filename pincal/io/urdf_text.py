@@ -12,6 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pincal.errors import RobotFileError
+from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf import parse_xml
 
 # A number that changes by less [rad or m] is rounding: its text stays.
@@ -35,20 +36,8 @@ class Origin:
     def matrix(self) -> np.ndarray:
         """The placement, shape (4, 4), of the child frame in the parent frame."""
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = rotation_of(self.rpy), self.xyz
+        T[:3, :3], T[:3, 3] = rotation_of_rpy(self.rpy), self.xyz
         return T
-
-
-def rotation_of(rpy: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix, shape (3, 3), of roll, pitch and yaw, shape (3,) [rad]."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -67,7 +56,7 @@ def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
     pitches = np.arctan2(-R[2, 0], R[2, 1] * s + R[2, 2] * c)
     yaws = np.arctan2(R[0, 2] * s - R[0, 1] * c, R[1, 1] * c - R[1, 2] * s)
     found = np.column_stack([rolls, pitches, yaws])
-    errors = np.array([np.abs(rotation_of(angles) - R).max() for angles in found])
+    errors = np.array([np.abs(rotation_of_rpy(angles) - R).max() for angles in found])
     good = found[errors <= errors.min() + _ROUNDING]
     return np.asarray(good[np.argmin(np.abs(good - near).sum(axis=1))])
 

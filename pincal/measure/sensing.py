@@ -8,8 +8,9 @@ from pincal.errors import MeasurementError
 from pincal.measure.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.measurements import Measurements
 from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, DistanceSensor
-from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor, rotation_matrices
+from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
 from pincal.measure.setup import NamedPoints, Setup, point_names
+from pincal.robot.se3 import rotation_matrices
 
 
 def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:

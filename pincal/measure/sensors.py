@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import exponentials, rotation_vectors
 
 
 @dataclass(frozen=True)
@@ -185,10 +186,7 @@ class PoseSensor(Sensor):
 
     def shifted(self, change: np.ndarray) -> PoseSensor:
         """Return poses moved by ``change``, shape (6, N) [m, rad]; exact to first order in the turning."""
-        from scipy.spatial.transform import Rotation
-
-        turn = Rotation.from_rotvec(change[3:].T).as_matrix()
-        return replace(self, position=self.position + change[:3].T, rotation=turn @ self.rotation)
+        return replace(self, position=self.position + change[:3].T, rotation=exponentials(change[3:].T) @ self.rotation)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return position [m] and the rotation vector from predicted to measured orientation [rad], shape (6, N)."""
@@ -204,20 +202,6 @@ class PoseSensor(Sensor):
         return out
 
 
-def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Return rotation matrices, shape (N, 3, 3), of unit quaternions x y z w, shape (N, 4)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
-
-
-def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
-    """Return rotation vectors, shape (N, 3) [rad], of rotation matrices, shape (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
-
-
 def _inverse_right_jacobian(phi: np.ndarray) -> np.ndarray:
     """Return J_r(phi)^-1, shape (N, 3, 3): log(exp(phi) exp(-w)) = phi - J_r^-1 w + O(w^2) [Sola et al. 2018, Eq. 144]."""
     angle2 = np.einsum("ni,ni->n", phi, phi)
@@ -230,10 +214,3 @@ def _inverse_right_jacobian(phi: np.ndarray) -> np.ndarray:
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -phi[:, 2], phi[:, 1], -phi[:, 0]
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = phi[:, 2], -phi[:, 1], phi[:, 0]
     return np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
-
-
-def quaternions(matrices: np.ndarray) -> np.ndarray:
-    """Return unit quaternions x y z w, shape (N, 4), of rotation matrices, shape (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrices).as_quat())

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from pincal.atomic import replacing
 from pincal.errors import MeasurementError, OutputError
 from pincal.measure.columns import converted, match_columns, quantities_of
 from pincal.measure.fields import CONDITIONS, FIELDS
@@ -127,19 +127,12 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray])
     if not arrays or len({values.shape for values in arrays.values()}) > 1 or next(iter(arrays.values())).ndim != 1:
         shapes = ", ".join(f"{name} {np.shape(values)}" for name, values in columns.items())
         raise OutputError(f"{path}: columns of shape {shapes or 'nothing'}; expected all of one shape (N,)")
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in arrays.items()})
-        if path.suffix.lower() == ".parquet":
-            frame.write_parquet(temporary)
-        else:
-            frame.write_csv(temporary)
-        os.replace(temporary, path)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        raise OutputError(f"{path}: can't be written ({error}); choose a folder that exists and is writable") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+    frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in arrays.items()})
+    with replacing(path) as draft:
+        try:
+            frame.write_parquet(draft) if path.suffix.lower() == ".parquet" else frame.write_csv(draft)
+        except pl.exceptions.PolarsError as error:
+            raise OutputError(f"{path}: can't be written ({error}); choose a folder that exists and is writable") from error
 
 
 @contextlib.contextmanager

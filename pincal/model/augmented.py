@@ -9,7 +9,7 @@ import numpy as np
 from pincal.model.chain import Chain
 from pincal.model.kernels import BLOCK, FRAME
 from pincal.model.model import Model
-from pincal.robot.dh import rotation, translation
+from pincal.robot.se3 import rotation, translation
 
 if TYPE_CHECKING:
     import pinocchio as pin

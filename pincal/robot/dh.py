@@ -19,6 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.robot.se3 import rotation, translation
+
 # Sine of the angle below which two axes count as parallel: URDFs round their angles, the worst of them pi to 3.14.
 PARALLEL = 5e-3
 # Distance [m] below which two axes count as intersecting: the common normal then has no direction of its own.
@@ -68,22 +70,6 @@ def dh_frames(origins: np.ndarray, axes: np.ndarray, T_base_tip: np.ndarray) -> 
         frame = frame @ rotation("z", theta) @ translation(a, 0, d) @ rotation("x", alpha)
         frames.append(frame)
     return DhFrames(first, np.array(parameters), np.array(frames), np.linalg.inv(frame) @ T_base_tip)
-
-
-def rotation(axis: str, angle: float) -> np.ndarray:
-    """Return the homogeneous rotation, shape (4, 4), about x, y or z by ``angle`` [rad]."""
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    T = np.eye(4)
-    T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
-    return T
-
-
-def translation(x: float, y: float, z: float) -> np.ndarray:
-    """Return the homogeneous translation, shape (4, 4), by (x, y, z) [m]."""
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
 
 
 def _first_frame(origin: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.chain import Chain
-from pincal.robot.dh import rotation, translation
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import rotation, translation
 
 # Angle [rad] as which the largest tilt of an axis is drawn, at most; and part of the reach for the largest offset.
 _DRAWN_TILT = 0.25

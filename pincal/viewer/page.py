@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import html
 import json
 import os
-import uuid
 from functools import cache
 from importlib.resources import files
 from importlib.util import find_spec
@@ -16,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.atomic import write_whole
 from pincal.errors import OutputError
 from pincal.viewer.scene import Scene
 
@@ -43,17 +42,8 @@ def write_html(path: str | os.PathLike[str], scene: Scene) -> int:
     Raises:
         OutputError: if the place can't be written to.
     """
-    path = Path(path)
     text = page(scene).encode()
-    draft = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        draft.write_bytes(text)
-        os.replace(draft, path)
-    except OSError as error:
-        raise OutputError(f"{path}: can't be written ({error.strerror}); choose another file") from None
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
+    write_whole(path, text, advice="choose another file")
     return len(text)
 
 

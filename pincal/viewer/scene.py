@@ -13,7 +13,7 @@ from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import Chain
 from pincal.parameters import FRAME_SYMBOLS
-from pincal.robot.dh import rotation, translation
+from pincal.robot.se3 import placed, shortest_turn
 from pincal.viewer.arm import Axis, Steps, axes_of, round_down, steps_of
 from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
 from pincal.viewer.shapes import Shape, shapes_of
@@ -200,15 +200,7 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
     if size == 0.0:
         return np.eye(4)
     up = -np.asarray(gravity) / size
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine, cosine = float(np.linalg.norm(axis)), float(up[2])
-    if sine < 1e-12:
-        return np.eye(4) if cosine > 0.0 else rotation("x", np.pi)
-    x, y, z = axis / sine
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    T = np.eye(4)
-    T[:3, :3] += sine * K + (1.0 - cosine) * K @ K
-    return T
+    return shortest_turn(up, np.array([0.0, 0.0, 1.0]))
 
 
 def _coordinates(calibrated: CalibratedModel) -> np.ndarray:
@@ -216,14 +208,7 @@ def _coordinates(calibrated: CalibratedModel) -> np.ndarray:
 
 
 def _base_in_instrument(chain: Chain, coordinates: np.ndarray) -> np.ndarray:
-    x, y, z, rx, ry, rz = (float(coordinates[chain.base(symbol)]) for symbol in FRAME_SYMBOLS)
-    return _placed(chain.base_rotation, x, y, z, rx, ry, rz)
-
-
-def _placed(reference: np.ndarray, x: float, y: float, z: float, rx: float, ry: float, rz: float) -> np.ndarray:
-    turned = translation(x, y, z)
-    turned[:3, :3] = reference
-    return np.asarray(turned @ rotation("x", rx) @ rotation("y", ry) @ rotation("z", rz))
+    return placed(chain.base_rotation, coordinates[[chain.base(symbol) for symbol in FRAME_SYMBOLS]])
 
 
 def _frames(
@@ -238,6 +223,6 @@ def _frames(
     for target, reference in zip(chain.targets, chain.tool_rotations, strict=True):
         one = len(chain.targets) == 1
         at = [coordinates[chain.tool(s)] if one else known.get(f"{target}.{s}", 0.0) for s in FRAME_SYMBOLS]
-        placement = chain.robot.frames.T_last_tip @ _placed(reference, *map(float, at))
+        placement = chain.robot.frames.T_last_tip @ placed(reference, np.array(at, float))
         found.append(Frame(target, n, placement))
     return tuple(found)

@@ -13,6 +13,7 @@ import numpy as np
 
 from pincal.errors import RobotFileError
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf import parse_xml
 
 # Faces of all meshes of a robot together; finer ones are thinned, since the page has to stay small and quick.
@@ -294,14 +295,12 @@ def _numbers(element: Any, key: str, count: int) -> np.ndarray:
 
 
 def _origin(visual: Any) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     T = np.eye(4)
     origin = visual.find("origin")
     if origin is not None:
         T[:3, 3] = _numbers(origin, "xyz", 3) if origin.get("xyz") else 0.0
         rpy = _numbers(origin, "rpy", 3) if origin.get("rpy") else np.zeros(3)
-        T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+        T[:3, :3] = rotation_of_rpy(rpy)
     return T
 
 

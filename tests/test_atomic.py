@@ -1,0 +1,31 @@
+"""Files appear whole or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from pincal.atomic import replacing, write_whole
+from pincal.errors import OutputError
+
+
+def test_a_failure_leaves_the_old_file_and_no_draft(tmp_path: Path) -> None:
+    """An error while writing, of whatever kind, passes on and changes nothing."""
+    file = tmp_path / "a.csv"
+    write_whole(file, "old\n")
+    with pytest.raises(RuntimeError, match="halfway"), replacing(file) as draft:
+        draft.write_text("half")
+        assert draft.suffix == ".csv"
+        raise RuntimeError("halfway")
+
+    assert file.read_bytes() == b"old\n"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_place_that_can_not_be_written_to_is_named_with_what_to_do(tmp_path: Path) -> None:
+    """No folder, or a folder where the file should be, is an error of the output."""
+    (tmp_path / "folder").mkdir()
+    for place in (tmp_path / "absent" / "a", tmp_path / "folder"):
+        with pytest.raises(OutputError, match=f"{place}: can't be written .*; try elsewhere"):
+            write_whole(place, b"x", advice="try elsewhere")
+
+    assert [entry.name for entry in tmp_path.iterdir()] == ["folder"]
