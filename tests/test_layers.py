@@ -19,6 +19,7 @@ LAYERS = (
     "atomic",
     "plugins",
     "units",
+    "tables",
     "parameters",
     "robot",
     "model",

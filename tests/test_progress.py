@@ -10,9 +10,10 @@ from report_cases import HOSTILE
 from rich.console import Console
 
 from pincal.calibration.result import ParameterRow
+from pincal.calibration.tables import parameter_table
 from pincal.cli import progress, show_progress
-from pincal.cli.screen import cell, console
-from pincal.cli.tables import parameter_table, print_reasons
+from pincal.cli.screen import console
+from pincal.tables import one_line
 
 ROW = ParameterRow("joint_1.k_z", "rad/(N m)", 0.0, -1.234e-7, 1e-8, "unidentifiable", "the unknown base frame absorbs it")
 
@@ -84,16 +85,14 @@ def test_tables_fit_a_page_whatever_names_say(capsys: pytest.CaptureFixture[str]
     rows = [ParameterRow(name, ROW.unit, 0.0, -1234.5678, 1e-8, ROW.status, ROW.reason * 4) for name in names]
     out = console()
     out.print(parameter_table(rows))
-    print_reasons(rows, out)
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 100
     assert "\x1b" not in text and "<script>" in text and "[/red]" in text and not set("│┃━") & set(text)
     assert "a_very_long_name_" * 8 in "".join(line.split()[0] for line in text.splitlines() if line.strip())
 
 
-def test_a_terminal_has_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_has_boxes() -> None:
     """On a terminal the same table has lines."""
-    monkeypatch.setattr(sys, "stdout", Terminal())
-    screen = Console(file=io.StringIO(), width=100)
+    screen = Console(file=Terminal(), width=100)
     screen.print(parameter_table([ROW]))
-    assert "┃" in screen.file.getvalue() and cell("a\tb").plain == "a b"
+    assert "┃" in screen.file.getvalue() and one_line("a\tb") == "a b"

@@ -29,7 +29,7 @@ def check(robot: str, data: Path, as_json: bool, quiet: bool, **chosen: Any) -> 
     if as_json:
         print_json(found.to_dict())
         return 0
-    from pincal.cli.tables import console, print_survey
+    from pincal.cli.tables import console, print_precheck
 
-    print_survey(found, console())
+    print_precheck(found, console())
     return 0

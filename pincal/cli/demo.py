@@ -170,19 +170,19 @@ def _sizes(run: Any, values: np.ndarray) -> np.ndarray:
 
 
 def _tell(runs: dict[str, Any], out: Path) -> None:
-    from pincal.cli.tables import console, parameter_table, print_reasons
+    from pincal.calibration.tables import parameter_table
+    from pincal.cli.tables import console
 
     screen = console()
     full = runs["DH,s,e"]
     screen.print(
         f"The KUKA KR 125/2 of the paper (Table I), {_ROWS} poses measured by a simulated tracker,\n"
-        f"{_NOISE * 1e3:g} mm of noise a coordinate, {full.result.rows['test']} poses held out of every fit:\n"
+        f"{_NOISE * 1e3:g} mm of noise per coordinate, {full.result.rows['test']} poses held out of every fit:\n"
     )
     for name, deviations in _deviations(runs).items():
         screen.print(f"  {name:12s} mean {deviations.mean() * 1e3:8.4f} mm   max {deviations.max() * 1e3:8.4f} mm")
     screen.print("\n(standard DH: base and tool fitted; DH,s: geometry and axis distortions; DH,s,e: with elasticity)\n")
     screen.print(parameter_table(full.result.parameters))
-    print_reasons(full.result.parameters, screen)
     for note in full.result.warnings:
         screen.print(f"note: {note}")
 

@@ -118,8 +118,7 @@ def design(robot: str, out: Path, as_json: bool, quiet: bool, **chosen: Any) -> 
     if as_json:
         print_json(found.to_dict() | {"out": str(out)})
     else:
-        from pincal.cli.design_text import print_design
-        from pincal.cli.screen import console
+        from pincal.cli.tables import console, print_design
 
         print_design(found, console())
         click.echo(f"written to {out}, in an order of short ways")

@@ -78,7 +78,7 @@ def discover(robot: str, data: Path, out: Path, as_json: bool, quiet: bool, max_
         from pincal.cli.tables import console, print_discovery, print_notes
 
         print_discovery(found.report, console(), found.gaps)
-        print_notes(found.calibration.result, console())
+        print_notes(found.calibration.result.warnings, console())
         files = "discovery.json model.json result.json calibrated.urdf residuals.csv report.html"
         click.echo(f"written to {out}: {files}" + view * f" {VIEW}")
     return verdict(found.calibration.result, max_error)

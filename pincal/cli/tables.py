@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
-from pincal.calibration.result import ParameterRow, Result, shown_parameters
-from pincal.cli.detectability import print_detectability
-from pincal.cli.replicates import print_replicates
-from pincal.cli.screen import cell, console, hanging, new_table
-from pincal.discover.precheck import DataReport
-from pincal.discover.shrink import StageError, gap_names
+from pincal.calibration.result import Result
+from pincal.calibration.tables import error_table, iso9283_table, parameter_table
+from pincal.cli.screen import console
+from pincal.design.design import Design
+from pincal.design.observability import SOURCES
+from pincal.design.study import RANDOM_DESIGNS
+from pincal.discover.power import TOLD_APART
+from pincal.discover.precheck import DataReport, DetectabilityTable
+from pincal.discover.shrink import StageError
+from pincal.report.tables import (
+    by_reason,
+    coverage_table,
+    detectability_tables,
+    effect_table,
+    expectation_table,
+    location_table,
+    pose_count_table,
+    smallest_size,
+    stage_table,
+)
 from pincal.report.words import effect_words, noise_words
-from pincal.units import readable_unit
+from pincal.tables import Quantity, hanging, one_line
+from pincal.units import format_small
+from pincal.validate.lack_of_fit import lack_words, pure_words
+from pincal.validate.replicates import cycle_words
 
-__all__ = [
-    "console",
-    "error_table",
-    "expectation_table",
-    "gap_table",
-    "parameter_table",
-    "print_discovery",
-    "print_reasons",
-    "print_result",
-    "print_survey",
-]
+__all__ = ["console", "print_design", "print_discovery", "print_notes", "print_precheck", "print_replicates", "print_result"]
 
-_STATISTICS = ("mean", "median", "rms", "p95", "max")
-_STYLE = {"identified": "", "prior": "yellow", "fixed": "dim", "unidentifiable": "yellow", "at bound": "red"}
+# Observability indices that are worth a line; the others are in --json.
+_SHOWN = ("O1", "O2")
 
 
 def print_result(result: Result, out: Console) -> None:
@@ -38,193 +44,145 @@ def print_result(result: Result, out: Console) -> None:
     out.print(_summary(result))
     out.print(error_table(result.error))
     print_replicates(result.iso9283, result.lack_of_fit, out)
-    shown = shown_parameters(result.parameters)
-    out.print(parameter_table(shown))
-    print_reasons(shown, out)
-    _tell_hidden_points(len(result.parameters) - len(shown), out)
-    print_notes(result, out)
+    out.print(parameter_table(result.parameters))
+    print_notes(result.warnings, out)
 
 
-def print_notes(result: Result, out: Console) -> None:
+def print_notes(notes: Iterable[str], out: Console) -> None:
     """Print what the user should know."""
-    for note in result.warnings:
+    for note in notes:
         out.print(hanging("note:", note), style="yellow")
 
 
 def _summary(result: Result) -> str:
-    noise = result.noise
-    sigma = f"noise {noise_words(noise)} ({noise['source']})"
-    chi2 = (
-        ""
-        if result.chi2_p_value is None
-        else f", reduced chi-square {result.chi2_reduced:.3f} (p {result.chi2_p_value:.2g})"
-    )
-    free = sum(row.status in ("identified", "prior", "at bound", "unidentifiable") for row in result.parameters)
+    p_value = result.chi2_p_value
+    chi2 = "" if p_value is None else f", reduced chi-square {result.chi2_reduced:.3f} (p {p_value:.2g})"
+    free = sum(row.status != "fixed" for row in result.parameters)
     return (
         f"{result.rows['train']} rows fitted, {result.rows['test']} held out; {result.iterations} iterations, "
-        f"{result.seconds:.2f} s\n{sigma}{chi2}\nrank {result.rank} of {free} parameters, condition {result.condition:.2g}"
+        f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} ({result.noise['source']}){chi2}\n"
+        f"identifiable rank {result.rank} of {free} parameters, condition number {result.condition:.2g}"
     )
 
 
-def error_table(error: dict[str, dict[str, dict[str, float]]]) -> Table:
-    """Return the errors before and after as a table, position and orientation in lines of their own."""
-    table = new_table("Pose accuracy: distance from predicted to measured target")
-    for name in ("model", "rows", "unit"):
-        table.add_column(name, no_wrap=True)
-    for name in _STATISTICS:
-        table.add_column(name, justify="right", no_wrap=True)
-    words = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
-    parts = {"train": "fitted", "test": "held out"}
-    for model, by_rows in error.items():
-        for rows, values in by_rows.items():
-            for unit in ("mm", "mrad", "px"):
-                if f"mean_{unit}" in values:
-                    numbers = [f"{values[f'{name}_{unit}']:.4f}" for name in _STATISTICS]
-                    table.add_row(words.get(model, model), parts.get(rows, rows), unit, *numbers)
-    return table
+def print_replicates(iso: Mapping[str, Any] | None, lack: Mapping[str, Any] | None, out: Console) -> None:
+    """Print what replicated poses tell; nothing where there are none.
+
+    Args:
+        iso: ``iso9283`` of ``result.json``.
+        lack: ``lack_of_fit`` of ``result.json``.
+        out: where to.
+    """
+    if iso is not None:
+        out.print(iso9283_table(iso))
+        out.print(hanging("cycles:", cycle_words(iso)))
+    if lack is not None:
+        out.print(hanging("lack of fit:", f"{lack_words(lack)} (by {pure_words(lack)})"))
 
 
-def parameter_table(parameters: Iterable[ParameterRow]) -> Table:
-    """Return the parameter table: mm and mrad, compliances in rad/(N m); reasons by number below it."""
-    rows = list(parameters)
-    notes = _numbered_reasons(rows)
-    table = new_table("Parameters")
-    table.add_column("parameter", overflow="fold")
-    table.add_column("unit", no_wrap=True)
-    for name in ("nominal", "value", "sigma"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("status", no_wrap=True)
-    for row in rows:
-        factor, unit = readable_unit(row.unit)
-        numbers = [row.nominal * factor, row.value * factor]
-        sigma = "-" if row.sigma is None else _number(row.sigma * factor, unit, digits=2)
-        mark = f" ({notes[row.reason]})" if row.reason else ""
-        cells = (unit, *(_number(v, unit) for v in numbers), sigma, row.status + mark)
-        table.add_row(cell(row.name), *cells, style=_STYLE[row.status])
-    return table
-
-
-def _number(value: float, unit: str, *, digits: int = 4) -> str:
-    if unit == "px":
-        return f"{value:z.3f}"
-    if unit not in ("mm", "mrad", "µrad/(N m)"):
-        return f"{value:.{digits - 1}e}" if value else "0"
-    return f"{value:z.{digits}f}" if digits > 2 else f"{value:#.2g}"
-
-
-def _numbered_reasons(rows: Sequence[ParameterRow]) -> dict[str, int]:
-    return {reason: i + 1 for i, reason in enumerate(dict.fromkeys(row.reason for row in rows if row.reason))}
-
-
-def print_reasons(parameters: Iterable[ParameterRow], out: Console) -> None:
-    """Print the reasons that the parameter table refers to by number."""
-    for reason, number in _numbered_reasons(list(parameters)).items():
-        out.print(hanging(f"{f'({number})':>5s}", reason))
-
-
-def print_survey(precheck: DataReport, out: Console) -> None:
-    """Print what a table can tell."""
+def print_precheck(precheck: DataReport, out: Console) -> None:
+    """Print what can be identified from a table."""
     out.print(f"{precheck.rows} rows of kind {precheck.kind}; nominal robot, base and tool fitted: mean "
               f"{precheck.nominal['mean_mm']:.3f} mm, max {precheck.nominal['max_mm']:.3f} mm")  # fmt: skip
     out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
-    out.print(f"rank {precheck.rank} of {precheck.released} parameters, condition {precheck.condition:.2g}")
-    table = new_table("Coverage of the joints")
-    for name in ("joint", "from", "to", "limits", "covered"):
-        table.add_column(name, justify="left" if name == "joint" else "right")
-    for joint in precheck.joints:
-        limits, share = "none", "-"
-        if joint.lower_limit is not None and joint.upper_limit is not None:
-            limits = f"{joint.lower_limit:.3f} .. {joint.upper_limit:.3f}"
-            share = f"{100 * (joint.high - joint.low) / (joint.upper_limit - joint.lower_limit):.0f} %"
-        table.add_row(cell(joint.joint), f"{joint.low:.3f}", f"{joint.high:.3f}", limits, share)
-    out.print(table)
-    rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect) for p in precheck.parameters]
-    shown = shown_parameters(rows)
-    out.print(expectation_table(shown))
-    print_reasons(shown, out)
-    _tell_hidden_points(len(rows) - len(shown), out)
-    print_detectability(precheck.detectable, [joint.joint for joint in precheck.joints], out)
-    for note in precheck.warnings:
-        out.print(hanging("note:", note), style="yellow")
+    out.print(
+        f"identifiable rank {precheck.rank} of {precheck.released} parameters, condition number {precheck.condition:.2g}"
+    )
+    out.print(coverage_table(precheck))
+    out.print(expectation_table(precheck))
+    _print_detectability(precheck, precheck.detectable, out)
+    print_notes(precheck.warnings, out)
 
 
-def _tell_hidden_points(coordinates: int, out: Console) -> None:
-    if coordinates:
-        out.print(f"and the places of {coordinates // 3} named points: with --json and in result.json")
+def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: Console) -> None:
+    source = {"assumed": "assumed: it is not declared, and so few rows do not give an estimate"}
+    out.print(
+        f"\nSmallest effects that pincal discover would find beside the {found.model} model with a probability of "
+        f"{100 * found.power:.0f} %, at a probability of {100 * found.alpha:g} % of any false name and a noise of "
+        f"{found.sigma_m * 1e3:.4g} mm per coordinate ({source.get(found.source, found.source)}). An effect with several "
+        "parameters is given by its amplitude, transmission_error by the rms of its curve, elastic effects by their largest "
+        "rotation in these poses, joint_coupling by the range over the joints that may drive it. -: see below."
+    )
+    for table in detectability_tables(precheck):
+        out.print(table)
+    whole = [(e.effect, smallest_size([e])) for e in found.effects if e.joint is None]
+    sizes = [f"{name} {format_small(*size)}" for name, size in whole if isinstance(size, Quantity)]
+    if sizes:
+        out.print("Whole arm: " + ", ".join(sizes), markup=False)
+    _print_untestable(((e.effect, e.joint, e.reason) for e in found.effects), len(precheck.joints), out)
 
 
-def expectation_table(rows: Sequence[ParameterRow]) -> Table:
-    """Return what to expect of each parameter before anything is fitted."""
-    notes = _numbered_reasons(rows)
-    table = new_table("What these poses can tell")
-    table.add_column("parameter", overflow="fold")
-    for name in ("unit", "sigma to expect", "status"):
-        table.add_column(name, justify="right" if name.startswith("sigma") else "left", no_wrap=True)
-    for row in rows:
-        factor, unit = readable_unit(row.unit)
-        mark = f" ({notes[row.reason]})" if row.reason else ""
-        sigma = _number((row.sigma or 0.0) * factor, unit, digits=2)
-        table.add_row(cell(row.name), unit, sigma, row.status + mark, style=_STYLE[row.status])
-    return table
+def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: int, out: Console) -> None:
+    for reason, names in by_reason(entries, n_joints).items():
+        out.print(hanging("not testable:", f"{names}: {reason}"))
 
 
-def print_discovery(report: dict[str, Any], out: Console, gaps: tuple[StageError, ...] = ()) -> None:
-    """Print where the disagreement sat, what made it, and how the gap shrank down to the noise.
+def print_discovery(report: Mapping[str, Any], out: Console, stages: tuple[StageError, ...] = ()) -> None:
+    """Print where model and data disagreed, what made them, and how the error fell to the noise.
 
     Args:
         report: contents of ``discovery.json``.
         out: where to.
-        gaps: errors on held-out rows step by step; only first and last without them.
+        stages: errors on held-out rows step by step; only first and last without them.
     """
     out.print(f"Verdict: {report['verdict']}, {report['unexplained_mm']:.4f} mm rms unexplained")
     if report["where"]:
-        out.print("Where model and data disagreed, before anything was named (shares of what is beyond the noise):")
-    for place in report["where"]:
-        out.print(hanging(f"  {100 * place['share']:3.0f} % ", place["statement"]))
-    out.print(_effect_table(report["effects"]) if report["effects"] else "No effect is missing that these data could show.")
-    out.print(gap_table(report, gaps))
+        out.print(location_table(report["where"]))
+    out.print(effect_table(report["effects"]) if report["effects"] else "These data show no missing effect.")
+    out.print(stage_table(report, stages))
     for entry in report["effects"]:
         if entry["tell_apart"]:
-            out.print(hanging("to tell", f"{effect_words(entry)} from its rivals: {entry['tell_apart']}"))
+            out.print(hanging("to decide", f"between {effect_words(entry)} and its alternatives: {entry['tell_apart']}"))
         if "period" in entry:
-            out.print(cell(f"{effect_words(entry)} repeats every {entry['period']:.4g} {_period_unit(entry)}"))
+            unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(entry["depends_on"], "rad")
+            out.print(one_line(f"{effect_words(entry)} repeats every {entry['period']:.4g} {unit}"), markup=False)
     for entry in report["scatter"]:
-        out.print(cell(f"{entry['joint']} scatters by {entry['sigma_rad'] * 1e3:.3f} mrad; record {entry['missing']}"))
-    reasons: dict[str, list[str]] = {}
-    for entry in report["not_testable"]:
-        reason = entry["reason"].replace(entry["joint"], "this joint") if entry["joint"] else entry["reason"]
-        reasons.setdefault(reason, []).append(entry["effect"])
-    for reason, names in reasons.items():
-        out.print(hanging("not testable:", f"{', '.join(dict.fromkeys(names))}: {reason}"))
+        text = f"{entry['joint']} scatters by {entry['sigma_rad'] * 1e3:.3f} mrad; record {entry['missing']}"
+        out.print(one_line(text), markup=False)
+    _print_untestable(((e["effect"], e["joint"], e["reason"]) for e in report["not_testable"]), 0, out)
 
 
-def _period_unit(entry: dict[str, Any]) -> str:
-    return {"time": "s", "temperature": "K", "payload": "kg"}.get(entry["depends_on"], "rad")
+def print_design(found: Design, out: Console) -> None:
+    """Print what was asked, what the constraints removed, what the poses will tell, and what other numbers would."""
+    n, robot = found.found.poses, found.robot
+    noise = ", ".join(f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}" for i, s in enumerate(found.foresight.sigma))
+    rig = f"{robot.base} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.foresight.n_free} parameters"
+    out.print(hanging(f"{n} poses", f"of {robot.name}, {rig}"))
+    for mark, text in [*_candidates(found), *_promises(found), *_observability(found)]:
+        out.print(hanging(f"{mark + ':':13s}", text))
+    if found.curve:
+        out.print(pose_count_table(found))
+    print_notes(found.notes, out)
 
 
-def _effect_table(effects: list[dict[str, Any]]) -> Table:
-    table = new_table("Effects found")
-    for name in ("effect", "joint", "p", "mean before", "after", "could also be"):
-        table.add_column(name, justify="right" if name in ("p", "mean before", "after") else "left")
-    for entry in effects:
-        also = "; ".join(effect_words(other) for other in entry["equivalent"])
-        chance = f"{entry['p_value']:.0e}" if entry["p_value"] > 0.0 else "<1e-300"
-        numbers = (chance, f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}")
-        joint = cell(entry["joint"] or "whole arm")
-        table.add_row(cell(effect_words(entry, joint=False)), joint, *numbers, cell(also))
-    return table
+def _candidates(found: Design) -> Iterator[tuple[str, str]]:
+    yield "candidates", found.drawn.in_words()
+    yield "path length", f"{found.way:.1f} joint ranges from first to last pose, {found.way_unordered:.1f} before ordering"
 
 
-def gap_table(report: dict[str, Any], gaps: tuple[StageError, ...] = ()) -> Table:
-    """Return the errors on held-out rows, step by step where known, beside the noise."""
-    table = new_table("How the gap shrank: errors on held-out rows in mm")
-    table.add_column("model", overflow="fold")
-    for name in ("mean", "rms", "max", "rms over noise"):
-        table.add_column(name, justify="right", no_wrap=True)
-    floor = report["noise_floor_mm"]
-    rows = [(name, gap.to_dict()) for name, gap in zip(gap_names(gaps), gaps, strict=True)] if gaps else []
-    for name, gap in rows or [("at the start", report["gap"]["before"]), ("all together", report["gap"]["after"])]:
-        numbers = [f"{gap[key]:.4f}" for key in ("mean_mm", "rms_mm", "max_mm")]
-        table.add_row(cell(name), *numbers, f"{gap['rms_mm'] / floor:.2f}" if floor > 0.0 else "-")
-    table.add_row("noise alone", "", f"{floor:.4f}", "", "1.00", style="dim")
-    return table
+def _promises(found: Design) -> Iterator[tuple[str, str]]:
+    """Yield what the poses promise beside random ones."""
+    designed, random = found.found.designed, found.found.random
+    if found.needed is not None:
+        yield "accuracy", f"{found.needed} of the candidates are the fewest that reach it"
+    what = "distance" if found.rig.sensor == "distance" else "position"
+    yield "predicted", f"{what} error over the task {1e3 * designed.error:.4f} mm rms, if the model has the right form"
+    if found.before is not None:
+        yield "before", f"{1e3 * found.before.error:.4f} mm with the poses already measured"
+    ratio = f"{random.error / designed.error:.2f} times as much, " if found.criterion != "tell apart" else ""
+    yield "random", f"{1e3 * random.error:.4f} mm ({ratio}median of {RANDOM_DESIGNS} draws)"
+    if found.bound is not None:
+        beyond = "; refining the poses went beyond them" if designed.error < found.bound else ""
+        yield "lower bound", f"no choice of the candidates comes below {1e3 * found.bound:.4f} mm{beyond}"
+    for mine, other, left, chance in zip(found.rivals, found.rivals[::-1], designed.apart, random.apart, strict=False):
+        verdict = "distinguishable" if left >= TOLD_APART else f"not distinguishable, {TOLD_APART:g} are needed"
+        verdict += f" (random {chance:.3g})"
+        yield "rivals", f"{mine} of typical size leaves {left:.3g} that {other} can't explain: {verdict}"
+
+
+def _observability(found: Design) -> Iterator[tuple[str, str]]:
+    yield "rank", f"{found.rank} identifiable directions of the parameters"
+    for name in _SHOWN:
+        if name in found.observability:
+            numbers = f"{found.observability[name]:.3g}, random {found.observability_random[name]:.3g}"
+            yield f"index {name}", f"{numbers} (observability, {SOURCES[name]})"

@@ -52,9 +52,8 @@ def validate(model: Path, data: Path, ignore: tuple[str, ...], max_error: float 
         counted = {"rows": {"test": len(table)}, "error": error}
         print_json(counted | visited | {"outside": len({row for row, *_ in outside}), "curves": curves})
     else:
-        from pincal.cli.replicates import print_replicates
-        from pincal.cli.tables import console  # fmt: skip
-        from pincal.cli.tables import error_table as as_table
+        from pincal.calibration.tables import error_table as as_table
+        from pincal.cli.tables import console, print_replicates
 
         console().print(as_table(error))
         print_replicates(visited.get("iso9283"), visited.get("lack_of_fit"), console())

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.result import ParameterRow, Result, shown_parameters
+from pincal.calibration.result import ParameterRow, Result
 from pincal.calibration.run import Calibration
+from pincal.calibration.tables import shown_parameters
 from pincal.discover.run import Discovery
 from pincal.discover.shrink import gap_names
 from pincal.report.advice import not_told

@@ -8,7 +8,7 @@ from typing import Any
 from pincal.units import format_noise
 
 
-def effect_words(entry: dict[str, Any], *, joint: bool = True) -> str:
+def effect_words(entry: Mapping[str, Any], *, joint: bool = True) -> str:
     """Return an effect of ``discovery.json`` in words, with its joint unless that stands elsewhere.
 
     Example:

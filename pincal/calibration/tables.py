@@ -1,0 +1,114 @@
+"""The tables of a calibration: errors, parameters, correlations, accuracy and repeatability."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pincal.calibration.result import ParameterRow
+from pincal.tables import Cell, Column, Kind, Quantity, Table, Tone, fixed, show_sigma, show_unit, show_value
+from pincal.validate.replicates import ANGLE_WORDS
+
+PARTS = {"train": "fitted", "test": "held out"}
+"""What the two parts of a data set are called."""
+
+# More coordinates of named points than this are left out of a table for people: they are in result.json.
+_MOST_POINTS = 24
+_STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
+_MODELS = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
+_TONES: dict[str, Tone] = {
+    "identified": "good",
+    "prior": "care",
+    "fixed": "mute",
+    "unidentifiable": "care",
+    "at bound": "bad",
+}
+
+
+def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
+    """Return the errors before and after, position and orientation in rows of their own.
+
+    Args:
+        error: ``error`` of ``result.json``: model -> part -> statistics by name and unit.
+    """
+    heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
+    columns = (*heads, *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in _STATISTICS.values()))
+    rows = tuple(
+        (_MODELS.get(model, model), PARTS.get(part, part), unit, *(values[f"{name}_{unit}"] for name in _STATISTICS))
+        for model, by_part in error.items()
+        for part, values in by_part.items()
+        for unit in ("mm", "mrad", "px")
+        if f"mean_{unit}" in values
+    )
+    return Table("Pose accuracy: distance from predicted to measured target", columns, rows)
+
+
+def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
+    """Return the parameters that a reader wants to see: without the coordinates of named points, if these are many."""
+    inner = tuple(row for row in rows if row.effect != "named_point")
+    return tuple(rows) if len(rows) - len(inner) <= _MOST_POINTS else inner
+
+
+def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters") -> Table:
+    """Return nominal value, calibrated value and standard deviation of each parameter, and what the data tell of it."""
+    shown = shown_parameters(parameters)
+    hidden = len(parameters) - len(shown)
+    return Table(
+        title,
+        (
+            Column("parameter", kind=Kind.NAME),
+            Column("unit", kind=Kind.LABEL, show=show_unit),
+            Column("nominal", kind=Kind.NUMBER, show=show_value),
+            Column("value", kind=Kind.NUMBER, show=show_value),
+            Column("sigma", kind=Kind.NUMBER, show=show_sigma),
+            Column("status", kind=Kind.STATUS),
+            Column("reason", kind=Kind.REMARK),
+        ),
+        tuple(_parameter_cells(row) for row in shown),
+        (f"The coordinates of {hidden // 3} named points are left out here; result.json has them.",) if hidden else (),
+        tuple(_TONES[row.status] for row in shown),
+    )
+
+
+def _parameter_cells(row: ParameterRow) -> tuple[Cell, ...]:
+    value, nominal = (Quantity(number, row.unit) for number in (row.value, row.nominal))
+    sigma = None if row.sigma is None else Quantity(row.sigma, row.unit)
+    return row.name, row.unit, nominal, value, sigma, row.status, str(row.reason)
+
+
+def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
+    """Return the pairs of parameters that the data hardly tell apart."""
+    names = tuple(Column(name, kind=Kind.NAME) for name in ("parameter", "with"))
+    columns = (*names, Column("correlation", kind=Kind.NUMBER, show="{:+.3f}".format))
+    rows = tuple((*pair["parameters"], pair["correlation"]) for pair in correlations)
+    return Table("Strong correlations", columns, rows)
+
+
+def iso9283_table(iso: Mapping[str, Any]) -> Table:
+    """Return mean and largest pose accuracy AP and repeatability RP, position and each angle in rows of their own.
+
+    Args:
+        iso: ``iso9283`` of ``result.json``.
+    """
+    heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
+    sizes = tuple(
+        Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4)) for name in ("AP", "RP") for size in ("mean", "max")
+    )
+    rows = tuple(
+        (
+            model,
+            f"{iso['poses'][part]} {PARTS[part]}",
+            ANGLE_WORDS[key],
+            *_sizes(values[key]),
+            *_sizes(values["R" + key[1:]]),
+        )
+        for model in _MODELS
+        for part, values in iso.get(model, {}).items()
+        for key in values
+        if key.startswith("AP")
+    )
+    return Table("Pose accuracy AP and pose repeatability RP (ISO 9283)", heads + sizes, rows)
+
+
+def _sizes(values: Mapping[str, float]) -> tuple[float, float]:
+    return values["mean"], values["max"]

@@ -1,0 +1,204 @@
+"""The tables of a discovery, of a precheck and of a design of poses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from pincal.calibration.result import ParameterRow
+from pincal.calibration.tables import parameter_table
+from pincal.design.design import Design
+from pincal.discover.precheck import DataReport, Detectability
+from pincal.discover.shrink import StageError, gap_names
+from pincal.report.words import effect_words
+from pincal.tables import Cell, Column, Kind, Quantity, Table, Tone, fixed, show_percent, show_plainly
+from pincal.units import format_digits, small_unit
+
+# Joints side by side in a table of 100 characters.
+_JOINTS_ABREAST = 7
+
+
+# Discovery
+
+
+def location_table(where: Sequence[Mapping[str, Any]]) -> Table:
+    """Return where model and data disagreed before anything was named, with the share of what is beyond the noise."""
+    columns = (
+        Column("where", kind=Kind.NAME),
+        Column("share", kind=Kind.NUMBER, show=show_percent),
+        Column("what was seen", kind=Kind.TEXT),
+    )
+    rows = tuple((place.get("joint") or place["region"], place["share"], place["statement"]) for place in where)
+    return Table("Where model and data disagreed, before anything was named", columns, rows)
+
+
+def effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the effects found, the chance that noise looks like them, and the mean held-out error before and after."""
+    columns = (
+        Column("effect"),
+        Column("joint", kind=Kind.NAME),
+        Column("p", kind=Kind.NUMBER, show=show_chance),
+        Column("mean before", "mm", Kind.NUMBER, fixed(4)),
+        Column("after", "mm", Kind.NUMBER, fixed(4)),
+        Column("could also be"),
+    )
+    rows = tuple(
+        (
+            effect_words(entry, joint=False),
+            entry["joint"] or "whole arm",
+            entry["p_value"],
+            entry["gap_before_mm"],
+            entry["gap_after_mm"],
+            "; ".join(effect_words(other) for other in entry["equivalent"]),
+        )
+        for entry in effects
+    )
+    return Table("Effects found", columns, rows)
+
+
+def show_chance(p_value: float) -> str:
+    """Return a probability as text; what is too small for a number is bounded."""
+    return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
+
+
+def stage_table(report: Mapping[str, Any], stages: tuple[StageError, ...] = ()) -> Table:
+    """Return the errors on held-out rows, step by step where known, beside the noise.
+
+    Args:
+        report: contents of ``discovery.json``.
+        stages: errors at each step; only the first and the last without them.
+    """
+    floor = report["noise_floor_mm"]
+    named = [(name, stage.to_dict()) for name, stage in zip(gap_names(stages), stages, strict=True)] if stages else []
+    named = named or [("at the start", report["gap"]["before"]), ("all together", report["gap"]["after"])]
+    columns = (
+        Column("model", kind=Kind.NAME),
+        *(Column(name, "mm", Kind.NUMBER, fixed(4)) for name in ("mean", "rms", "max")),
+        Column("rms over noise", kind=Kind.NUMBER, show=fixed(2)),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (name, e["mean_mm"], e["rms_mm"], e["max_mm"], e["rms_mm"] / floor if floor > 0.0 else None) for name, e in named
+    ]
+    rows.append(("noise alone", "", floor, "", 1.0))
+    tones: list[Tone] = ["" for _ in named]
+    return Table("Errors on held-out rows", columns, tuple(rows), tones=(*tones, "mute"))
+
+
+def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> dict[str, str]:
+    """Return the effects that could not be tested, by reason; their joints where these are not all.
+
+    Args:
+        entries: effect, joint and reason; those without a reason are left out.
+        n_joints: number of joints of the arm.
+
+    Example:
+        >>> by_reason([("backlash", "a", "a is idle"), ("backlash", "b", "b is idle"), ("drift", None, "no time")], 3)
+        {'this joint is idle': 'backlash of a, b', 'no time': 'drift'}
+    """
+    found: dict[str, dict[str, list[str]]] = {}
+    for effect, joint, reason in entries:
+        if reason:
+            common = re.sub(rf"\b{re.escape(joint)}\b", "this joint", reason) if joint else reason
+            joints = found.setdefault(common, {}).setdefault(effect, [])
+            joints += [joint] if joint and joint not in joints else []
+    return {
+        reason: ", ".join(f"{name} of {', '.join(j)}" if 0 < len(j) < n_joints else name for name, j in effects.items())
+        for reason, effects in found.items()
+    }
+
+
+# Before a calibration
+
+
+def coverage_table(report: DataReport) -> Table:
+    """Return how much of its range each joint covers [rad or m]."""
+    columns = (
+        Column("joint", kind=Kind.NAME),
+        Column("from", kind=Kind.NUMBER, show=fixed(3)),
+        Column("to", kind=Kind.NUMBER, show=fixed(3)),
+        Column("limits", kind=Kind.NUMBER),
+        Column(
+            "covered", kind=Kind.NUMBER, show=lambda share: show_plainly(share) if share is None else f"{100 * share:.0f} %"
+        ),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for joint in report.joints:
+        limits, share = "none", None
+        if joint.lower_limit is not None and joint.upper_limit is not None:
+            limits = f"{joint.lower_limit:.3f} .. {joint.upper_limit:.3f}"
+            share = (joint.high - joint.low) / (joint.upper_limit - joint.lower_limit)
+        rows.append((joint.joint, joint.low, joint.high, limits, share))
+    return Table("Coverage of the joint ranges", columns, tuple(rows))
+
+
+def expectation_table(report: DataReport) -> Table:
+    """Return what to expect of each parameter before anything is fitted."""
+    rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect) for p in report.parameters]
+    table = parameter_table(rows, "What these poses can identify").without("nominal", "value")
+    columns = tuple(replace(c, name="expected sigma") if c.name == "sigma" else c for c in table.columns)
+    return replace(table, columns=columns)
+
+
+def detectability_tables(report: DataReport) -> Iterator[Table]:
+    """Yield the smallest effect of each kind that a discovery would find at each joint, a few joints per table."""
+    joints = [joint.joint for joint in report.joints]
+    entries = [entry for entry in report.detectable.effects if entry.joint is not None]
+    for i in range(0, len(joints), _JOINTS_ABREAST):
+        yield _detectability_table(entries, joints[i : i + _JOINTS_ABREAST])
+
+
+def _detectability_table(entries: list[Detectability], joints: list[str]) -> Table:
+    found: dict[tuple[str, str], dict[str, list[Detectability]]] = {}
+    units = {entry.effect: entry.unit for entry in entries if entry.unit}
+    for entry in entries:
+        name = entry.effect + (f" order {entry.order}" if entry.order else "")
+        unit = entry.unit or units.get(entry.effect, "")
+        if unit and entry.joint in joints:
+            found.setdefault((name, unit), {}).setdefault(entry.joint, []).append(entry)
+    columns = (
+        Column("effect"),
+        Column("unit", kind=Kind.LABEL, show=lambda unit: small_unit(unit).name),
+        *(Column(joint.replace("_", "_\n"), kind=Kind.NUMBER, show=_show_size) for joint in joints),
+    )
+    rows = tuple(
+        (name, unit, *(smallest_size(cells[joint]) if joint in cells else "" for joint in joints))
+        for (name, unit), cells in found.items()
+    )
+    return Table("Smallest effects that would be found", columns, rows)
+
+
+def smallest_size(entries: Sequence[Detectability]) -> Quantity | str | None:
+    """Return the size to be found; of several sources the range in the small unit, of several frames the larger."""
+    unit, source = entries[0].unit, entries[0].source
+    sizes = [entry.size for entry in entries if entry.size is not None]
+    if not sizes:
+        return None
+    if source is None or len(sizes) == 1:
+        return Quantity(max(sizes), unit)
+    factor = small_unit(unit).factor
+    return f"{format_digits(min(sizes) * factor)}-{format_digits(max(sizes) * factor)}"
+
+
+def _show_size(size: Quantity | str | None) -> str:
+    return format_digits(size.value * small_unit(size.unit).factor) if isinstance(size, Quantity) else show_plainly(size)
+
+
+# Design of poses
+
+
+def pose_count_table(found: Design) -> Table:
+    """Return what other numbers of poses would tell."""
+    apart = bool(found.found.designed.apart)
+    columns = [Column("poses", kind=Kind.NUMBER)]
+    columns += [Column(name, "mm rms", Kind.NUMBER, fixed(4)) for name in ("designed", "random")]
+    columns.append(Column("random / designed", kind=Kind.NUMBER, show=fixed(2)))
+    names = ("not explained, designed", "not explained, random") if apart else ()
+    columns += [Column(name, kind=Kind.NUMBER, show=fixed(1)) for name in names]
+    rows = tuple(
+        (p.poses, 1e3 * p.designed.error, 1e3 * p.random.error, p.random.error / p.designed.error)
+        + (tuple(min(q.apart) for q in (p.designed, p.random)) if apart else ())
+        for p in found.curve
+    )
+    return Table("How many poses? Predicted error", tuple(columns), rows)
