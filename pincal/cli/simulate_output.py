@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
-from functools import partial
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pincal.atomic import replacing
 from pincal.errors import OutputError
 
 if TYPE_CHECKING:
@@ -85,19 +85,9 @@ def write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) ->
     """
     wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
     _check_places({option: path for option, (path, _) in wanted.items()})
-    # Endings decide the format, so a draft keeps its file's.
-    drafts = {path: path.with_name(f".{os.getpid()}-{path.name}") for path, _ in wanted.values()}
-    steps = [(option, path, partial(write, drafts[path])) for option, (path, write) in wanted.items()]
-    steps += [(option, path, partial(os.replace, drafts[path], path)) for option, (path, _) in wanted.items()]
-    try:
-        for option, path, step in steps:
-            try:
-                step()
-            except OSError as error:
-                raise OutputError(f"{path}: can't be written ({error.strerror}); choose another {option}") from None
-    finally:
-        for draft in drafts.values():
-            draft.unlink(missing_ok=True)
+    with ExitStack() as drafts:
+        for option, (path, write) in wanted.items():
+            write(drafts.enter_context(replacing(path, advice=f"choose another {option}")))
 
 
 def _check_places(paths: dict[str, Path]) -> None:
