@@ -1,20 +1,50 @@
 """Errors and warnings that pincal raises, each for a reader who has to act on it.
 
 A message says what is wrong, where (file, row, column, joint), what was found, what was expected and what to do next.
-The exit code of the command follows from the class: 3 for bad input, 4 for a fit that needs a decision, 5 for a gate.
+The exit code of the command follows from the class.
 """
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Exit(IntEnum):
+    """How the command ended: its exit code.
+
+    Attributes:
+        meaning: the code in words, for help texts.
+    """
+
+    meaning: str
+
+    DONE = 0, "done"
+    INTERNAL_ERROR = 1, "internal error"
+    USAGE = 2, "usage error"
+    BAD_INPUT = 3, "invalid input"
+    UNDECIDED = 4, "no convergence, or a decision is needed"
+    INACCURATE = 5, "--max-error exceeded"
+    CHANGED = 6, "the robot no longer matches the model"
+    INTERRUPTED = 130, "interrupted"
+
+    def __new__(cls, code: int, meaning: str) -> Exit:
+        """Return a member that is its code and knows its meaning."""
+        self = int.__new__(cls, code)
+        self._value_ = code
+        self.meaning = meaning
+        return self
 
 
 class PincalError(Exception):
     """Base of all errors raised by pincal."""
 
-    exit_code = 1
+    exit_code = Exit.INTERNAL_ERROR
 
 
 class BadInputError(PincalError, ValueError):
     """Input that can't be used as it is: refused before any work is done."""
 
-    exit_code = 3
+    exit_code = Exit.BAD_INPUT
 
 
 class RobotFileError(BadInputError):
@@ -36,13 +66,13 @@ class OutputError(BadInputError):
 class IdentificationError(PincalError, RuntimeError):
     """A fit that did not converge, or a rank problem that the user has to decide."""
 
-    exit_code = 4
+    exit_code = Exit.UNDECIDED
 
 
 class AccuracyGateError(PincalError):
     """The held-out error exceeds the limit that the user set."""
 
-    exit_code = 5
+    exit_code = Exit.INACCURATE
 
 
 class PincalWarning(UserWarning):

@@ -12,7 +12,7 @@ import numpy as np
 from pincal.atomic import write_whole
 from pincal.errors import BadInputError, MeasurementError, ModelFileError, OutputError
 from pincal.identify.calibrate import Fit
-from pincal.identify.problem import Problem, problem_of
+from pincal.identify.problem import Problem, conditions_of, problem_of
 from pincal.io.json_section import Section
 from pincal.io.model_json import model_from_json, model_to_json, parameters_from_json, parameters_to_json
 from pincal.io.setup_json import setup_from_json, setup_to_json
@@ -127,6 +127,14 @@ class CalibratedModel:
                 "as this model was calibrated with"
             )
         return problem_of(self.model, measurements, self.payload_centre, self.setup)
+
+    def conditions(self, measurements: Measurements) -> Conditions:
+        """Return the conditions of a table's rows, with the payload's centre of mass that the calibration assumed.
+
+        Raises:
+            BadInputError: for a target that the model does not have.
+        """
+        return conditions_of(self.model, measurements, np.array(self.payload_centre))
 
     def camera(self) -> dict[str, Any]:
         """Return the camera, as :func:`pincal.measure.setup.read_lens` and ``read_mount`` read it from JSON.

@@ -1,4 +1,4 @@
-"""The command ``pincal``: one verb a job, results on stdout, progress on stderr."""
+"""The command ``pincal``: one verb per task, results on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any
 
 import click
 
-from pincal.errors import PincalError
+from pincal.errors import Exit, PincalError
 
 # New objects after which garbage is collected.
 _GARBAGE = 200_000
 
-# Takes two names and a number, any number of times.
+# An option that takes two names and a number, any number of times.
 _MANY = "--socket-distance"
 
 _COMMANDS = {
@@ -25,17 +25,17 @@ _COMMANDS = {
     "calibrate": "pincal.cli.calibrate",
     "discover": "pincal.cli.discover",
     "design": "pincal.cli.design",
-    "validate": "pincal.cli.use",
-    "predict": "pincal.cli.use",
+    "validate": "pincal.cli.validate",
+    "predict": "pincal.cli.predict",
     "compensate": "pincal.cli.compensate",
     "simulate": "pincal.cli.simulate",
-    "export": "pincal.cli.use",
+    "export": "pincal.cli.export",
     "view": "pincal.cli.view",
 }
 
 
 class _Verbs(click.Group):
-    """Commands imported when they are called, so that ``pincal --help`` is quick."""
+    """Commands that are imported only when they are called, so that ``pincal --help`` is fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_COMMANDS)
@@ -48,11 +48,11 @@ class _Verbs(click.Group):
 
 
 _EPILOG = """\b
-Start here:   pincal demo
-Your robot:   pincal check      ROBOT.urdf DATA.csv
-              pincal calibrate  ROBOT.urdf DATA.csv --out results
-Still off?    pincal discover   ROBOT.urdf DATA.csv --out results
-Act on it:    pincal compensate results/model.json PROGRAM.csv --out corrected.csv
+First steps:    pincal demo
+Your robot:     pincal check      ROBOT.urdf DATA.csv
+                pincal calibrate  ROBOT.urdf DATA.csv --out results
+Still errors?   pincal discover   ROBOT.urdf DATA.csv --out results
+Use the model:  pincal compensate results/model.json PROGRAM.csv --out corrected.csv
 """
 
 
@@ -65,8 +65,8 @@ def pincal() -> None:
 def entry() -> None:
     """Run the command as a process of its own.
 
-    It ends without the interpreter's tidying up, which takes half a second with all the libraries that a calibration loads
-    and frees nothing that the system does not; files are closed by then. Small matrices gain nothing from several threads.
+    It ends without the interpreter's clean-up, which takes half a second with all the libraries that a calibration loads and
+    frees nothing that the system does not; files are closed by then. Small matrices gain nothing from several threads.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
@@ -82,8 +82,8 @@ def entry() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command; errors go to stderr in one piece and set the exit code."""
-    # A command makes many objects that stay: looking through them for garbage all the time takes a quarter of its time.
+    """Run the command; an error is printed on stderr and sets the exit code."""
+    # A command creates many objects that stay: searching them for garbage would take a quarter of its time.
     gc.set_threshold(_GARBAGE)
     warnings.showwarning = _show_warning
     try:
@@ -95,7 +95,7 @@ def main(arguments: list[str] | None = None) -> None:
             _end_progress()
     except click.exceptions.Abort:
         click.echo("pincal: interrupted; nothing was written", err=True)
-        sys.exit(130)
+        sys.exit(Exit.INTERRUPTED)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -104,22 +104,20 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:
         sys.stderr.close()
-        sys.exit(1)
+        sys.exit(Exit.INTERNAL_ERROR)
     except Exception as error:
         if os.environ.get("PINCAL_TRACEBACK"):
             raise
         click.echo(f"pincal: internal error: {type(error).__name__}: {error}", err=True)
-        click.echo(
-            "pincal: this is a fault of pincal; run again with PINCAL_TRACEBACK=1 and report what it prints", err=True
-        )
-        sys.exit(1)
-    sys.exit(code if isinstance(code, int) else 0)
+        click.echo("pincal: this is a bug in pincal; please report the output of a run with PINCAL_TRACEBACK=1", err=True)
+        sys.exit(Exit.INTERNAL_ERROR)
+    sys.exit(code if isinstance(code, int) else Exit.DONE)
 
 
 def _spread(arguments: list[str]) -> list[str]:
-    """Return the words of the command line with the option repeated before each of several sets of its values.
+    """Return the command line with ``--socket-distance`` repeated before each further set of its three values.
 
-    ``--socket-distance A B 0.05 C D 0.05`` says the same as the option twice, which is how Click wants it.
+    ``--socket-distance A B 0.05 C D 0.05`` then means the option given twice, as Click expects it.
     """
     out: list[str] = []
     words = [str(word) for word in arguments]
@@ -150,7 +148,7 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
 
 
 def show_progress(quiet: bool) -> None:
-    """Tell on stderr what a long run does, unless it is to be quiet."""
+    """Show the progress of a long run on stderr, unless it is to be quiet."""
     from pincal.cli import progress
 
     if quiet:
@@ -159,7 +157,7 @@ def show_progress(quiet: bool) -> None:
 
 
 def _end_progress() -> None:
-    """Take the line of progress away, if a command has shown one."""
+    """Remove the progress line, if a command has shown one."""
     progress = sys.modules.get("pincal.cli.progress")
     if progress is not None:
         progress.end_progress()

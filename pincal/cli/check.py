@@ -1,35 +1,36 @@
-"""``pincal check``: what a table can tell, before any fit is trusted."""
+"""``pincal check``: what can be identified from a table, before any fit is trusted."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
-import click
-
-from pincal.cli import show_progress
-from pincal.cli.common import model_options, output_options, print_json, robot_options
-
-_EPILOG = "\b\nExample:\n  pincal check robot.urdf tracker.csv --noise 0.05mm\n"
+from pincal.cli.arguments import group, verb
+from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions
+from pincal.cli.outputs import print_json
+from pincal.errors import Exit
 
 
-@click.command(epilog=_EPILOG)
-@robot_options
-@model_options
-@output_options
-def check(robot: str, data: Path, as_json: bool, quiet: bool, **chosen: Any) -> int:
-    """Check units, ranges and coverage of a table; say what it can and can't tell, why, and which effects it would show."""
-    show_progress(quiet)
-    from pincal.cli.inputs import load_robot, load_table, options_of
+@dataclass(frozen=True, kw_only=True)
+class CheckArguments:
+    """Arguments of check."""
+
+    source: InputOptions = group("Input")
+    chosen: CalibrationOptions = group("Model")
+    general: GeneralOptions = group("General")
+
+
+@verb(CheckArguments, examples="Example:\n  pincal check robot.urdf tracker.csv --noise 0.05mm", exits=(Exit.UNDECIDED,))
+def check(arguments: CheckArguments) -> Exit:
+    """Check units, ranges and coverage of a table; report what can and cannot be identified from it, and why."""
+    from pincal.cli.inputs import prepare
     from pincal.discover.precheck import precheck
 
-    arm = load_robot(robot, data, tip=chosen["tip"], base=chosen["base"])
-    table = load_table(arm, data, ignore=chosen["ignore"])
-    found = precheck(arm, table, options_of(chosen, table))
-    if as_json:
+    prepared = prepare(arguments.source, arguments.chosen)
+    found = precheck(prepared.robot, prepared.table, prepared.options)
+    if arguments.general.as_json:
         print_json(found.to_dict())
-        return 0
-    from pincal.cli.tables import console, print_precheck
+    else:
+        from pincal.cli.tables import console, print_precheck
 
-    print_precheck(found, console())
-    return 0
+        print_precheck(found, console())
+    return Exit.DONE

@@ -15,7 +15,8 @@ import click
 import numpy as np
 
 from pincal.cli import show_progress
-from pincal.cli.common import output_folder, output_options, print_json, provenance
+from pincal.cli.common import output_options
+from pincal.cli.outputs import output_folder, print_json, provenance
 
 # As in the paper's section V: a tool point off the flange, and a tracker that knows nothing of the robot's base.
 _TOOL = (0.05, 0.03, 0.12)
@@ -38,7 +39,7 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     show_progress(quiet)
     from pincal.builtin import kuka_urdf_path
     from pincal.calibration.run import run_calibration
-    from pincal.cli.calibrate import write_results
+    from pincal.cli.fitting import write_results
     from pincal.identify.calibrate import Options
     from pincal.measure.table import read_measurements
     from pincal.model.effects import ELASTIC, GEOMETRIC
@@ -92,7 +93,7 @@ class _Cell:
 
 def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> tuple[Any, _Cell]:
     """Measure the robot with a bad gear, discover that, write everything, and return the discovery and the machine."""
-    from pincal.cli.calibrate import write_results
+    from pincal.cli.fitting import write_results
     from pincal.discover.run import run_discovery
     from pincal.measure.table import read_measurements
 
@@ -207,7 +208,7 @@ def _tell_hidden(found: Any) -> None:
 
 
 def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
-    from pincal.cli.calibrate import VIEW
+    from pincal.cli.fitting import VIEW
     from pincal.cli.tables import console
 
     screen, folder = console(), out / _HIDDEN_FOLDER

@@ -1,168 +1,198 @@
-"""``pincal design``: which poses to measure, how many, and what they will tell."""
+"""``pincal design``: which poses to measure, how many, and what can be identified from them."""
 
 from __future__ import annotations
 
+from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Literal
 
 import click
 import numpy as np
 
-from pincal.cli import show_progress
-from pincal.cli.common import ANGLE, LENGTH, options, output_options, plugin_option, print_json
+from pincal.cli.arguments import group, option, verb
+from pincal.cli.common import ANGLE, LENGTH, GeneralOptions, ModelOptions, Vector, base_option, robot_argument, tip_option
+from pincal.cli.outputs import print_json
+from pincal.errors import Exit
 
-_EPILOG = """\b
+if TYPE_CHECKING:
+    from pincal.design.reach import Limits, SensorSetup
+    from pincal.identify.calibrate import Options
+    from pincal.robot.robot import Robot
+
+_EXAMPLES = """
 Examples:
   pincal design robot.urdf --poses 40 --instrument 3.5 -1 1.2 --payload 80 --out poses.csv
   pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     # how many poses do I need?
-  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # and where to go on?
+  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
 To practise:
   pincal simulate robot.urdf --at poses.csv --out tracker.csv
 
-An effect is NAME[:JOINT][:KEY=VALUE,...] of the catalogue that discover uses. Nothing is known of
-the ways from pose to pose, nor of what stands around the robot: check them before it moves.
+An effect is NAME[:JOINT][:KEY=VALUE,...] of the catalogue that discover uses. Neither the paths from pose
+to pose nor obstacles around the robot are considered: check them before the robot moves.
 """
-
-_POINT: dict[str, Any] = {"nargs": 3, "type": float, "metavar": "X Y Z"}
-_FILE: dict[str, Any] = {"metavar": "FILE.csv", "type": click.Path(path_type=Path)}
-
-_wanted = options(
-    click.option("--poses", type=click.IntRange(min=1), metavar="N", help="Number of poses to choose."),
-    click.option("--accuracy", type=LENGTH,
-                 help="Instead of N: the fewest poses that reach this predicted error, e.g. 0.05mm."),
-    click.option("--out", required=True, **_FILE, help="Table of the poses to write, to be filled in."),
-    click.option("--criterion", type=click.Choice(["task", "determinant"]), default="task", show_default=True,
-                 help="Smallest predicted error over the task, or smallest uncertainty of all parameters together."),
-    click.option("--task", **_FILE, help="Joint positions that have to be accurate; anywhere in reach unless given."),
-    click.option("--measured", **_FILE, help="Poses measured already: what they tell counts, N are added."),
-    click.option("--tell-apart", nargs=2, metavar="EFFECT EFFECT", help="Tell these two effects apart instead."),
-    click.option("--candidates", type=click.IntRange(min=2), metavar="N",
-                 help="Number of random poses to choose from.  [default: 1500, or twice the poses]"),
-    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all that is drawn."),
-)  # fmt: skip
-
-_constraints = options(
-    click.option("--instrument", **_POINT, help="Where it stands, in the robot's base frame [m]: it has to see the target."),
-    click.option("--normal", **_POINT, help="Where the target looks, in the tip frame; seen from all sides unless given."),
-    click.option("--cone", type=ANGLE, metavar="ANGLE", default="30deg", show_default=True,
-                 help="How far off its normal it is still seen."),
-    click.option("--box", nargs=6, type=float, metavar="X Y Z X Y Z",
-                 help="Least and largest coordinates of the target where it is measured, in the base frame [m]."),
-    click.option("--floor", type=float, metavar="Z",
-                 help="Height in the base frame above which arm and target stay [m].  [default: 0 if upright]"),
-    click.option("--no-floor", is_flag=True, help="No floor."),
-    click.option("--clearance", type=LENGTH, metavar="LENGTH", default="10mm", show_default=True,
-                 help="Distance that the arm keeps from itself, where the URDF has collision geometry."),
-    click.option("--span", type=float, default=0.95, show_default=True, help="Part of the joint range that is used."),
-)  # fmt: skip
-
-_model = options(
-    click.option("--tip", metavar="LINK", help="Link at the end of the arm; the end of the longest chain unless given."),
-    click.option("--base", metavar="LINK", help="Link at its start; the root of the URDF unless given."),
-    click.option("--sensor", type=click.Choice(["position", "pose", "distance"]), default="position", show_default=True,
-                 help="What will be measured."),
-    click.option("--tool", **_POINT,
-                 help="About where the target sits in the tip frame [m]; a little off the last axis unless given."),
-    click.option("--model", type=click.Choice(["geometric", "elastic"]), default="elastic", show_default=True,
-                 help="What will be calibrated: geometry, or elasticity of joints and bearings, too."),
-    click.option("--noise", type=LENGTH, default="0.05mm", show_default=True,
-                 help="Standard deviation of one coordinate of a position, or of a distance."),
-    click.option("--noise-angle", type=ANGLE, default="0.1mrad", show_default=True, help="Likewise of an orientation."),
-    click.option("--payload", metavar="KG[,KG...]", help="One load or several, from which each pose is given the best."),
-    click.option("--payload-com", **_POINT, default=(0.0, 0.0, 0.0),
-                 help="Centre of mass of the payload in the tip frame [m]."),
-    click.option("--moment-frame", type=click.Choice(["paper", "before", "after"]), default="paper", show_default=True,
-                 help="Where moments are taken and bend: paper takes them before and bends after the joint."),
-    click.option("--gravity", **_POINT, help="In the robot's base frame [m/s^2]; -z unless given."),
-)  # fmt: skip
+_COUNT = click.IntRange(min=1)
 
 
-@click.command(epilog=_EPILOG)
-@click.argument("robot", metavar="ROBOT.urdf")
-@_wanted
-@_constraints
-@_model
-@plugin_option
-@output_options
-def design(robot: str, out: Path, as_json: bool, quiet: bool, **chosen: Any) -> int:
-    """Choose the poses to measure: those that tell most, within reach and in sight, and how many are needed."""
-    show_progress(quiet)
+@dataclass(frozen=True, kw_only=True)
+class ConstraintOptions:
+    """Where arm, target and instrument may be."""
+
+    instrument: Vector | None = option(
+        "Position in the robot's base frame [m]; the target must be visible from there.", words="sees everything"
+    )
+    normal: Vector | None = option("Direction in which the target faces, in the tip frame.", words="visible from all sides")
+    cone: float = option(
+        "Largest visible angle off the target's normal.", float(np.deg2rad(30.0)), kind=ANGLE, metavar="ANGLE", words="30deg"
+    )
+    box: tuple[float, float, float, float, float, float] | None = option(
+        "Smallest, then largest coordinates of the target in the base frame [m].", metavar="X Y Z X Y Z"
+    )
+    floor: float | None = option(
+        "Height in the base frame above which arm and target stay [m].", metavar="Z", words="0 for an upright robot"
+    )
+    no_floor: bool = option("No floor.", False)
+    clearance: float = option(
+        "Smallest distance of the arm from itself, if the URDF has collision geometry.",
+        0.01,
+        kind=LENGTH,
+        metavar="LENGTH",
+        words="10mm",
+    )
+    span: float = option("Fraction of the joint ranges that is used.", 0.95)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentOptions:
+    """What is measured, and how well."""
+
+    sensor: Literal["position", "pose", "distance"] = option("Kind of measurement.", "position")
+    tool: Vector | None = option("Approximate target position in the tip frame [m].", words="slightly off the last axis")
+    noise: float = option(
+        "Standard deviation of one position coordinate, or of a distance.", 5e-05, kind=LENGTH, words="0.05mm"
+    )
+    noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, kind=ANGLE, words="0.1mrad")
+    payload: str | None = option(
+        "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignArguments:
+    """Arguments of design."""
+
+    robot: str = robot_argument()
+    out: Path = option("Table of poses to write, to be filled in.", MISSING)
+    poses: int | None = option("Number of poses to choose.", metavar="N", kind=_COUNT)
+    accuracy: float | None = option("Instead of --poses: the fewest poses that reach this predicted error.", kind=LENGTH)
+    criterion: Literal["task", "determinant"] = option(
+        "Smallest predicted error over the task, or smallest joint uncertainty of all parameters.", "task"
+    )
+    task: Path | None = option("Joint positions where accuracy matters.", words="anywhere within reach")
+    measured: Path | None = option("Poses measured already; N poses are added to them.")
+    tell_apart: tuple[str, str] | None = option(
+        "Choose poses that distinguish these two effects instead.", metavar="EFFECT EFFECT"
+    )
+    candidates: int | None = option(
+        "Number of random poses to choose from.", metavar="N", kind=click.IntRange(min=2), words="1500, or twice the poses"
+    )
+    seed: int = option("Random seed.", 0, kind=click.IntRange(min=0))
+    tip: str | None = tip_option(words="end of the longest chain")
+    base: str | None = base_option()
+    constraints: ConstraintOptions = group("Constraints")
+    instrument: InstrumentOptions = group("Instrument")
+    model: ModelOptions = group("Model")
+    general: GeneralOptions = group("General")
+
+
+@verb(DesignArguments, examples=_EXAMPLES)
+def design(arguments: DesignArguments) -> Exit:
+    """Choose the most informative poses to measure, within reach and in view, and find how many are needed."""
     from pincal.cli.inputs import load_table
     from pincal.design.design import design_poses
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
 
-    if chosen["poses"] is None and chosen["accuracy"] is None:
+    if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError("give --poses N, or --accuracy for as many as are needed")
-    arm = Robot.from_urdf(robot, tip=chosen["tip"], base=chosen["base"])
-    task, measured = (None if chosen[name] is None else load_table(arm, chosen[name], joints_only=True)
-                      for name in ("task", "measured"))  # fmt: skip
+    robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+    task, measured = (
+        None if path is None else load_table(robot, path, joints_only=True) for path in (arguments.task, arguments.measured)
+    )
     found = design_poses(
-        arm,
-        chosen["poses"],
-        _options(chosen),
-        rig=_rig(chosen),
-        limits=_limits(arm, chosen),
-        criterion=chosen["criterion"],
-        tell_apart=chosen["tell_apart"] or None,
-        accuracy=chosen["accuracy"],
+        robot,
+        arguments.poses,
+        _options(arguments),
+        rig=_sensor_setup(arguments),
+        limits=_limits(robot, arguments),
+        criterion=arguments.criterion,
+        tell_apart=arguments.tell_apart,
+        accuracy=arguments.accuracy,
         task=task,
         measured=measured,
-        payloads=_loads(chosen["payload"]),
-        candidates=chosen["candidates"],
-        seed=chosen["seed"],
+        payloads=_payloads(arguments.instrument.payload),
+        candidates=arguments.candidates,
+        seed=arguments.seed,
     )
-    write_table(out, found.columns())
-    if as_json:
-        print_json(found.to_dict() | {"out": str(out)})
+    write_table(arguments.out, found.columns())
+    if arguments.general.as_json:
+        print_json(found.to_dict() | {"out": str(arguments.out)})
     else:
         from pincal.cli.tables import console, print_design
 
         print_design(found, console())
-        click.echo(f"written to {out}, in an order of short ways")
-    return 0
+        click.echo(f"written to {arguments.out}, ordered for short motions")
+    return Exit.DONE
 
 
-def _options(chosen: dict[str, Any]) -> Any:
+def _options(arguments: DesignArguments) -> Options:
+    from pincal.cli.inputs import EFFECTS
     from pincal.identify.calibrate import Options
-    from pincal.model.effects import ELASTIC, GEOMETRIC
 
+    model = arguments.model
     return Options(
-        effects=GEOMETRIC if chosen["model"] == "geometric" else ELASTIC,
-        sigma=chosen["noise"],
-        sigma_orientation=chosen["noise_angle"],
-        moment_frame=chosen["moment_frame"],
-        gravity=chosen["gravity"] or None,
-        payload_centre=chosen["payload_com"],
+        effects=EFFECTS[model.model],
+        sigma=arguments.instrument.noise,
+        sigma_orientation=arguments.instrument.noise_angle,
+        moment_frame=model.moment_frame or "paper",
+        gravity=model.gravity,
+        payload_centre=model.payload_com,
     )
 
 
-def _rig(chosen: dict[str, Any]) -> Any:
+def _sensor_setup(arguments: DesignArguments) -> SensorSetup:
     from pincal.design.reach import SensorSetup
 
-    names = ("sensor", "tool", "instrument", "normal", "cone")
-    return SensorSetup(**{name: chosen[name] for name in names if chosen[name] is not None})
+    constraints, instrument = arguments.constraints, arguments.instrument
+    return SensorSetup(
+        sensor=instrument.sensor,
+        tool=instrument.tool,
+        instrument=constraints.instrument,
+        normal=constraints.normal,
+        cone=constraints.cone,
+    )
 
 
-def _limits(arm: Any, chosen: dict[str, Any]) -> Any:
+def _limits(robot: Robot, arguments: DesignArguments) -> Limits:
     """Return the limits; an arm on a wall or a ceiling has no floor at its base."""
     from pincal.design.reach import Limits
 
-    if chosen["no_floor"] and chosen["floor"] is not None:
+    chosen = arguments.constraints
+    if chosen.no_floor and chosen.floor is not None:
         raise click.UsageError("--floor and --no-floor exclude each other")
-    gravity = np.array(chosen["gravity"] or arm.gravity)
+    gravity = np.array(arguments.model.gravity or robot.gravity)
     is_upright = gravity[2] < -0.9 * np.linalg.norm(gravity)
-    floor = 0.0 if chosen["floor"] is None and is_upright and not chosen["no_floor"] else chosen["floor"]
-    return Limits(span=chosen["span"], floor=floor, box=chosen["box"] or None, clearance=chosen["clearance"])
+    floor = 0.0 if chosen.floor is None and is_upright and not chosen.no_floor else chosen.floor
+    return Limits(span=chosen.span, floor=floor, box=chosen.box, clearance=chosen.clearance)
 
 
-def _loads(text: str | None) -> tuple[float, ...] | None:
+def _payloads(text: str | None) -> tuple[float, ...] | None:
     if text is None:
         return None
     try:
         return tuple(float(part.strip().removesuffix("kg")) for part in text.split(","))
     except ValueError:
-        raise click.BadParameter(f"{text!r}; expected one or several masses in kg, such as 80 or 0,80",
-                                 param_hint="--payload") from None  # fmt: skip
+        raise click.BadParameter(
+            f"{text!r}; expected one or several masses in kg, such as 80 or 0,80", param_hint="--payload"
+        ) from None

@@ -1,12 +1,14 @@
-"""From files and options of the command line to the library's objects."""
+"""From files and typed arguments of the command line to the library's objects."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Options
 from pincal.measure.measurements import Measurements
@@ -16,14 +18,46 @@ from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot, find_file
 from pincal.robot.urdf import read_urdf
 
+EFFECTS = {"geometric": GEOMETRIC, "elastic": ELASTIC}
 
-def load_robot(source: str, table: Path, *, tip: str | None, base: str | None) -> Robot:
+
+@dataclass(frozen=True)
+class Prepared:
+    """What every verb that takes a robot and measurements works on.
+
+    Attributes:
+        robot: the arm.
+        table: its measurements.
+        options: how to calibrate.
+        files: all input files, for the provenance of the result.
+    """
+
+    robot: Robot
+    table: Measurements
+    options: Options
+    files: tuple[Path, ...]
+
+
+def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
+    """Load robot, table and measurement setup.
+
+    Raises:
+        BadInputError: for a file or an option that is invalid.
+    """
+    robot = load_robot(source)
+    table = load_table(robot, source.data, ignore=source.ignore)
+    setup = chosen.setup
+    given = [path for path in (setup.points, setup.distances, setup.camera) if path is not None]
+    return Prepared(robot, table, options_of(chosen, table), (source.data, *given, Path(robot.source)))
+
+
+def load_robot(source: InputOptions) -> Robot:
     """Return the arm whose joints are columns of the table."""
-    if tip is not None:
-        return Robot.from_urdf(source, tip=tip, base=base)
-    known = {joint.name for joint in read_urdf(find_file(source)).joints}
-    joints = [name for name in column_names(table) if name in known]
-    return Robot.from_urdf(source, base=base, joints=joints or None)
+    if source.tip is not None:
+        return Robot.from_urdf(source.robot, tip=source.tip, base=source.base)
+    known = {joint.name for joint in read_urdf(find_file(source.robot)).joints}
+    joints = [name for name in column_names(source.data) if name in known]
+    return Robot.from_urdf(source.robot, base=source.base, joints=joints or None)
 
 
 def load_table(robot: Robot, path: Path, *, ignore: tuple[str, ...] = (), joints_only: bool = False) -> Measurements:
@@ -32,41 +66,40 @@ def load_table(robot: Robot, path: Path, *, ignore: tuple[str, ...] = (), joints
     return read_measurements(path, robot.joint_names, ignore=ignore, require=require, joint_types=robot.joint_types)
 
 
-def options_of(arguments: dict[str, Any], table: Measurements) -> Options:
+def options_of(chosen: CalibrationOptions, table: Measurements) -> Options:
     """Return the calibration's options from those of the command line.
 
     Raises:
         BadInputError: if the noise is given in a unit that this table's readings do not have.
     """
-    anchor = arguments["anchor"]
-    base = np.eye(4) if arguments["points_in"] == "base" else None
-    if anchor:
+    model, setup, fit = chosen.model, chosen.setup, chosen.fit
+    base = np.eye(4) if setup.points_in == "base" else None
+    if setup.anchor:
         base = np.eye(4)
-        base[:3, 3] = -np.array(anchor)
+        base[:3, 3] = -np.array(setup.anchor)
     return Options(
-        effects=GEOMETRIC if arguments["model"] == "geometric" else ELASTIC,
-        sigma=_sigma(arguments["noise"], table),
-        sigma_orientation=arguments["noise_angle"],
-        moment_frame=arguments["moment_frame"],
-        equilibrium=arguments["equilibrium"],
-        gravity=arguments["gravity"] or None,
-        payload_centre=arguments["payload_com"],
+        effects=EFFECTS[model.model],
+        sigma=_sigma(setup.noise, table),
+        sigma_orientation=setup.noise_angle,
+        moment_frame=model.moment_frame or "paper",
+        equilibrium=fit.equilibrium,
+        gravity=model.gravity,
+        payload_centre=model.payload_com,
         base=base,
-        tools=_tools(arguments, table),
-        stages=arguments["stages"],
-        loss=arguments["loss"],
-        length_bound=arguments["length_bound"],
-        setup=_setup(arguments),
+        tools=_tools(setup, table),
+        stages=fit.stages,
+        loss=fit.loss,
+        length_bound=fit.length_bound,
+        setup=_setup(setup),
     )
 
 
-def _tools(arguments: dict[str, Any], table: Measurements) -> dict[str, Any] | None:
-    if arguments["camera"] and not table.kind.startswith("camera"):
-        raise BadInputError(f"--camera is for readings of a camera, but {table.source} holds {table.kind}; leave it out")
-    mount = read_mount(arguments["camera"]) if arguments["camera"] else None
-    if mount is None:
-        mount = arguments["tool"] or None
-    return None if mount is None else {str(table.target[0]): mount}
+def _tools(given: SetupOptions, table: Measurements) -> dict[str, tuple[float, float, float] | np.ndarray] | None:
+    if given.camera and not table.kind.startswith("camera"):
+        raise BadInputError(f"--camera is for camera readings, but {table.source} holds {table.kind}; leave it out")
+    mount = read_mount(given.camera) if given.camera else None
+    known: tuple[float, float, float] | np.ndarray | None = given.tool if mount is None else mount
+    return None if known is None else {str(table.target[0]): known}
 
 
 def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None:
@@ -75,16 +108,15 @@ def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None
     sigma, unit = noise
     expected, example = ("px", "0.1px") if table.kind == "camera_pixel" else ("m", "0.05mm")
     if unit != expected:
-        raise BadInputError(f"--noise in {unit}, but {table.source} holds {table.kind}; expected such as {example}")
+        raise BadInputError(f"--noise in {unit}, but {table.source} holds {table.kind}; expected a value such as {example}")
     return sigma
 
 
-def _setup(arguments: dict[str, Any]) -> Setup:
-    points, table, camera = (arguments[name] for name in ("points", "distances", "camera"))
-    gaps = [KnownDistance(first, second, length) for first, second, length in arguments["gaps"]]
+def _setup(given: SetupOptions) -> Setup:
+    distances = [KnownDistance(first, second, length) for first, second, length in given.gaps]
     return Setup(
-        points={} if points is None else read_points(points),
-        distances=(*gaps, *(() if table is None else read_distances(table))),
-        lens=None if camera is None else read_lens(camera),
-        fit_lens=arguments["fit_camera"],
+        points={} if given.points is None else read_points(given.points),
+        distances=(*distances, *(() if given.distances is None else read_distances(given.distances))),
+        lens=None if given.camera is None else read_lens(given.camera),
+        fit_lens=given.fit_camera,
     )

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.problem import conditions_of
+from pincal.errors import MeasurementError
 from pincal.measure.columns import converted, match_columns, quantities_of
 from pincal.measure.fields import CONDITIONS, FIELDS
 from pincal.measure.joint_values import check_joint_values
@@ -53,13 +52,7 @@ class Targets:
         Raises:
             BadInputError: for a target that the model does not know.
         """
-        known = calibrated.model.chain.targets
-        unknown = sorted(set(map(str, self.rows.target)) - set(known))
-        if unknown and len(known) > 1:
-            raise BadInputError(
-                f"{self.rows.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(known)}"
-            )
-        found = conditions_of(calibrated.model, self.rows, np.array(calibrated.payload_centre))
+        found = calibrated.conditions(self.rows)
         return found if self.has_joints else replace(found, q=np.tile(seed, (len(self.rows), 1)))
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns, split_by_density
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import sensor_of
@@ -158,8 +159,17 @@ def problem_of(model: Model, measurements: Measurements, payload_centre: np.ndar
 
 
 def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:
-    """Return the conditions of a table's rows; rows without a payload carry none."""
+    """Return the conditions of a table's rows; rows without a payload carry none.
+
+    Raises:
+        BadInputError: for a target that a model of several targets does not have.
+    """
     targets = model.chain.targets
+    unknown = sorted(set(map(str, measurements.target)) - set(targets))
+    if unknown and len(targets) > 1:
+        raise BadInputError(
+            f"{measurements.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(targets)}"
+        )
     n = len(measurements)
     index = np.zeros(n, int) if len(targets) == 1 else np.array([targets.index(t) for t in measurements.target], int)
     return Conditions(

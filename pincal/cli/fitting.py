@@ -1,0 +1,180 @@
+"""What calibrate and discover share: load, run a pipeline, write the folder of results, print, exit code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from pincal.cli.arguments import group, option
+from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions, SplitOptions, max_error_option
+from pincal.cli.outputs import output_folder, print_json, provenance, require_accuracy
+from pincal.errors import Exit, IdentificationError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.run import Calibration
+    from pincal.cli.inputs import Prepared
+    from pincal.discover.run import Discovery
+    from pincal.measure.measurements import Measurements
+
+# The view in three dimensions, beside the report.
+VIEW = "view3d.html"
+FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
+EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitArguments:
+    """Arguments of calibrate and discover."""
+
+    source: InputOptions = group("Input")
+    out: Path = option("Folder for the results.", MISSING, metavar="DIR")
+    max_error: float | None = max_error_option()
+    view: bool = option(f"Also write {VIEW}: the robot and its errors in 3D.", False)
+    chosen: CalibrationOptions = group("Model")
+    split: SplitOptions = group("Validation")
+    general: GeneralOptions = group("General")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a pipeline returns.
+
+    Attributes:
+        calibration: the calibration.
+        report: the result for programs.
+        show: prints it.
+        discovery: how the model was found, if it was.
+    """
+
+    calibration: Calibration
+    report: dict[str, Any]
+    show: Callable[[Console], None]
+    discovery: Discovery | None = None
+
+
+def run_fit(arguments: FitArguments, pipeline: Callable[[Prepared, Measurements | None], Outcome]) -> Exit:
+    """Run a pipeline on the files of the command line.
+
+    Args:
+        arguments: those of the command line.
+        pipeline: takes what was loaded, and the measurements to hold out.
+
+    Raises:
+        IdentificationError: if the fit did not converge; the files are written all the same.
+        AccuracyGateError: if the error exceeds the limit; likewise.
+    """
+    from pincal.cli.inputs import load_table, prepare
+
+    split, source = arguments.split, arguments.source
+    with output_folder(arguments.out) as draft:
+        prepared = prepare(source, arguments.chosen)
+        files, holdout = prepared.files, None
+        if split.holdout is not None:
+            files = (*files, split.holdout)
+            holdout = load_table(prepared.robot, split.holdout, ignore=source.ignore)
+        outcome = pipeline(prepared, holdout)
+        origin = provenance(files, seed=split.seed)
+        notes = write_results(draft, outcome.calibration, origin, outcome.discovery, view=arguments.view)
+        written = " ".join(sorted(file.name for file in draft.iterdir()))
+    if arguments.general.as_json:
+        print_json(outcome.report)
+    else:
+        from pincal.cli.screen import console
+
+        outcome.show(console())
+        for note in notes:
+            click.echo(f"note: {note}")
+        click.echo(f"written to {arguments.out}: {written}")
+    result = outcome.calibration.result
+    if not result.converged:
+        raise IdentificationError("the fit did not converge; the files hold its last state")
+    part = "test" if "test" in result.error["calibrated"] else "train"
+    rows = {"test": "held-out", "train": "fitted"}[part]
+    require_accuracy(result.error["calibrated"][part]["mean_mm"], arguments.max_error, rows=rows)
+    return Exit.DONE
+
+
+def write_results(
+    folder: Path,
+    calibration: Calibration,
+    origin: dict[str, Any],
+    discovery: Discovery | None = None,
+    *,
+    view: bool = False,
+) -> tuple[str, ...]:
+    """Write all files of a calibration, or of a discovery, to a folder.
+
+    Args:
+        folder: where to.
+        calibration: the calibration.
+        origin: its provenance.
+        discovery: how the model was found, if it was.
+        view: whether to write the view in three dimensions, too.
+
+    Returns:
+        What the URDF could not carry, in words.
+    """
+    from pincal.calibration.calibrated import calibrated_model_of, save_model
+    from pincal.io.urdf_export import calibrated_urdf
+    from pincal.report.html import write_report
+
+    fit = calibration.fit
+    model = calibrated_model_of(fit, origin)
+    save_model(folder / "model.json", model)
+    _write_json(folder / "result.json", calibration.result.to_dict())
+    if discovery is not None:
+        _write_json(folder / "discovery.json", discovery.report)
+    export = calibrated_urdf(fit.model, fit.values)
+    (folder / "calibrated.urdf").write_bytes(export.text)
+    _write_residuals(folder / "residuals.csv", calibration)
+    if view:
+        _write_view(folder / VIEW, calibration, model)
+    write_report(folder / "report.html", calibration, origin, export.notes, discovery, view=VIEW if view else None)
+    return tuple(export.notes)
+
+
+def _write_json(path: Path, contents: dict[str, Any]) -> None:
+    path.write_text(json.dumps(contents, indent=1, allow_nan=False))
+
+
+def _write_view(path: Path, calibration: Calibration, model: CalibratedModel) -> None:
+    from pincal.measure.table import concatenate
+    from pincal.viewer import build_scene, write_html
+
+    train, test = calibration.train, calibration.test
+    rows = concatenate([train, test]) if len(test) else train
+    write_html(path, build_scene(model, rows, held_out=np.repeat([False, True], [len(train), len(test)])))
+
+
+def _write_residuals(path: Path, calibration: Calibration) -> None:
+    """Write measured minus predicted readings of every row, before and after, fitted and held out."""
+    from pincal.measure.table import write_table
+
+    columns: dict[str, list[np.ndarray]] = {}
+    fit = calibration.fit
+    for part, table, problem in (
+        ("fitted", calibration.train, fit.problem),
+        ("held out", calibration.test, calibration.test_problem()),
+    ):
+        if problem is None:
+            continue
+        weights = fit.solution.weights if part == "fitted" else np.ones(len(table))
+        found = {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
+        for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
+            residuals = problem.residuals(values)
+            names = [(b, axis) for b in problem.sensor.blocks for axis in {3: "xyz", 2: "uv"}.get(b.size, "1")]
+            for (block, axis), row in zip(names, residuals, strict=True):
+                suffix = f"_{axis}" if block.size > 1 else ""
+                found[f"{model}_{block.name}{suffix} [{block.unit}]"] = row
+        for name, column in found.items():
+            columns.setdefault(name, []).append(column)
+    write_table(path, {name: np.concatenate(parts) for name, parts in columns.items()})

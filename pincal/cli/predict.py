@@ -1,0 +1,55 @@
+"""``pincal predict``: where the target is at given joint positions."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from pincal.cli.arguments import argument, group, option, verb
+from pincal.cli.common import GeneralOptions, model_argument
+from pincal.cli.outputs import print_json, print_notes
+from pincal.errors import Exit
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictArguments:
+    """Arguments of predict."""
+
+    model: Path = model_argument()
+    poses: Path = argument("POSES.csv", "Joint positions and conditions; other columns are ignored.")
+    out: Path = option("Table to write.", MISSING)
+    general: GeneralOptions = group("General")
+
+
+@verb(PredictArguments, examples="Example:\n  pincal predict results/model.json poses.csv --out predicted.csv")
+def predict(arguments: PredictArguments) -> Exit:
+    """Predict the target's position in the instrument's frame at given joint positions, with its uncertainty."""
+    from pincal.calibration.calibrated import load_model
+    from pincal.cli.inputs import load_table
+    from pincal.cli.model_use import Extrapolation
+    from pincal.measure.table import write_table
+    from pincal.robot.se3 import quaternions
+
+    calibrated = load_model(arguments.model)
+    chain = calibrated.model.chain
+    table = load_table(chain.robot, arguments.poses, joints_only=True)
+    conditions = calibrated.conditions(table)
+    found = calibrated.predict(conditions)
+    columns: dict[str, np.ndarray] = dict(zip(table.joint_names, table.q.T, strict=True))
+    if len(chain.targets) > 1:
+        columns["target"] = table.target
+    columns |= zip("xyz", found[:, :, 3].T, strict=True)
+    if calibrated.sensor_kind in ("pose", "camera_point", "camera_pixel"):
+        columns |= zip(("qx", "qy", "qz", "qw"), quaternions(found[:, :, :3]).T, strict=True)
+    columns |= zip(("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True)
+    write_table(arguments.out, columns)
+    beyond = Extrapolation.of(calibrated, conditions, table.rows)
+    if arguments.general.as_json:
+        print_json({"rows": len(table), "out": str(arguments.out)} | beyond.to_dict())
+    else:
+        click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
+    print_notes(beyond.notes(), quiet=arguments.general.quiet)
+    return Exit.DONE

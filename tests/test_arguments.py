@@ -1,0 +1,150 @@
+"""Typed arguments: the command line fills a frozen dataclass, and the help text says what each option is and defaults to."""
+
+import importlib
+import json
+from dataclasses import MISSING, FrozenInstanceError, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+import pytest
+from test_cli import URDF, columns, run  # noqa: F401
+
+from pincal.cli import _COMMANDS
+from pincal.cli.arguments import Verb, argument, group, option, verb
+from pincal.cli.common import LENGTH, GeneralOptions
+from pincal.errors import Exit, PincalError
+from pincal.measure.table import write_table
+
+TYPED = [
+    name
+    for name, module in _COMMANDS.items()
+    if isinstance(getattr(importlib.import_module(module), name), Verb)
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Part:
+    """A group."""
+
+    colour: Literal["red", "blue"] = option("Its colour.", "red")
+    at: tuple[float, float, float] | None = option("Where it is.", words="anywhere")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Everything:
+    """One field of each type."""
+
+    table: Path = argument("TABLE", "What to read.")
+    other: Path | None = argument("[OTHER]", "What else to read.", required=False)
+    out: Path = option("Where to write.", MISSING)
+    size: float | None = option("How large it is.", kind=LENGTH)
+    count: int = option("How many there are.", 3)
+    pairs: tuple[tuple[str, float], ...] = option("What belongs together.", ())
+    names: tuple[str, ...] = option("What they are called.", ())
+    is_open: bool | None = option("Whether it is open.", names=("--open/--closed",))
+    part: Part = group("Part of it")
+    general: GeneralOptions = group("General")
+
+
+def read(*words: str, defaults: dict[str, Any] | None = None) -> Everything:
+    """Return what a command line is read as."""
+    found: list[Everything] = []
+
+    @verb(Everything, examples="Example:\n  pincal thing", defaults=defaults)
+    def thing(arguments: Everything) -> Exit:
+        """Do something."""
+        found.append(arguments)
+        return Exit.DONE
+
+    assert thing.main(list(words), standalone_mode=False) is Exit.DONE
+    return found[0]
+
+
+def test_the_command_line_fills_the_dataclass() -> None:
+    """Each type is read as it says, groups in their place, and nothing can be changed afterwards."""
+    given = "a.csv --out b.csv --size 2mm --pairs x 1 --pairs y 2 --names n --closed --colour blue --at 1 2 3 --quiet"
+    found = read(*given.split())
+
+    assert found == Everything(
+        table=Path("a.csv"),
+        other=None,
+        out=Path("b.csv"),
+        size=2e-3,
+        count=3,
+        pairs=(("x", 1.0), ("y", 2.0)),
+        names=("n",),
+        is_open=False,
+        part=Part(colour="blue", at=(1.0, 2.0, 3.0)),
+        general=GeneralOptions(plugins=(), as_json=False, quiet=True),
+    )
+    with pytest.raises(FrozenInstanceError):
+        found.count = 4  # type: ignore[misc]
+
+
+def test_what_is_not_given_is_the_default_of_the_field_or_of_the_verb() -> None:
+    """A verb may have another default than the group that it shares."""
+    bare = ["a.csv", "--out", "b.csv"]
+    assert read(*bare).part == Part(colour="red", at=None)
+    assert read(*bare, "--quiet").is_open is None
+    assert read(*bare, defaults={"colour": ("blue", None)}).part.colour == "blue"
+
+
+@pytest.mark.parametrize("wrong", ["--out b.csv", "a.csv", "a.csv --out b --colour green", "a.csv --out b --at 1 2"])
+def test_what_does_not_fit_is_a_usage_error(wrong: str) -> None:
+    """A missing argument, a missing option, no such choice, too few values."""
+    with pytest.raises(click.UsageError) as refused:
+        read(*wrong.split())
+    assert refused.value.exit_code == Exit.USAGE
+
+
+@pytest.mark.parametrize("name", TYPED)
+def test_the_help_of_every_verb_is_complete(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every option has a sentence, every default can be read, every section has a heading, every exit code its meaning."""
+    command = getattr(importlib.import_module(_COMMANDS[name]), name)
+    assert run(name, "--help") == 0
+    text = " ".join(capsys.readouterr().out.split())
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help and parameter.help[0].isupper() and "." in parameter.help
+            assert "unless given" not in parameter.help
+    assert "Arguments:" in text and "General: --plugin MODULE" in text and f"Exit codes: 0 {Exit.DONE.meaning}" in text
+
+
+def test_every_error_has_an_exit_code_that_has_a_meaning() -> None:
+    """The code of a class of errors is one of those that the help texts explain."""
+    classes, found = [PincalError], set()
+    while classes:
+        cls = classes.pop()
+        classes += cls.__subclasses__()
+        found.add(cls.exit_code)
+    assert found == {Exit.INTERNAL_ERROR, Exit.BAD_INPUT, Exit.UNDECIDED, Exit.INACCURATE}
+    assert [(int(code), code.meaning) for code in Exit][:3] == [(0, "done"), (1, "internal error"), (2, "usage error")]
+
+
+def test_calibrate_and_discover_record_the_same_inputs(
+    tmp_path: Path,
+    columns: Any,  # noqa: F811
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Whatever was read for a fit is in its provenance, whichever verb made it, and both say what the URDF can't carry."""
+    data, held, known = tmp_path / "data.csv", tmp_path / "held.csv", tmp_path / "distances.csv"
+    write_table(data, {name: column[:90] for name, column in columns.items()})
+    write_table(held, {name: column[90:] for name, column in columns.items()})
+    known.write_text("first,second,distance\na,b,1.0\n")
+    points = tmp_path / "points.csv"
+    points.write_text("point,x,y,z\na,0,0,0\nb,1,0,0\n")
+    files = ["--holdout", held, "--distances", known, "--points", points]
+    given = [URDF, data, *files, "--noise", "0.05mm", "--payload-com", ".08", "-.05", ".22"]
+    found, notes = [], []
+    for name in ("calibrate", "discover"):
+        assert run(name, *given, "--model", "elastic", "--moment-frame", "paper", "--out", tmp_path / name, "--quiet") == 0
+        origin = json.loads((tmp_path / name / "model.json").read_text())["provenance"]
+        assert origin["seed"] == 0
+        found.append(origin["inputs"])
+        notes.append([line for line in capsys.readouterr().out.splitlines() if "URDF" in line or "urdf" in line])
+
+    assert found[0] == found[1]
+    assert set(found[0]) == {"data.csv", "held.csv", "distances.csv", "points.csv", Path(URDF).name}
+    assert any(line.startswith("note:") for line in notes[0])
+    assert [line for line in notes[0] if line.startswith("note:")] == [n for n in notes[1] if n.startswith("note:")]
