@@ -32,7 +32,7 @@ from pincal import (
     save_model,
 )
 from pincal.measure.measurements import Measurements
-from pincal.simulate import TrueMachine, measure, plan_poses
+from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 JOINTS = 6
 NOISE = 5e-5  # standard deviation of one component of a measured position [m]
@@ -101,7 +101,8 @@ def observe(
     machine: TrueMachine, q: np.ndarray, hall: np.ndarray, tool: np.ndarray, *, rng: np.random.Generator | None
 ) -> Measurements:
     """Measure a reflector on the flange with the tracker; exactly where there is no source of noise."""
-    columns = measure(machine, q, base_pose=hall, targets=tool, noise_sigma=0.0 if rng is None else NOISE, rng=rng)
+    tracker = Instrument(pose=hall, targets=tool, sigma=0.0 if rng is None else NOISE)
+    columns = tracker.measure(machine, q, rng=rng)
     return measurements_from_arrays(machine.names, q, position=np.column_stack([columns[axis] for axis in "xyz"]))
 
 

@@ -92,7 +92,7 @@ def plan_views(scene: Scene, board: cv2.aruco.CharucoBoard, *, count: int, rng: 
         T_board_camera = transform(turn, rng.uniform(0.1, 0.9, turn.shape) * board.getRightBottomCorner(), order="ZYZ")
         T_board_camera[:, :3, 3] -= rng.uniform(*DISTANCE, (len(seed), 1)) * T_board_camera[:, :3, 2]
         T_base_tip = scene.T_base_board @ T_board_camera @ np.linalg.inv(scene.T_tip_camera)
-        q, is_reached = reach(scene.machine.nominal, seed, T_base_tip)
+        q, is_reached = reach(scene.machine.nominal, seed, goal=T_base_tip)
         found = np.vstack([found, q[is_reached]])
     return found[:count]
 

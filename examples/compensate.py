@@ -30,7 +30,7 @@ from pincal import (
 )
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.run import run_discovery
-from pincal.simulate import TrueMachine, measure, plan_poses
+from pincal.simulate import Instrument, TrueMachine, plan_poses
 from pincal.simulate.campaign import draw_conditions, spread_payloads
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect
 
@@ -61,14 +61,14 @@ class Cell:
 
     def plan(self, poses: int, rng: np.random.Generator) -> tuple[np.ndarray, dict[str, Any]]:
         """Return joint positions; with and without the load, reached from either side."""
-        conditions = draw_conditions(["approach"], poses, len(self.machine.names), rng)
+        conditions = draw_conditions(["approach"], poses, joints=len(self.machine.names), rng=rng)
         conditions["payload"] = spread_payloads([0.0, LOAD], poses, order="alternating")
         return plan_poses(self.machine.nominal, poses, rng), conditions
 
     def see(self, q: np.ndarray, conditions: dict[str, Any], rng: np.random.Generator | None = None) -> np.ndarray:
         """Return where the tracker sees the reflector, shape (N, 3) [m]; exactly where there is no source of noise."""
-        how: dict[str, Any] = {"base_pose": self.hall, "targets": self.reflector, "payload_com": LOAD_COM}
-        table = measure(self.machine, q, **how, **conditions, noise_sigma=0.0 if rng is None else NOISE, rng=rng)
+        tracker = Instrument(pose=self.hall, targets=self.reflector, sigma=0.0 if rng is None else NOISE)
+        table = tracker.measure(self.machine, q, rng=rng, payload_com=LOAD_COM, **conditions)
         return np.column_stack([table[axis] for axis in "xyz"])
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from pincal import Design, Limits, Options, Robot, SensorSetup, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.design.reach import Reach
-from pincal.simulate import TrueMachine, measure
+from pincal.simulate import Instrument, TrueMachine
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 
 NOISE = 5e-5  # standard deviation of one coordinate [m]
@@ -45,7 +45,8 @@ def positions(machine: TrueMachine, q: np.ndarray, rng: np.random.Generator | No
     """Return where the target is, shape (N, 3) [m], with noise if there is a source of it."""
     load = np.full(len(q), LOAD)
     sigma = 0.0 if rng is None else NOISE
-    table = measure(machine, q, targets=TARGET, payload=load, payload_com=LOAD_COM, noise_sigma=sigma, rng=rng)
+    tracker = Instrument(targets=TARGET, sigma=sigma)
+    table = tracker.measure(machine, q, rng=rng, payload=load, payload_com=LOAD_COM)
     return np.column_stack([table[axis] for axis in "xyz"])
 
 

@@ -19,11 +19,9 @@ from pincal.builtin import kuka_urdf_path
 from pincal.discover.run import run_discovery
 from pincal.simulate import HIDDEN_EFFECTS, HiddenEffect, TrueMachine, plan_poses
 from pincal.simulate.campaign import Campaign, draw_conditions, spread_payloads
+from pincal.simulate.effect import Scope
 from pincal.simulate.sensors import SetupOptions, draw_setup
 from pincal.simulate.typical import (
-    NEEDED_COLUMNS,
-    SIZE_UNITS,
-    WHOLE_ARM,
     draw_typical_elasticity,
     draw_typical_errors,
     typical_effect,
@@ -40,7 +38,7 @@ def build_machine(effect: str, joint: str | None, rng: np.random.Generator) -> t
     """Return the true machine, and the effect that hides in it."""
     sound = draw_typical_errors(TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0"), rng)
     sound = draw_typical_elasticity(sound, rng).draw_masses(rng, sigma=0.03)
-    given = {} if joint is None or effect in WHOLE_ARM else {"joint": joint}
+    given = {} if joint is None or HIDDEN_EFFECTS[effect].scope is Scope.ARM else {"joint": joint}
     hidden = typical_effect(sound, effect, rng, **given)
     return sound.with_effects(hidden), hidden
 
@@ -48,14 +46,13 @@ def build_machine(effect: str, joint: str | None, rng: np.random.Generator) -> t
 def measure(machine: TrueMachine, effect: str, rng: np.random.Generator) -> tuple[Measurements, Campaign]:
     """Return what a tracker somewhere in the hall reads; temperature, time or approach are recorded where they matter."""
     q = plan_poses(machine.nominal, POSES, rng)
-    needed = [NEEDED_COLUMNS[effect]] if effect in NEEDED_COLUMNS else []
-    conditions: dict[str, Any] = draw_conditions(needed, POSES, len(machine.names), rng)
+    column = HIDDEN_EFFECTS[effect].column
+    conditions: dict[str, Any] = draw_conditions([column] if column else [], POSES, joints=len(machine.names), rng=rng)
     conditions["payload"] = spread_payloads([0.0, LOAD], POSES)
     campaign = Campaign(
         q=q,
-        conditions=conditions,
-        payload_com=LOAD_COM,
-        setup=draw_setup("position", machine, rng, SetupOptions(sigma=NOISE)),
+        conditions={**conditions, "payload_com": LOAD_COM},
+        setup=draw_setup("position", machine.nominal, rng=rng, options=SetupOptions(sigma=NOISE)),
     )
     table = campaign.measure(machine, rng)
     position = np.column_stack([table[axis] for axis in "xyz"])
@@ -82,7 +79,7 @@ def print_findings(report: dict[str, Any]) -> None:
 
 def print_truth(hidden: HiddenEffect, shift: float, report: dict[str, Any]) -> None:
     """Print what was put in beside what came out."""
-    unit = SIZE_UNITS[hidden.effect]
+    unit = hidden.unit
     print(f"  put in     {hidden.effect} of {hidden.joint or 'the whole arm'}, size {hidden.size:.3g} {unit}, "
           f"moves the target by {1e3 * shift:.3f} mm rms")  # fmt: skip
     for entry in report["effects"]:

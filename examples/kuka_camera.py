@@ -22,7 +22,7 @@ from pincal import Fit, Lens, Options, Robot, Setup, calibrate, measurements_fro
 from pincal.builtin import kuka_urdf_path
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, BearingElasticity, JointElasticity
-from pincal.simulate import TrueMachine, paper_object, paper_transform, plan_camera_poses
+from pincal.simulate import View, paper_object, paper_transform, plan_views, read_arm
 from pincal.simulate.paper_machine import ELASTICITY, NOMINAL, PAYLOAD_COM, PAYLOAD_MASS, REAL, Geometry, paper_moments
 
 VIEWS, OTHER = 2, 6  # joint configurations a field: to fit, and others to predict
@@ -31,7 +31,7 @@ PIXELS = 0.1  # of a point in the image [px]
 SPREAD, BENDING = 3e-3, 1e-3  # how robots differ: of a length [m] or angle [rad]; of a bending [rad]
 
 ROBOT = Robot.from_urdf(kuka_urdf_path())
-MACHINE = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+ARM = read_arm(kuka_urdf_path(), "tool0")
 ELASTIC_JOINTS = ROBOT.joint_names[:3]
 EFFECTS = (*GEOMETRIC, JointElasticity(joints=ELASTIC_JOINTS), BearingElasticity(joints=ELASTIC_JOINTS))
 OBJECT = paper_object()
@@ -113,9 +113,8 @@ def plan(views: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     for k in range(OBJECT.n_fields):
         _, normal, _ = OBJECT.look_at(k)
         centre, facing = places[OBJECT.field == k].mean(axis=0), T_BASE_OBJECT[:3, :3] @ normal
-        found.append(
-            plan_camera_poses(MACHINE, views, rng, camera_pose=T_TIP_CAMERA, look_at=centre, facing=facing, tilt=0.5)
-        )
+        view = View(camera_pose=T_TIP_CAMERA, look_at=centre, facing=facing, tilt=0.5)
+        found.append(plan_views(ARM, views, rng=rng, view=view))
     return np.vstack(found), np.repeat(np.arange(OBJECT.n_fields), views)
 
 

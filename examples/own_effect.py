@@ -16,7 +16,7 @@ import numpy as np
 from pincal import GEOMETRIC, Chain, Conditions, Effect, Options, Parameter, Robot, Term, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.run import run_discovery
-from pincal.simulate import Arm, Poses, TrueMachine, measure, plan_poses
+from pincal.simulate import Arm, Instrument, Poses, TrueMachine, plan_poses
 from pincal.simulate.effect import DeformingEffect
 from pincal.simulate.state import Deformation, Loads
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
@@ -65,7 +65,7 @@ def main() -> None:
     machine = draw_typical_errors(TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0"), rng)
     machine = draw_typical_elasticity(machine, rng).with_effects(Hose(size=PULL))
     q = plan_poses(machine.nominal, POSES, rng)
-    read = measure(machine, q, targets=(0.1, 0.05, 0.15), noise_sigma=NOISE, rng=rng)
+    read = Instrument(targets=(0.1, 0.05, 0.15), sigma=NOISE).measure(machine, q, rng=rng)
     table = measurements_from_arrays(machine.names, q, position=np.column_stack([read[axis] for axis in "xyz"]))
     robot, options = Robot.from_urdf(kuka_urdf_path()), Options(effects=GEOMETRIC, sigma=NOISE)
 

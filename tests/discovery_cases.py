@@ -139,15 +139,8 @@ class _Setting:
 
     def positions(self, *effects: HiddenEffect) -> np.ndarray:
         """Return noise-free positions with effects."""
-        table = sim.measure(
-            self.machine.with_effects(*effects),
-            self.q,
-            base_pose=self.hall,
-            targets=self.tool,
-            payload_com=self.com,
-            noise_free=True,
-            **self.conditions,
-        )
+        tracker = sim.Instrument(pose=self.hall, targets=self.tool)
+        table = tracker.measure(self.machine.with_effects(*effects), self.q, payload_com=self.com, **self.conditions)
         return np.column_stack([table[axis] for axis in "xyz"])
 
 

@@ -38,7 +38,8 @@ def measured(robot: Robot, urdf: Any, n: int, *, kind: str = "position", seed: i
     machine = machine.draw_errors(rng, sigma_length=5e-4, sigma_angle=5e-4)
     q = robot.random_configurations(n, rng)
     angle = 2e-5 if kind == "pose" else 0.0
-    columns = sim.measure(machine, q, targets=(0.1, 0.0, 0.2), kind=kind, noise_sigma=NOISE, noise_angle=angle, rng=rng)
+    tracker = sim.Instrument(targets=(0.1, 0.0, 0.2), reads=kind, sigma=NOISE, sigma_angle=angle)
+    columns = tracker.measure(machine, q, rng=rng)
     found: dict[str, Any] = {}
     if kind == "distance":
         found["distance"] = columns["distance"]

@@ -197,7 +197,7 @@ def test_false_targets_make_a_nominal_controller_command_the_joints(kuka: Robot,
         tool[:3] = program_poses(calibrated, Conditions.at(np.zeros((1, 6))))[0]
         T_tip_target = np.linalg.inv(kuka.forward_kinematics(np.zeros((1, 6)))[0]) @ tool
         goal = goal @ np.linalg.inv(T_tip_target)
-    q, ended = nominal_joints(sim.read_arm(kuka_urdf_path(), "tool0", None), given.q, goal)
+    q, ended = nominal_joints(sim.read_arm(kuka_urdf_path(), "tool0", None), given.q, goal=goal)
 
     assert ended.all()
     np.testing.assert_allclose(q, commanded.q, rtol=0, atol=1e-7)
@@ -212,8 +212,8 @@ def test_a_machine_that_errs_in_more_than_the_model_knows_arrives() -> None:
     hall[:3] = np.column_stack([rotation(0.3, -0.2, 2.0), [3.0, -1.0, 0.4]])
 
     def seen(q: np.ndarray, payload: np.ndarray, sigma: float) -> np.ndarray:
-        seen_by = {"base_pose": hall, "targets": (0.1, 0.05, 0.2), "payload_com": tuple(COM)}
-        columns = sim.measure(machine, q, payload=payload, noise_sigma=sigma, rng=rng, **seen_by)
+        tracker = sim.Instrument(pose=hall, targets=(0.1, 0.05, 0.2), sigma=sigma)
+        columns = tracker.measure(machine, q, rng=rng, payload=payload, payload_com=tuple(COM))
         return np.column_stack([columns[axis] for axis in "xyz"])
 
     q, other = (sim.plan_poses(machine.nominal, count, rng) for count in (150, 60))

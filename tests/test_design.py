@@ -25,7 +25,7 @@ from pincal.errors import BadInputError
 from pincal.measure.table import read_measurements
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
-from pincal.simulate import TrueMachine, measure
+from pincal.simulate import Instrument, TrueMachine
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 
 KUKA = str(kuka_urdf_path())
@@ -603,7 +603,7 @@ def held_out_error(robot, machine, q, held_out, options, rng):
     tables = []
     for poses, sigma in ((q, options.sigma), (held_out, 0.0)):
         load = np.full(len(poses), 100.0)
-        seen = measure(machine, poses, targets=TARGET, payload=load, noise_sigma=sigma, rng=rng)
+        seen = Instrument(targets=TARGET, sigma=sigma).measure(machine, poses, rng=rng, payload=load)
         position = np.column_stack([seen[axis] for axis in "xyz"])
         tables.append(measurements_from_arrays(robot.joint_names, poses, position=position, payload=load))
     fit = calibrate(robot, tables[0], options)

@@ -23,18 +23,18 @@ from pincal.model.chain import Chain
 from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
-from pincal.simulate import TrueMachine, measure, plan_poses
+from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 PROVENANCE = {"pincal": "0.1.0", "created": "2024-01-02T03:04:05+00:00", "seed": 3, "inputs": {"data.csv": "ab12"}}
 
 
-def simulated_fit(kind: str, options: Options, **arrangement: Any) -> Fit:
+def simulated_fit(kind: str, options: Options, *, targets: Any = (0.0, 0.0, 0.0), **conditions: Any) -> Fit:
     """Calibrate the KUKA on 60 simulated rows with noise."""
     rng = np.random.default_rng(3)
     machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
     q = plan_poses(machine.nominal, 60, rng)
-    noise = {"noise_sigma": 5e-5, "noise_angle": 5e-5} if kind == "pose" else {"noise_sigma": 5e-5}
-    columns = measure(machine, q, kind=kind, rng=rng, **noise, **arrangement)
+    tracker = Instrument(reads=kind, targets=targets, sigma=5e-5, sigma_angle=5e-5)
+    columns = tracker.measure(machine, q, rng=rng, **conditions)
     robot = Robot.from_urdf(kuka_urdf_path())
     rows = np.column_stack([columns[name] for name in robot.joint_names])
     given: dict[str, Any] = {name: columns[name] for name in ("payload", "target", "distance") if name in columns}

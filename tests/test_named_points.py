@@ -49,7 +49,8 @@ def machine() -> sim.TrueMachine:
 def contacts(machine: sim.TrueMachine, robot: Robot, *, sockets: Any = SOCKETS, each: int = 25, noise: float = 0.0) -> Any:
     """Return a table of contacts."""
     rng = np.random.default_rng(11)
-    table = sim.measure_contacts(machine, sockets, poses_per_socket=each, rng=rng, tool=TOOL, noise_sigma=noise)
+    setup = sim.Contact(fixed=sockets, tool=tuple(TOOL), sigma=noise)
+    table = setup.measure(machine, setup.plan(machine.nominal, each * len(sockets), rng=rng), rng=rng)
     return measurements_from_arrays(
         robot.joint_names, np.column_stack([table[n] for n in machine.names]), socket=table["socket"]
     )
@@ -73,9 +74,8 @@ def seen(
     """Return what a camera at the flange reads of the grid's points."""
     rng = np.random.default_rng(13)
     places = np.array([*GRID.values()]) @ PLACE[:3, :3].T + PLACE[:3, 3]
-    q = sim.plan_camera_poses(
-        machine, poses, rng, camera_pose=MOUNT, look_at=places.mean(axis=0), facing=PLACE[:3, 2], distance=(0.3, 0.7)
-    )
+    view = sim.View(camera_pose=MOUNT, look_at=places.mean(axis=0), facing=PLACE[:3, 2], distance=(0.3, 0.7))
+    q = sim.plan_views(machine.nominal, poses, rng=rng, view=view)
     camera = machine.equilibrium(machine.poses(q)).tip @ MOUNT
     found = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3]).reshape(-1, 3)
     reading = LENS.project(found) if pixels else found

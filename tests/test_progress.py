@@ -13,9 +13,11 @@ from pincal.calibration.result import ParameterRow
 from pincal.calibration.tables import parameter_table
 from pincal.cli import progress, show_progress
 from pincal.cli.screen import console
+from pincal.identify.reasons import Cause, Reason, Status
 from pincal.tables import one_line
 
-ROW = ParameterRow("joint_1.k_z", "rad/(N m)", 0.0, -1.234e-7, 1e-8, "unidentifiable", "the unknown base frame absorbs it")
+REASON = Reason(Cause.ALIASED, tuple(f"joint_{i}.theta" for i in range(1, 7)))
+ROW = ParameterRow("joint_1.k_z", "rad/(N m)", 0.0, -1.234e-7, 1e-8, Status.UNIDENTIFIABLE, REASON)
 
 
 class Terminal(io.StringIO):
@@ -82,7 +84,7 @@ def test_a_terminal_has_one_line_that_goes_away(monkeypatch: pytest.MonkeyPatch)
 def test_tables_fit_a_page_whatever_names_say(capsys: pytest.CaptureFixture[str]) -> None:
     """Long and hostile names neither break a table nor send control codes, and no box is drawn outside a terminal."""
     names = (ROW.name, HOSTILE + ".theta", "a_very_long_name_" * 8 + ".k_z", "\x1b[31mred[/red].d")
-    rows = [ParameterRow(name, ROW.unit, 0.0, -1234.5678, 1e-8, ROW.status, ROW.reason * 4) for name in names]
+    rows = [ParameterRow(name, ROW.unit, 0.0, -1234.5678, 1e-8, ROW.status, ROW.reason) for name in names]
     out = console()
     out.print(parameter_table(rows))
     text = capsys.readouterr().out

@@ -256,7 +256,7 @@ def visited(n, cycles, seed, *, compliance=0.0, scatter=0.0, machine_seed=0):
     machine = machine.with_effects(*(sim.JointScatter(joint=f"joint_{i}", size=scatter) for i in range(1, 7) if scatter))
     rng = np.random.default_rng(100 + seed)
     q = np.tile(sim.plan_poses(machine.nominal, n, rng), (cycles, 1))
-    columns = sim.measure(machine, q, targets=(0.1, 0.0, 0.2), noise_sigma=5e-5, rng=rng)
+    columns = sim.Instrument(targets=(0.1, 0.0, 0.2), sigma=5e-5).measure(machine, q, rng=rng)
     return measurements_from_arrays(machine.names, q, position=np.column_stack([columns[axis] for axis in "xyz"]))
 
 

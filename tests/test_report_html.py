@@ -13,7 +13,8 @@ from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, pag
 from pincal import Robot
 from pincal.calibration.run import Calibration
 from pincal.discover.run import Discovery
-from pincal.report.advice import narrow_joints, not_told
+from pincal.identify.reasons import Cause, Reason
+from pincal.report.advice import narrow_joints, unidentified_groups
 from pincal.report.glossary import EFFECTS
 from pincal.report.html import write_report
 from pincal.report.summary import next_steps, verdict_of
@@ -88,7 +89,7 @@ def test_all_that_a_report_owes_is_there(page: str, run: Calibration) -> None:
     """Every parameter with its reason, every joint with its figure, correlations, what it rests on."""
     parsed = Page(page)
     for row in run.result.parameters:
-        assert row.name in parsed.text and html.unescape(row.reason) in parsed.text
+        assert row.name in parsed.text and html.unescape(str(row.reason)) in parsed.text
     figures = re.findall(r"<figure>.*?</figure>", page, flags=re.DOTALL)
     assert len(figures) >= 3 + run.robot.n_joints + 4
     assert all('role="img" aria-label="' in figure and "<figcaption>" in figure for figure in figures)
@@ -170,10 +171,13 @@ def test_next_steps_follow_from_what_is_wrong(run: Calibration) -> None:
 
 
 def test_causes_cover_every_reason(run: Calibration) -> None:
-    """Each parameter that is not identified has a cause with advice, and no reason is unknown."""
-    gaps = not_told(run.result.parameters)
-    assert sum(len(gap.rows) for gap in gaps) == sum(row.status != "identified" for row in run.result.parameters)
-    assert "Other" not in {gap.title for gap in gaps}
+    """Each parameter that is not identified has a cause with advice, and so has every cause that there is."""
+    groups = unidentified_groups(run.result.parameters)
+    assert sum(len(group.names) for group in groups) == sum(row.status != "identified" for row in run.result.parameters)
+    row = next(row for row in run.result.parameters if row.status != "identified")
+    for cause in Cause:
+        if cause is not Cause.NONE:
+            assert unidentified_groups([replace(row, reason=Reason(cause))])[0].advice.text
 
 
 def test_a_joint_that_hardly_moved_is_named(run: Calibration) -> None:

@@ -24,7 +24,7 @@ def measured(robot: Robot, scatter: float, *, seed: int) -> Measurements:
     effects = [sim.hidden_effect("joint_scatter", joint="joint_3", size=scatter)] if scatter else []
     machine = true_kuka().draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3).with_effects(*effects)
     q = sim.plan_poses(machine.nominal, 70, rng)
-    table = sim.measure(machine, q, targets=TARGETS, noise_sigma=NOISE, rng=rng)
+    table = sim.Instrument(targets=TARGETS, sigma=NOISE).measure(machine, q, rng=rng)
     return measurements_from_arrays(
         robot.joint_names,
         np.column_stack([table[name] for name in robot.joint_names]),

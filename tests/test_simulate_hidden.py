@@ -39,7 +39,7 @@ def measured(*effects: HiddenEffect) -> np.ndarray:
     rng = np.random.default_rng(5)
     q = random_poses(machine, 12, seed=3)
     conditions = {"payload": 80.0, "temperature": np.linspace(15, 35, 12), "time": np.arange(12) * 3600.0}
-    table = sim.measure(machine, q, rng=rng, approach=rng.choice([-1, 1], (12, 6)), **conditions)
+    table = sim.Instrument().measure(machine, q, rng=rng, approach=rng.choice([-1, 1], (12, 6)), **conditions)
     return np.column_stack([table[axis] for axis in "xyz"])
 
 

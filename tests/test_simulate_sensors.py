@@ -13,7 +13,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
 from pincal.robot.robot import find_file
-from pincal.simulate.contact import measure_held
+from pincal.simulate.contact import hold
 from pincal.simulate.lens import draw_lens
 from pincal.simulate.sensors import SENSORS, SetupOptions, draw_setup
 
@@ -112,9 +112,9 @@ def test_contact_is_made_by_the_machine_as_it_is(tmp_path):
     assert np.linalg.norm(points["socket_1"] - points["socket_2"]) == pytest.approx(0.1)
     machine, setup = typical_setup("socket", SetupOptions(sockets=1, sigma=5e-5))
     machine = machine.with_effects(sim.ThermalExpansion(size=1e-5), sim.Backlash(joint="joint_2", size=2e-4))
-    q = setup.plan(machine, 60, np.random.default_rng(1), min_height=0.0)
+    q = setup.plan(machine.nominal, 60, rng=np.random.default_rng(1), min_height=0.0)
     conditions = {"temperature": np.linspace(20, 30, 60), "payload": 50.0, "approach": {"joint_2": np.tile([1, -1], 30)}}
-    table = setup.measure(machine, q, np.random.default_rng(2), **conditions)
+    table = setup.measure(machine, q, rng=np.random.default_rng(2), **conditions)
     held = moved(machine.tip(np.column_stack([table[name] for name in machine.names]), **conditions), np.array(setup.tool))
     off = held - setup.fixed["socket_1"]
     assert off.std() == pytest.approx(5e-5, rel=0.2) and np.abs(off.mean(axis=0)).max() < 3e-5
@@ -123,16 +123,16 @@ def test_contact_is_made_by_the_machine_as_it_is(tmp_path):
 def typical_setup(kind, options):
     machine = sim.TrueMachine.from_urdf(URDF, tip="tool0", compliance=np.full((6, 3), 1e-7))
     machine = machine.draw_errors(np.random.default_rng(3), sigma_length=5e-4, sigma_angle=1e-3)
-    return machine, draw_setup(kind, machine, np.random.default_rng(0), options)
+    return machine, draw_setup(kind, machine.nominal, rng=np.random.default_rng(0), options=options)
 
 
 def test_a_place_out_of_reach_is_refused():
     """The true arm can't be held where it doesn't reach, nor by play whose side nobody knows."""
     rng, q = np.random.default_rng(0), np.zeros((1, 6))
     with pytest.raises(BadInputError, match="can't be held at"):
-        measure_held(kuka(), q, np.array([[9.0, 0.0, 0.0]]), rng=rng)
+        hold(kuka(), kuka().poses(q), np.array([[9.0, 0.0, 0.0]]), tool=(0.0, 0.0, 0.0))
     with pytest.raises(BadInputError, match="out of reach"):
-        sim.measure_contacts(kuka(), {"A": (9.0, 0.0, 0.0)}, poses_per_socket=1, rng=rng)
+        sim.Contact(fixed={"A": (9.0, 0.0, 0.0)}).plan(kuka().nominal, 1, rng=rng)
 
 
 # Distances
@@ -169,8 +169,8 @@ def test_a_scale_error_is_read_off_a_bar():
     """The instrument's scale changes what is read, not where the tool point is."""
     machine, setup = typical_setup("distance", SetupOptions(ball_bar=0.3, at_base=True))
     scaled, rng = machine.with_effects(sim.MeasurementScale(size=1e-3)), np.random.default_rng
-    q = setup.plan(machine, 5, rng(1), min_height=0.0)
-    tables = [setup.measure(m, q, rng(2)) for m in (machine, scaled)]
+    q = setup.plan(machine.nominal, 5, rng=rng(1), min_height=0.0)
+    tables = [setup.measure(m, q, rng=rng(2)) for m in (machine, scaled)]
     np.testing.assert_allclose(tables[1]["distance"], 1.001 * tables[0]["distance"], rtol=1e-12)
     np.testing.assert_array_equal(tables[0]["joint_1"], tables[1]["joint_1"])
 
@@ -280,15 +280,18 @@ def test_points_at_the_back_are_left_out_and_their_scale_can_be_off():
     """A plate is seen from its front; an instrument's scale acts on points in metres."""
     machine, rng = kuka(), np.random.default_rng(4)
     camera, points = np.eye(4), {"P": (1.6, 0.0, 0.4), "Q": (1.625, 0.0, 0.4)}
-    q = sim.plan_camera_poses(machine, 3, rng, camera_pose=camera, look_at=points["P"])
+    q = sim.plan_views(machine.nominal, 3, rng=rng, view=sim.View(camera_pose=camera, look_at=points["P"]))
     normals = {"P": (0.0, 0.0, 1.0), "Q": (0.0, 0.0, -1.0)}
-    table = sim.measure_camera(machine, q, camera_pose=camera, points=points, normals=normals)
+    target = sim.CalibrationObject.of_points(points, normals)
+    setup = sim.EyeInHand(camera_pose=camera, target=target, in_metres=True)
+    table = setup.measure(machine, q)
     assert set(table["point"]) == {"P"}
     scaled = machine.with_effects(sim.MeasurementScale(size=1e-3))
-    longer = sim.measure_camera(scaled, q, camera_pose=camera, points=points, normals=normals)
+    longer = setup.measure(scaled, q)
     np.testing.assert_allclose(longer["cz"], 1.001 * table["cz"], rtol=1e-12)
     with pytest.raises(BadInputError, match="sees no point"):
-        sim.measure_camera(machine, q, camera_pose=camera, points={"P": points["P"]}, normals={"P": (0.0, 0.0, -1.0)})
+        away = sim.CalibrationObject.of_points({"P": points["P"]}, {"P": (0.0, 0.0, -1.0)})
+        sim.EyeInHand(camera_pose=camera, target=away, in_metres=True).measure(machine, q)
 
 
 # All of them
@@ -392,9 +395,10 @@ def test_what_no_sensor_can_do_is_refused(tmp_path, monkeypatch, capsys, argumen
 def test_an_unknown_sensor_is_refused_with_those_there_are():
     """The message lists all kinds."""
     with pytest.raises(BadInputError, match=", ".join(SENSORS)):
-        draw_setup("sonar", kuka(), np.random.default_rng(0), SetupOptions())
+        draw_setup("sonar", kuka().nominal, rng=np.random.default_rng(0), options=SetupOptions())
     with pytest.raises(BadInputError, match="expected targets 1"):
-        draw_setup("position", kuka(), np.random.default_rng(0), SetupOptions(targets=2, tool=(0.0, 0.0, 0.1)))
+        options = SetupOptions(targets=2, tool=(0.0, 0.0, 0.1))
+        draw_setup("position", kuka().nominal, rng=np.random.default_rng(0), options=options)
 
 
 def test_what_to_do_next_names_what_was_written(tmp_path, monkeypatch, capsys):

@@ -70,8 +70,8 @@ def measure(scene: Scene, kind: str, seed: int, rng: np.random.Generator, *, pos
     """Return readings of the targets of a scene by a good instrument, a row for each pose and target."""
     robot = machine(seed)
     q = sim.plan_poses(robot.nominal, poses, rng, min_height=None)
-    noise = {"noise_sigma": NOISE, "noise_angle": NOISE, "rng": rng}
-    columns = sim.measure(robot, q, base_pose=scene.base, targets=scene.tools, kind=kind, **noise)
+    tracker = sim.Instrument(pose=scene.base, targets=scene.tools, reads=kind, sigma=NOISE, sigma_angle=NOISE)
+    columns = tracker.measure(robot, q, rng=rng)
     readings: dict[str, np.ndarray] = {"target": columns.get("target", np.full(poses, "A"))}
     if kind == "distance":
         readings["distance"] = columns["distance"]

@@ -10,13 +10,15 @@ from rich.console import Console
 
 from pincal.calibration.result import ParameterRow
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table
+from pincal.identify.reasons import IDENTIFIED, Cause, Reason, Status
 from pincal.tables import Column, Kind, Quantity, Table, fixed
 
+WEAK = Reason(Cause.UNINFORMED, size=1e-6, unit="rad/(N m)")
 ROWS = (
-    ParameterRow("joint_1.theta", "rad", 0.0, 1.23456e-3, 2.5e-6, "identified", ""),
-    ParameterRow("joint_2.k_z", "rad/(N m)", 0.0, 1.5e-6, 2e-8, "prior", "the poses say little of it"),
-    ParameterRow("joint_3.k_z", "rad/(N m)", 0.0, 2.5e-6, 2e-8, "prior", "the poses say little of it"),
-    ParameterRow("tool.x", "m", 0.1, 0.1, None, "fixed", "given by the user"),
+    ParameterRow("joint_1.theta", "rad", 0.0, 1.23456e-3, 2.5e-6, Status.IDENTIFIED, IDENTIFIED),
+    ParameterRow("joint_2.k_z", "rad/(N m)", 0.0, 1.5e-6, 2e-8, Status.PRIOR, WEAK),
+    ParameterRow("joint_3.k_z", "rad/(N m)", 0.0, 2.5e-6, 2e-8, Status.PRIOR, WEAK),
+    ParameterRow("tool.x", "m", 0.1, 0.1, None, Status.FIXED, Reason(Cause.GIVEN)),
 )
 STATISTICS = {f"{name}_mm": 0.1 * k for k, name in enumerate(("mean", "median", "rms", "p95", "max"), 1)}
 
@@ -74,7 +76,7 @@ def test_every_rendering_shows_every_cell(table: Table) -> None:
 def test_remarks_are_footnotes_once_each() -> None:
     """Rows that share a reason share the number of its footnote."""
     text = str(parameter_table(ROWS))
-    assert text.count("the poses say little of it") == 1 and text.count("(1)") == 3
+    assert text.count("the data add nothing to the prior of ±1 µrad/(N m)") == 1 and text.count("(1)") == 3
     assert "fixed (2)" in text and "identified (" not in text
 
 

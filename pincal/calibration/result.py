@@ -11,6 +11,7 @@ from scipy.special import chdtrc
 from pincal.identify.calibrate import Fit
 from pincal.identify.explain import explain
 from pincal.identify.problem import Problem
+from pincal.identify.reasons import Reason, Status
 from pincal.measure.measurements import Measurements
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.validate.accuracy import error_table, pose_errors
@@ -19,8 +20,7 @@ from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
 # Correlations below this are not worth a reader's time.
 _CORRELATED = 0.9
-# A held-out row is far off if its error is larger than the median by this factor: real residuals stay within about five
-# times their median, and a reading of another target or pose is off by hundreds.
+# A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
 _FAR = 10.0
 _MOST_CORRELATIONS = 20
 
@@ -35,8 +35,8 @@ class ParameterRow:
         nominal: what the URDF says.
         value: what was found.
         sigma: its standard deviation; that of the prior where the data say nothing, None for a given value.
-        status: "identified", "prior", "fixed", "unidentifiable" or "at bound".
-        reason: in words, empty for an identified parameter.
+        status: whether the data identify it.
+        reason: why not.
         effect: that owns it; "named_point" for coordinates of sockets, anchors and points of an object.
     """
 
@@ -45,9 +45,21 @@ class ParameterRow:
     nominal: float
     value: float
     sigma: float | None
-    status: str
-    reason: str
+    status: Status
+    reason: Reason
     effect: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of ``result.json``, the reason in words."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "nominal": self.nominal,
+            "value": self.value,
+            "sigma": self.sigma,
+            "status": str(self.status),
+            "reason": str(self.reason),
+        }
 
 
 @dataclass(frozen=True)
@@ -80,9 +92,7 @@ class Result:
         """Return the contents of ``result.json``."""
         absent = {name for name in ("iso9283", "lack_of_fit") if getattr(self, name) is None}
         contents = {name: value for name, value in asdict(self).items() if name not in absent}
-        for row in contents["parameters"]:
-            del row["effect"]
-        return contents
+        return contents | {"parameters": [row.to_dict() for row in self.parameters]}
 
 
 def result_of(

@@ -9,10 +9,9 @@ from dataclasses import fields
 from typing import Any
 
 from pincal.errors import BadInputError
-from pincal.simulate.effect import HiddenEffect
+from pincal.simulate.effect import HiddenEffect, Scope
 from pincal.simulate.elastic import MOMENT_FRAMES
 from pincal.simulate.hidden import HIDDEN_EFFECTS
-from pincal.simulate.typical import SIZE_UNITS, WHOLE_ARM
 
 _CHOICES = {"frame": ("before", "after"), "moment_frame": MOMENT_FRAMES}
 # Between the components of a vector, as commas separate keys.
@@ -56,8 +55,8 @@ def effect_help() -> str:
     """Return the effects with their keys and units as lines of help."""
     lines = []
     for name, kind in HIDDEN_EFFECTS.items():
-        keys = ", ".join([f"size [{SIZE_UNITS[name]}]", *_known(kind)[1:]])
-        lines.append(f"  {name}{'' if name in WHOLE_ARM else ':JOINT'}: {keys}")
+        keys = ", ".join([f"size [{kind.unit}]", *_known(kind)[1:]])
+        lines.append(f"  {name}{'' if kind.scope is Scope.ARM else ':JOINT'}: {keys}")
     return "\n".join(lines)
 
 

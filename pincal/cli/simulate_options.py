@@ -3,16 +3,40 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from pincal.cli.common import ANGLE, LENGTH, Quantity, options
-from pincal.cli.simulate_setup import parse_lens
+from pincal.errors import BadInputError
 
-RECORDED = ("temperature", "time", "approach")
-"""Columns that a campaign may record of its conditions."""
+if TYPE_CHECKING:
+    from pincal.simulate.sensors import SetupOptions
+
+
+_BESIDE, _CAMERAS = ("position", "pose", "distance"), ("camera_point", "camera_pixel")
+# Options that only some sensors have; the sensor that those of them which say it all stand for.
+_GOES_WITH = {
+    "sockets": ("socket",),
+    "socket_spacing": ("socket",),
+    "anchors": ("distance",),
+    "ball_bar": ("distance",),
+    "object": _CAMERAS,
+    "lens": _CAMERAS,
+    "camera_out": ("camera_pixel",),
+    "targets": _BESIDE,
+    "instrument": (*_BESIDE, "socket"),
+    "noise_angle": ("pose",),
+}
+_IMPLIED = {"sockets": "socket", "anchors": "distance", "ball_bar": "distance"}
+_NOISE = {"m": 5e-5, "px": 0.1}
+# Images of the paper's object: three blocks on each of two sides, two joint configurations each.
+_PAPER_POSES = 12
+# Columns that a campaign may record of its conditions.
+_RECORDED = ("temperature", "time", "approach")
 
 
 class _Level(click.ParamType[float]):
@@ -118,9 +142,9 @@ campaign_options = options(
                  help="Several loads: one after the other, or in turn."),
     click.option("--payload-com", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="X Y Z",
                  help="Centre of mass of the payload in the tip frame [m]."),
-    click.option("--with", "recorded", multiple=True, type=click.Choice(RECORDED),
+    click.option("--with", "recorded", multiple=True, type=click.Choice(_RECORDED),
                  help="A column to record, whether an effect needs it or not."),
-    click.option("--hide", multiple=True, type=click.Choice([*RECORDED, "payload"]),
+    click.option("--hide", multiple=True, type=click.Choice([*_RECORDED, "payload"]),
                  help="A column that has its effect but is not recorded."),
     click.option("--seed", type=int, default=0, show_default=True, help="Of the machine, the instrument and all else."),
     click.option("--pose-seed", type=int, help="Of poses, conditions and noise; that of the machine unless given."),
@@ -159,3 +183,110 @@ setup_options = options(
     click.option("--camera-out", type=click.Path(path_type=Path), metavar="FILE.json",
                  help="Write the camera (camera_pixel)."),
 )  # fmt: skip
+
+
+def settle_options(chosen: dict[str, Any]) -> None:
+    """Fill in what follows from other options: sensor, noise, number of poses.
+
+    Args:
+        chosen: Options of the command by name; changed in place.
+
+    Raises:
+        UsageError: If an option has nothing to do with the sensor.
+    """
+    context = click.get_current_context()
+    given = {name for name in chosen if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT}
+    if chosen["sensor"] is None:
+        implied = [kind for name, kind in _IMPLIED.items() if name in given]
+        chosen["sensor"] = implied[0] if implied else "position"
+    sensor = chosen["sensor"]
+    for name in sorted(given & _GOES_WITH.keys()):
+        if sensor not in _GOES_WITH[name]:
+            option = f"--{name.replace('_', '-')}"
+            raise click.UsageError(f"{option} goes with --sensor {' or '.join(_GOES_WITH[name])}, not with {sensor}")
+    if chosen["ball_bar"] is not None and "targets" in given:
+        raise click.UsageError("--ball-bar holds one tool point; leave out --targets")
+    if chosen["points_out"] is not None and not (chosen["anchors"] or chosen["ball_bar"] or sensor not in _BESIDE):
+        raise click.UsageError(
+            f"--points-out: --sensor {sensor} has no named points; expected socket, a camera or --anchors"
+        )
+    if sensor in _CAMERAS and chosen["poses"] is None and chosen["at"] is None and chosen["object"] != "grid":
+        chosen["poses"] = _PAPER_POSES
+    if (chosen["poses"] is None) == (chosen["at"] is None):
+        raise click.UsageError("give either --poses N or --at FILE.csv")
+    if chosen["poses"] is not None and chosen["poses"] < 1:
+        raise BadInputError(f"--poses {chosen['poses']}; expected 1 or more")
+    if chosen["pose_seed"] is None:
+        chosen["pose_seed"] = chosen["seed"]
+    _settle_noise(chosen)
+
+
+def _settle_noise(chosen: dict[str, Any]) -> None:
+    """Put a number in the sensor's own unit in place of the noise."""
+    unit = "px" if chosen["sensor"] == "camera_pixel" else "m"
+    value, given = (_NOISE[unit], unit) if chosen["noise"] is None else chosen["noise"]
+    if given not in (unit, ""):
+        raise click.UsageError(f"--noise: {chosen['sensor']} is measured in {unit}; expected such as {_example(unit)}")
+    chosen["noise"] = value
+
+
+def _example(unit: str) -> str:
+    return "0.1px" if unit == "px" else "0.05mm"
+
+
+def setup_of(chosen: dict[str, Any]) -> SetupOptions:
+    """Return what the options ask of the set-up.
+
+    Args:
+        chosen: Options of the command by name, settled.
+    """
+    from pincal.simulate.sensors import SetupOptions
+
+    wanted = SetupOptions(
+        sigma=chosen["noise"],
+        sigma_angle=chosen["noise_angle"],
+        targets=chosen["targets"],
+        tool=chosen["tool"],
+        at_base=chosen["instrument"] == "base",
+        anchors=chosen["anchors"] or 0,
+        ball_bar=chosen["ball_bar"],
+        lens=chosen["lens"] or {},
+        min_height=None if chosen["no_floor"] else chosen["floor"],
+    )
+    given = {"sockets": chosen["sockets"], "spacing": chosen["socket_spacing"], "seen": chosen["object"]}
+    return replace(wanted, **{name: value for name, value in given.items() if value is not None})
+
+
+def parse_lens(text: str) -> dict[str, float]:
+    """Return intrinsics of a camera by name.
+
+    Args:
+        text: As on the command line, e.g. ``fx=1200,k1=-0.1``.
+
+    Returns:
+        Values by name.
+
+    Raises:
+        BadInputError: For a key or a value that can't be, with those that can.
+
+    Example:
+        >>> parse_lens("fx=1200,fy=1210,width=1280")
+        {'fx': 1200.0, 'fy': 1210.0, 'width': 1280.0}
+    """
+    from pincal.simulate.lens import Lens
+
+    known, found = tuple(Lens().intrinsics), dict[str, float]()
+    for pair in text.split(","):
+        key, _, value = (word.strip() for word in pair.partition("="))
+        if key not in known:
+            raise BadInputError(f"lens {text!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
+        try:
+            found[key] = float(value)
+        except ValueError:
+            raise BadInputError(f"lens {text!r}: {key}={value}; expected a number") from None
+        positive = key in ("fx", "fy", "width", "height")
+        if not np.isfinite(found[key]) or (positive and found[key] < 1.0):
+            raise BadInputError(
+                f"lens {text!r}: {key}={value}; expected a {'number of at least 1' * positive or 'finite number'}"
+            )
+    return found

@@ -14,6 +14,7 @@ from pincal.discover.power import POWER, minimum_detectable
 from pincal.errors import PincalWarning
 from pincal.identify.calibrate import Fit, Options, expected_fit, refit
 from pincal.identify.explain import explain
+from pincal.identify.reasons import Reason, Status
 from pincal.measure.admission import unobservable_notes, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
@@ -46,8 +47,8 @@ class Expectation:
     name: str
     unit: str
     sigma: float
-    status: str
-    reason: str
+    status: Status
+    reason: Reason
     effect: str
 
 
@@ -132,7 +133,7 @@ class DataReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the precheck as plain data."""
-        return asdict(self)
+        return asdict(self) | {"parameters": [asdict(p) | {"reason": str(p.reason)} for p in self.parameters]}
 
 
 def precheck(robot: Robot, measurements: Measurements, options: Options) -> DataReport:

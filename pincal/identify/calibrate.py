@@ -154,7 +154,7 @@ def calibrate(robot: Robot, measurements: Measurements, options: Options | None 
         MeasurementError: if the rows are too few to tell the parameters and the noise.
 
     Example:
-        >>> from pincal.simulate import TrueMachine, measure, plan_poses
+        >>> from pincal.simulate import Instrument, TrueMachine
         >>> from pincal.measure.table import measurements_from_arrays
         >>> from pincal.builtin import kuka_urdf_path
         >>> robot = Robot.from_urdf(kuka_urdf_path())
@@ -162,7 +162,7 @@ def calibrate(robot: Robot, measurements: Measurements, options: Options | None 
         >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
         >>> machine = machine.draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
         >>> q = robot.random_configurations(60, rng)
-        >>> columns = measure(machine, q, targets=(0.1, 0.0, 0.2), kind="position")
+        >>> columns = Instrument(targets=(0.1, 0.0, 0.2)).measure(machine, q)
         >>> position = np.column_stack([columns[c] for c in "xyz"])
         >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
         >>> fit = calibrate(robot, table, Options(effects=GEOMETRIC))

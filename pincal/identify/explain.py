@@ -1,32 +1,38 @@
-"""What the data can tell of each parameter, in words, and which combination they tell where not the parameter itself.
+"""Which parameters the data identify, why not the others, and which combination is identifiable in their place.
 
-Judged at the nominal geometry, so that it is a statement on the robot, the poses and the instrument, not on the noise.
+Judged at the nominal geometry, so that it is a statement about the robot, the poses and the instrument, not the noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from pincal.identify.calibrate import EXTRINSICS, Fit, known_frames
 from pincal.identify.normal import NULL, accumulate, posterior
+from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.identify.rows import some_rows
-from pincal.units import format_readable
+from pincal.parameters import Parameter
 
-Status = Literal["identified", "prior", "fixed", "unidentifiable", "at bound"]
-
-# Below this ratio of posterior to prior standard deviation the data say at least three times as much as the prior.
+# Ratio of posterior to prior standard deviation below which a parameter counts as identified: at 0.5 the data hold three
+# times the information of the prior (1 / 0.25 - 1).
 _IDENTIFIED = 0.5
-# A parameter with more than this share in directions that no reading sees can't be told by itself.
+# The same ratio above which the data count as adding nothing: no prior's size is known to 3 %.
+_NARROWED = 0.97
+# Share in directions that no reading sees above which a parameter is not identifiable by itself: far above
+# rounding, far below any share that matters.
 _UNSEEN = 1e-3
-# Part of a column's square that other columns may leave and still count as doing the same.
+# Part of a column's square that other columns may leave and still have the same effect: 1e-4 of the column itself, far
+# below what any instrument resolves and far above rounding.
 _SAME = 1e-8
+# Eigenvalues of a scaled Gram matrix, relative to the largest, below which they are rounding (its square is 1e-16).
+_RANK = 1e-10
 # Share of a parameter's action below which another one is not worth naming as its counterpart.
 _WORTH_NAMING = 0.05
+# Poses that are looked at; more do not change what can be identified, and take time.
 _ROWS = 2000
 
 
@@ -36,13 +42,13 @@ class Finding:
 
     Attributes:
         name: of the parameter.
-        status: "identified", "prior", "fixed", "unidentifiable" or "at bound".
-        reason: in words; empty for an identified parameter.
+        status: whether the data identify it.
+        reason: why not.
     """
 
     name: str
     status: Status
-    reason: str
+    reason: Reason = IDENTIFIED
 
 
 def explain(fit: Fit) -> tuple[Finding, ...]:
@@ -76,58 +82,48 @@ def _frame_finding(fit: Fit, i: int, told: float, variance: float) -> Finding:
     """Frames of base and tool are known as well as the parameters that they absorb."""
     parameter = fit.problem.parameters[i]
     if told > (1.0 - _IDENTIFIED**2) * variance:
-        return Finding(parameter.name, "identified", "")
-    sharp = format_readable(float(np.sqrt(told)), parameter.unit)
-    return Finding(parameter.name, "prior", f"+- {sharp} with the parameters that it absorbs at their values here")
+        return Finding(parameter.name, Status.IDENTIFIED)
+    return Finding(parameter.name, Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(told)), unit=parameter.unit))
 
 
 def _finding(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> Finding:
-    parameter = fit.problem.parameters[i]
+    parameter, size = fit.problem.parameters[i], float(fit.priors.sizes[i])
     if fit.solution.at_bound[i]:
-        return Finding(parameter.name, "at bound", f"held at its bound of {format_readable(fit.priors.bounds[i], 'm', 'g')}")
+        reason = Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
+        return Finding(parameter.name, Status.AT_BOUND, reason)
     if not fit.solution.free[i]:
-        if parameter.name in known_frames(fit.options):
-            return Finding(parameter.name, "fixed", "given by the user")
-        if parameter.effect in ("lens", "lens_distortion"):
-            given = "left at zero: usual lenses need no more" if fit.options.setup.lens is None else "given by the user"
-            return Finding(parameter.name, "fixed", given)
-        return Finding(parameter.name, "unidentifiable", _not_excited(parameter.name, parameter.unit))
-    if nominal.unseen[i] > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(fit.priors.sizes[i])):
-        reason = nominal.counterpart(i) + _small_moment(fit, parameter.name, parameter.unit)
-        return Finding(parameter.name, "unidentifiable", reason)
+        return _not_free(fit, parameter)
+    if nominal.unseen[i] > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(size)):
+        reason = replace(nominal.counterpart(i), moment=_largest_moment(fit, parameter))
+        return Finding(parameter.name, Status.UNIDENTIFIABLE, reason)
     if ratio >= _IDENTIFIED:
-        return Finding(parameter.name, "prior", _weak(fit, i, ratio))
-    return Finding(parameter.name, "identified", "")
+        weak = Reason(Cause.WEAK if ratio < _NARROWED else Cause.UNINFORMED, size=size, unit=parameter.unit)
+        reason = replace(weak, narrowed=size * ratio, moment=_largest_moment(fit, parameter))
+        return Finding(parameter.name, Status.PRIOR, reason)
+    return Finding(parameter.name, Status.IDENTIFIED)
 
 
-def _not_excited(name: str, unit: str) -> str:
-    if unit.endswith("/(N m)"):
-        return f"no moment about this axis in any pose (axis {name[-1]} parallel to gravity, or nothing hangs on it)"
-    return "nothing in these poses acts on it"
+def _not_free(fit: Fit, parameter: Parameter) -> Finding:
+    """Return why a parameter took no part in the fit."""
+    if parameter.name in known_frames(fit.options):
+        return Finding(parameter.name, Status.FIXED, Reason(Cause.GIVEN))
+    if parameter.effect in ("lens", "lens_distortion"):
+        cause = Cause.NOT_NEEDED if fit.options.setup.lens is None else Cause.GIVEN
+        return Finding(parameter.name, Status.FIXED, Reason(cause))
+    is_compliance = parameter.unit.endswith("/(N m)")
+    cause = Cause.NO_MOMENT if is_compliance else Cause.NOT_EXCITED
+    return Finding(parameter.name, Status.UNIDENTIFIABLE, Reason(cause, axis=parameter.name[-1] if is_compliance else ""))
 
 
-def _weak(fit: Fit, i: int, ratio: float) -> str:
-    parameter = fit.problem.parameters[i]
-    before = format_readable(fit.priors.sizes[i], parameter.unit)
-    after = format_readable(fit.priors.sizes[i] * ratio, parameter.unit)
-    told = (
-        f"known beforehand to +- {before}; the poses narrow this only to +- {after}"
-        if ratio < 0.97
-        else (f"the poses say nothing beyond what is known beforehand, +- {before}")
-    )
-    return f"{told}{_small_moment(fit, parameter.name, parameter.unit)}"
-
-
-def _small_moment(fit: Fit, name: str, unit: str) -> str:
-    """Say how large the moment gets that a compliance answers to."""
+def _largest_moment(fit: Fit, parameter: Parameter) -> float | None:
+    """Return the largest static moment that a joint's compliance answers to in these poses [N m]; None for all else."""
     joints = fit.model.chain.robot.joint_names
-    joint, symbol = name.rsplit(".", 1)
-    if not unit.endswith("/(N m)") or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
-        return ""
+    joint, symbol = parameter.name.rsplit(".", 1)
+    if not parameter.unit.endswith("/(N m)") or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
+        return None
     rows = some_rows(len(fit.problem), _ROWS)
     moments = fit.model.static_moments(np.zeros(fit.model.n_parameters), fit.problem.conditions.select(rows))
-    largest = np.abs(moments[:, 3 * joints.index(joint) + "xyz".index(symbol[-1])]).max()
-    return f" (the moment about this axis stays below {largest:.2g} N m)"
+    return float(np.abs(moments[:, 3 * joints.index(joint) + "xyz".index(symbol[-1])]).max())
 
 
 @dataclass(frozen=True)
@@ -165,41 +161,44 @@ class _Nominal:
         names, effects = zip(*((p.name, p.effect) for p in problem.parameters), strict=True)
         return cls(names, effects, G, scale, unseen)
 
-    def counterpart(self, i: int) -> str:
-        """Say what does the same as parameter ``i``; the smallest set of parameters that does is named."""
+    def counterpart(self, i: int) -> Reason:
+        """Return what has the same effect as parameter ``i``: the smallest set of parameters that does."""
         if self.G[i, i] < NULL:
-            return "it does not move the measured target"
-        for others, words in self._candidates(i):
+            return Reason(Cause.NOT_OBSERVED)
+        for others, cause in self._candidates(i):
             share = self._shares(i, others)
             if share is not None:
-                named = [self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > _WORTH_NAMING]
-                together = f"{', '.join(named)} together do the same" if len(named) > 1 else f"{named[0]} does the same"
-                return words.format(self._combination(i, others, share), together)
-        return "its action hides behind that of many others together"
+                return self._reason(i, cause, others, share)
+        return Reason(Cause.HIDDEN)
 
-    def _candidates(self, i: int) -> Iterator[tuple[list[int], str]]:
+    def _reason(self, i: int, cause: Cause, others: list[int], share: np.ndarray) -> Reason:
+        if cause in (Cause.COMBINATION, Cause.PARALLEL_AXES):
+            factor = float(share[0] * self.scale[i] / self.scale[others[0]])
+            return Reason(cause, combination=Combination(self.names[others[0]], factor, self.names[i]))
+        if cause is Cause.ALIASED:
+            named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > _WORTH_NAMING)
+            return Reason(cause, tuple(named))
+        return Reason(cause, with_points=cause is not Cause.BASE and bool(self._of("named_point")))
+
+    def _candidates(self, i: int) -> Iterator[tuple[list[int], Cause]]:
+        """Yield sets of parameters that may have the same effect, the plainest first, with the cause if they do."""
         symbol = self.names[i].rsplit(".", 1)[1]
         base, tool = self._of("base_frame"), self._of("tool_frame", "named_point", "lens")
         inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.G[j, j] > 0]
         alike = [j for j in inner if self.names[j].endswith("." + symbol)]
-        yield base, "the unknown base frame absorbs it"
-        yield tool, f"{self._unknown} absorbs it"
+        yield base, Cause.BASE
+        yield tool, Cause.TOOL
         for j in self._same(self.G, i, alike):
-            yield [j], "only {0} is determined (the axes are parallel)" if symbol == "d" else "only {0} is determined"
+            yield [j], Cause.PARALLEL_AXES if symbol == "d" else Cause.COMBINATION
         for j in self._same(self.G, i, inner):
-            yield [j], "only {0} is determined"
-        yield base + tool, "the unknown base and tool frames absorb it" if base else f"{self._unknown} absorbs it"
+            yield [j], Cause.COMBINATION
+        yield base + tool, Cause.FRAMES if base else Cause.TOOL
         for j in self._same(self._beside_frames, i, inner):
-            yield [j, *base, *tool], "{1}"
+            yield [j, *base, *tool], Cause.ALIASED
         near = [j for j in inner if abs(self._element[i] - self._element[j]) <= 1]
-        yield near, "{1}"
-        yield [*near, *base, *tool], "{1}"
-        yield [*inner, *base, *tool], "{1}"
-
-    @property
-    def _unknown(self) -> str:
-        """Name what is free beside the base frame."""
-        return "the unknown tool frame" + (" with the unknown points" if self._of("named_point") else "")
+        yield near, Cause.ALIASED
+        yield [*near, *base, *tool], Cause.ALIASED
+        yield [*inner, *base, *tool], Cause.ALIASED
 
     def _of(self, *effects: str) -> list[int]:
         return [j for j, effect in enumerate(self.effects) if effect in effects]
@@ -215,7 +214,7 @@ class _Nominal:
     def _beside_frames(self) -> np.ndarray:
         """G with what base and tool absorb taken out."""
         frames = self._of(*EXTRINSICS)
-        inverse = np.linalg.pinv(self.G[np.ix_(frames, frames)], rcond=1e-10, hermitian=True)
+        inverse = np.linalg.pinv(self.G[np.ix_(frames, frames)], rcond=_RANK, hermitian=True)
         return np.asarray(self.G - self.G[:, frames] @ inverse @ self.G[frames])
 
     @staticmethod
@@ -231,15 +230,8 @@ class _Nominal:
         if not j:
             return None
         values, vectors = np.linalg.eigh(self.G[np.ix_(j, j)])
-        seen = values > 1e-10 * max(values[-1], 1e-300)
+        seen = values > _RANK * max(values[-1], 1e-300)
         U = vectors[:, seen]
         share = (U / values[seen]) @ (U.T @ self.G[j, i])
         left = self.G[i, i] - share @ self.G[j, i]
         return np.asarray(share) if left < _SAME else None
-
-    def _combination(self, i: int, others: list[int], share: np.ndarray) -> str:
-        """Write the sum of parameter i and its single counterpart that readings depend on."""
-        factor = share[0] * self.scale[i] / self.scale[others[0]]
-        sign = "+" if factor > 0 else "-"
-        times = "" if abs(abs(factor) - 1.0) < 1e-3 else f"{abs(factor):.3g} x "
-        return f"{self.names[others[0]]} {sign} {times}{self.names[i]}"

@@ -1,96 +1,112 @@
-"""What the data could not tell, by cause, and what to measure so that they could."""
+"""What the data do not identify, by cause, and what to measure so that they would."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from pincal.calibration.result import ParameterRow
 from pincal.calibration.run import Calibration
+from pincal.identify.reasons import Cause, Status
 
-# Words of a reason (see pincal.identify.explain) -> cause, and what to do about it; the first that fits.
-_CAUSES = (
-    (
-        ("parameters that it absorbs",),
-        "Placement of instrument and target",
-        "These are as sharp as they need to be: what looks uncertain is only how much of them belongs to the robot's first "
-        "or last link. Nothing to measure.",
-    ),
-    (
-        ("unknown base", "unknown tool"),
-        "Hidden behind the placement of instrument or target",
-        "Where the instrument stands and where the target sits is unknown, and moving either looks just like these "
-        "parameters. Predictions in the instrument's frame do not depend on it. If you need them apart, measure the robot's "
-        "foot or the target's offset by itself and give it to the calibration (--tool).",
-    ),
-    (
-        ("is determined", "does the same", "do the same", "hides behind"),
-        "Two or more parameters with one and the same action",
-        "In every pose these do what others do; only the combination moves the target, and it is calibrated. No measurement "
-        "of this kind tells them apart, and none is needed.",
-    ),
-    (
-        ("no moment about",),
-        "Gravity never loads it",
-        "No pose twists the arm about this axis, so its elasticity shows nowhere. It does not matter as long as the robot "
-        "stays mounted as it is; only a tilted mounting would tell.",
-    ),
-    (
-        ("nothing in these poses", "does not move"),
-        "Never moved",
-        "Nothing in these poses acts on it. Measure poses in which this joint moves through its whole range.",
-    ),
-    (
-        ("says nothing", "say nothing", "narrow this"),
-        "Too little signal in these poses",
-        "What it does is small beside the noise. Measure with the heaviest payload, with the arm stretched out, and with "
-        "this joint through its whole range; four times the poses halve the uncertainty.",
-    ),
-    (
-        ("held at its bound",),
-        "At its bound",
-        "The data asked for more than was allowed. Check this length in the URDF and the units of the table, or allow more "
-        "with --length-bound.",
-    ),
-    (("given by the user",), "Given", "Fixed on your request."),
+
+class Advice(NamedTuple):
+    """What it means that parameters are not identified, and what to measure if that matters."""
+
+    title: str
+    text: str
+
+
+_PLACEMENT = Advice(
+    "Placement of instrument and target",
+    "The uncertainty shown only says how the placement and the robot's first or last link share an offset. Predictions are "
+    "as sharp as they need to be; nothing has to be measured.",
 )
-_OTHER = ("Other", "See the reason in the table.")
-# A joint that covers less of its range than this hardly shows what depends on its position.
+_UNKNOWN_FRAMES = Advice(
+    "Absorbed by the unknown placement of instrument or target",
+    "Neither the instrument's nor the target's position is known, and moving either looks exactly like a change of these "
+    "parameters. Predictions in the instrument's frame do not depend on the choice. To separate them, measure the robot's "
+    "foot or the target's offset independently and pass it to the calibration (--tool).",
+)
+_SAME_EFFECT = Advice(
+    "Parameters with the same effect",
+    "In every pose these parameters act exactly like others; only the combination moves the target, and the combination is "
+    "calibrated. No measurement of this kind can separate them, and none is needed.",
+)
+_NO_MOMENT = Advice(
+    "Never loaded by gravity",
+    "No pose has a moment about this axis, so its compliance never shows. It does not matter as long as the robot stays "
+    "mounted as it is; only a tilted mounting would reveal it.",
+)
+_NOT_EXCITED = Advice(
+    "Not excited",
+    "No pose excites these parameters. Measure poses in which the joint moves through its whole range.",
+)
+_WEAK = Advice(
+    "Too little signal in these poses",
+    "The effect of these parameters is small compared with the noise. Measure with the heaviest payload, with the arm "
+    "stretched out, and with this joint through its whole range; four times as many poses halve the uncertainty.",
+)
+_AT_BOUND = Advice(
+    "Stopped at a bound",
+    "The data ask for more than the bound allows. Check this length in the URDF and the units of the table, or raise the "
+    "bound with --length-bound.",
+)
+_GIVEN = Advice("Given", "Fixed at your request, or by default.")
+# In the order in which they are shown: those that call for action last.
+_BY_CAUSE = {
+    Cause.ABSORBS: _PLACEMENT,
+    Cause.BASE: _UNKNOWN_FRAMES,
+    Cause.TOOL: _UNKNOWN_FRAMES,
+    Cause.FRAMES: _UNKNOWN_FRAMES,
+    Cause.PARALLEL_AXES: _SAME_EFFECT,
+    Cause.COMBINATION: _SAME_EFFECT,
+    Cause.ALIASED: _SAME_EFFECT,
+    Cause.HIDDEN: _SAME_EFFECT,
+    Cause.NO_MOMENT: _NO_MOMENT,
+    Cause.NOT_EXCITED: _NOT_EXCITED,
+    Cause.NOT_OBSERVED: _NOT_EXCITED,
+    Cause.UNINFORMED: _WEAK,
+    Cause.WEAK: _WEAK,
+    Cause.AT_BOUND: _AT_BOUND,
+    Cause.GIVEN: _GIVEN,
+    Cause.NOT_NEEDED: _GIVEN,
+}
+# Share of its range below which a joint hardly shows what depends on its position; a judgement, not a measurement.
 _NARROW = 0.3
 
 
 @dataclass(frozen=True)
 class UnidentifiedGroup:
-    """Parameters that the data do not tell, for one and the same cause.
+    """Parameters that are not identified for one and the same cause.
 
     Attributes:
-        title: the cause.
         advice: what it means, and what to measure.
-        rows: the parameters.
+        names: the parameters.
     """
 
-    title: str
-    advice: str
-    rows: tuple[ParameterRow, ...]
+    advice: Advice
+    names: tuple[str, ...]
 
 
-def not_told(parameters: Sequence[ParameterRow]) -> tuple[UnidentifiedGroup, ...]:
+def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[UnidentifiedGroup, ...]:
     """Return the parameters that are not identified, by cause, the causes that call for action last.
 
     Example:
-        >>> row = ParameterRow("a.k_z", "rad/(N m)", 0.0, 0.0, 1e-6, "unidentifiable", "no moment about this axis")
-        >>> [(gap.title, [row.name for row in gap.rows]) for gap in not_told([row])]
-        [('Gravity never loads it', ['a.k_z'])]
+        >>> from pincal.identify.reasons import Reason
+        >>> reason = Reason(Cause.NO_MOMENT, axis="z")
+        >>> row = ParameterRow("a.k_z", "rad/(N m)", 0.0, 0.0, 1e-6, Status.UNIDENTIFIABLE, reason)
+        >>> [(group.advice.title, group.names) for group in unidentified_groups([row])]
+        [('Never loaded by gravity', ('a.k_z',))]
     """
-    found: dict[tuple[str, str], list[ParameterRow]] = {(title, advice): [] for _, title, advice in _CAUSES}
-    found[_OTHER] = []
+    found: dict[Advice, list[str]] = {advice: [] for advice in _BY_CAUSE.values()}
     for row in parameters:
-        if row.status != "identified":
-            cause = next(((t, a) for words, t, a in _CAUSES if any(w in row.reason for w in words)), _OTHER)
-            found[cause].append(row)
-    return tuple(UnidentifiedGroup(title, advice, tuple(rows)) for (title, advice), rows in found.items() if rows)
+        if row.status is not Status.IDENTIFIED:
+            found[_BY_CAUSE[row.reason.cause]].append(row.name)
+    return tuple(UnidentifiedGroup(advice, tuple(names)) for advice, names in found.items() if names)
 
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:

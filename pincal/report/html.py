@@ -13,7 +13,7 @@ from pincal.calibration.run import Calibration
 from pincal.calibration.tables import shown_parameters
 from pincal.discover.run import Discovery
 from pincal.discover.shrink import gap_names
-from pincal.report.advice import not_told
+from pincal.report.advice import unidentified_groups
 from pincal.report.glossary import TERMS, effect_meaning
 from pincal.report.illustrations import Picture, illustrations
 from pincal.report.summary import next_steps, verdict_of
@@ -85,7 +85,7 @@ def report_page(
         pure_words=pure_words,
         angle_words=ANGLE_WORDS,
         parameters=[(row, *_readable(row)) for row in shown_parameters(result.parameters)],
-        untold=not_told(shown_parameters(result.parameters)),
+        untold=unidentified_groups(shown_parameters(result.parameters)),
         notes=notes,
         provenance=provenance,
         discovery=discovery,

@@ -2,8 +2,9 @@
 
 from pincal.simulate.arm import Arm, read_arm
 from pincal.simulate.calibration_object import CalibrationObject, grid_object, paper_object
-from pincal.simulate.camera import measure_camera, plan_camera_poses
-from pincal.simulate.contact import measure_contacts
+from pincal.simulate.camera import EyeInHand, View, plan_views
+from pincal.simulate.campaign import Campaign
+from pincal.simulate.contact import Contact
 from pincal.simulate.drive import (
     AxisWobble,
     Backlash,
@@ -25,12 +26,13 @@ from pincal.simulate.elastic import (
     NonlinearElasticity,
 )
 from pincal.simulate.hidden import HIDDEN_EFFECTS, hidden_effect
+from pincal.simulate.instrument import Instrument
 from pincal.simulate.lens import Lens
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.measure import measure
 from pincal.simulate.paper_machine import paper_moments, paper_positions, paper_transform
 from pincal.simulate.planning import plan_poses
 from pincal.simulate.sensors import SENSORS, SetupOptions, draw_setup
+from pincal.simulate.setup import SensorSetup
 from pincal.simulate.state import Poses
 from pincal.simulate.surroundings import BaseDrift, MeasurementScale, PayloadError, ThermalExpansion
 
@@ -44,10 +46,14 @@ __all__ = [
     "BaseElasticity",
     "BearingElasticity",
     "CalibrationObject",
+    "Campaign",
+    "Contact",
+    "EyeInHand",
     "GearEccentricity",
     "GearRatio",
     "GravityCompensator",
     "HiddenEffect",
+    "Instrument",
     "JointCoupling",
     "JointElasticity",
     "JointScatter",
@@ -58,22 +64,21 @@ __all__ = [
     "NonlinearElasticity",
     "PayloadError",
     "Poses",
+    "SensorSetup",
     "SetupOptions",
     "ThermalExpansion",
     "ThermalOffset",
     "TransmissionError",
     "TrueMachine",
+    "View",
     "draw_setup",
     "grid_object",
     "hidden_effect",
-    "measure",
-    "measure_camera",
-    "measure_contacts",
     "paper_moments",
     "paper_object",
     "paper_positions",
     "paper_transform",
-    "plan_camera_poses",
     "plan_poses",
+    "plan_views",
     "read_arm",
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,17 @@ class Arm:
     axes: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+
+    @cached_property
+    def lengths(self) -> np.ndarray:
+        """Distance from each joint to the next, last to the tip [m], shape (n,)."""
+        lengths: np.ndarray = np.linalg.norm(self.placements[1:, :3, 3], axis=1)
+        return lengths
+
+    @property
+    def reach(self) -> float:
+        """Sum of the distances from joint to joint and to the tip [m]."""
+        return float(self.lengths.sum())
 
     def index(self, joint: str | None) -> int:
         """Return the position of a joint in the chain.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,14 +24,20 @@ class CalibrationObject:
     Attributes:
         names: Names of the K points.
         places: Where they are in the object's frame [m], shape (K, 3).
-        normals: Direction in which the plate of each looks, shape (K, 3).
+        normals: Direction in which the plate of each looks, shape (K, 3); None for points seen from everywhere.
         field: Number of the image field of each, from 0, shape (K,).
     """
 
     names: tuple[str, ...]
     places: np.ndarray
-    normals: np.ndarray
+    normals: np.ndarray | None
     field: np.ndarray
+
+    @classmethod
+    def of_points(cls, points: Mapping[str, Any], normals: Mapping[str, Any] | None = None) -> CalibrationObject:
+        """Return an object of one field from named points [m] and, if they have a front, normals, shape (3,) each."""
+        towards = None if normals is None else np.array([normals[name] for name in points], float)
+        return cls(tuple(points), np.array([*points.values()], float), towards, np.zeros(len(points), int))
 
     @property
     def n_fields(self) -> int:
@@ -40,7 +48,8 @@ class CalibrationObject:
         """Return centre [m], shape (3,), normal, shape (3,), and radius [m] of an image field."""
         places = self.places[self.field == field]
         centre = places.mean(axis=0)
-        return centre, self.normals[self.field == field][0], float(np.linalg.norm(places - centre, axis=1).max())
+        normal = np.array([0.0, 0.0, 1.0]) if self.normals is None else self.normals[self.field == field][0]
+        return centre, normal, float(np.linalg.norm(places - centre, axis=1).max())
 
 
 def paper_object() -> CalibrationObject:

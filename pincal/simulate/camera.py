@@ -1,87 +1,220 @@
-"""Simulated measurements of a fixed calibration object with a camera in the robot's hand."""
+"""The set-up of the paper: a camera in the robot's hand that looks at a fixed calibration object."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.effect import MeasuringEffect
+from pincal.simulate.arm import Arm
+from pincal.simulate.calibration_object import CalibrationObject
+from pincal.simulate.effect import as_read
 from pincal.simulate.lens import Lens
-from pincal.simulate.machine import TrueMachine
-from pincal.simulate.measure import Table, noise, pose_columns, scatter_of
-from pincal.simulate.planning import is_clear, plan_poses, reach
+from pincal.simulate.planning import collect_poses, is_clear, plan_poses, reach
+from pincal.simulate.setup import Machine, Reading, SensorSetup, draw_noise, refuse_scale
+from pincal.simulate.state import Poses
 
-# Points on a plate seen more slantingly than this (cosine of the angle to its normal) can't be made out.
-_SLANTED = 0.25
-# Random goals in one round, at least.
+# Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be made out.
+_OBLIQUE = 0.25
+# Smallest number of random goals in a round.
 _TRIES = 16
+# The camera looks from where a field's radius fills so much of the image's half height; border that stays free.
+_FILL, _BORDER = (0.45, 0.85), 0.04
+# Rounds of random goals for all views of a field, and to find out whether there are any.
+_PATIENCE, _GLANCES = 60, 3
 
 
-def measure_camera(
-    machine: TrueMachine,
-    q: np.ndarray,
-    *,
-    camera_pose: np.ndarray,
-    points: Mapping[str, Any],
-    normals: Mapping[str, Any] | None = None,
-    noise_sigma: float = 0.0,
-    rng: np.random.Generator | None = None,
-    lens: Lens | None = None,
-    in_metres: bool = False,
-    payload_com: Any = (0.0, 0.0, 0.0),
-    hide: Collection[str] = (),
-    **conditions: Any,
-) -> Table:
-    """Measure points of a fixed calibration object with a camera at the tip.
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """How a camera is to look at a point.
+
+    Attributes:
+        camera_pose: Transform from camera to tip frame, shape (4, 4).
+        look_at: The point in the base frame [m], shape (3,).
+        facing: Normal of the object in the base frame, towards the camera, shape (3,).
+        distance: Smallest and largest distance of the camera from the point [m].
+        tilt: Largest angle between view and the object's normal [rad].
+        accept: What else is asked of a pose: gets transforms from camera to base frame, shape (N, 4, 4), says
+            which will do, shape (N,).
+    """
+
+    camera_pose: np.ndarray
+    look_at: Any
+    facing: Any = (0.0, 0.0, 1.0)
+    distance: tuple[float, float] = (0.3, 0.6)
+    tilt: float = 0.6
+    accept: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return random transforms from camera to base frame that look at the point, shape (count, 4, 4)."""
+        goals = np.tile(np.eye(4), (count, 1, 1))
+        goals[:, :3, :3] = self._orientations(count, rng)
+        goals[:, :3, 3] = np.asarray(self.look_at) - rng.uniform(*self.distance, (count, 1)) * goals[:, :3, 2]
+        return goals
+
+    def _orientations(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return rotations of a camera whose view is tilted from the object's normal, shape (count, 3, 3)."""
+        from scipy.spatial.transform import Rotation
+
+        onto = Rotation.align_vectors(-np.asarray(self.facing, float)[None], [[0.0, 0.0, 1.0]])[0]
+        spin = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi, (count, 1)) * [0.0, 0.0, 1.0])
+        direction = rng.uniform(-np.pi, np.pi, count)
+        angle = self.tilt * np.sqrt(rng.uniform(0.0, 1.0, (count, 1)))
+        axis = np.stack((np.cos(direction), np.sin(direction), 0.0 * direction), axis=1)
+        rotation: np.ndarray = (onto * Rotation.from_rotvec(angle * axis) * spin).as_matrix()
+        return rotation
+
+
+def plan_views(
+    arm: Arm, n: int, *, rng: np.random.Generator, view: View, min_height: float | None = 0.1, rounds: int = 20
+) -> np.ndarray:
+    """Draw poses in which the camera looks at a point.
 
     Args:
-        machine: The true machine.
-        q: Recorded joint positions [rad or m], shape (N, n).
-        camera_pose: Transform from the camera frame (z along the view, x to the right) to the tip frame,
-            shape (4, 4).
-        points: Position of each named point in the robot's base frame [m], shape (3,).
-        normals: Direction in which the plate of each point looks, shape (3,); points seen from behind or at a
-            glancing angle are left out. Without it points are seen from everywhere.
-        noise_sigma: Standard deviation of each coordinate, [px] for image coordinates, else [m].
-        rng: Source of noise and scatter.
-        lens: Gives image coordinates ``u v`` of the points in the image; without it ``cx cy cz`` of all points.
-        in_metres: Give ``cx cy cz`` even with a lens, of the points in its image.
-        payload_com: Centre of mass of the payload in the tip frame [m].
-        hide: Columns that the table does not show.
-        **conditions: ``payload``, ``temperature``, ``time`` and ``approach`` as in
-            :func:`pincal.simulate.measure.measure`.
+        arm: The nominal arm.
+        n: Number of poses.
+        rng: Source of randomness.
+        view: How the camera is to look.
+        min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
+        rounds: Rounds of random goals before giving up.
 
     Returns:
-        Columns: joints, conditions, ``point``, and ``cx cy cz`` or ``u v``.
+        Joint positions, shape (n, number of joints).
 
     Raises:
-        BadInputError: If no point is seen in any pose.
+        BadInputError: If the arm hardly reaches such poses.
     """
-    poses = machine.poses(q, payload_com=payload_com, scatter=scatter_of(machine, q, rng), **conditions)
-    camera = machine.equilibrium(poses).tip @ np.asarray(camera_pose, float)
-    seen = in_camera(camera, np.array([*points.values()], float)).reshape(-1, 3)
-    visible = np.ones(len(seen), bool) if lens is None else lens.sees(seen)
-    if normals is not None:
-        visible &= _faces(camera, seen, np.array([*normals.values()], float))
-    if not visible.any():
-        raise BadInputError("the camera sees no point of the object in any pose; take poses that look at it")
-    table = pose_columns(machine, poses, conditions, repeat=len(points)) | {
-        "point": np.tile(np.array(list(points)), len(poses.q))
-    }
-    table = {name: column[visible] for name, column in table.items() if name not in hide}
-    reading, names = _true_readings(machine, seen[visible], None if in_metres else lens)
-    return table | dict(zip(names, (reading + noise(reading.shape, noise_sigma, rng)).T, strict=True))
+
+    def draw() -> np.ndarray:
+        seed = plan_poses(arm, max(4 * n, _TRIES), rng, min_height=min_height)
+        goals = view.draw(len(seed), rng)
+        wanted = np.ones(len(seed), bool) if view.accept is None else view.accept(goals)
+        q, reached = reach(arm, seed[wanted], goal=goals[wanted] @ np.linalg.inv(view.camera_pose))
+        q = q[reached]
+        return np.asarray(q[is_clear(arm, q, min_height)])
+
+    shortage = "that look at the object are within reach; move the object or widen the tilt"
+    return collect_poses(draw, n, rounds=rounds, shortage=shortage)
 
 
-def _true_readings(machine: TrueMachine, seen: np.ndarray, lens: Lens | None) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return what the camera reads of points in its frame without noise, and the columns that this makes."""
-    for effect in machine.effects:
-        if isinstance(effect, MeasuringEffect):
-            seen = effect.reading(seen)
-    return (seen, ("cx", "cy", "cz")) if lens is None else (lens.project(seen), ("u", "v"))
+@dataclass(frozen=True, kw_only=True)
+class EyeInHand(SensorSetup):
+    """A camera at the tip that looks at a fixed calibration object.
+
+    Attributes:
+        target: The calibration object.
+        object_pose: Transform from the object's frame to the robot's base frame, shape (4, 4).
+        camera_pose: Transform from the camera frame (z along the view, x to the right) to the tip frame, shape (4, 4).
+        lens: The camera, which measures only what is in its image; None for a camera that sees everything.
+        in_metres: It gives points in its own frame [m], as a stereo camera does, instead of their image [px].
+    """
+
+    target: CalibrationObject
+    object_pose: np.ndarray = field(default_factory=lambda: np.eye(4))
+    camera_pose: np.ndarray
+    lens: Lens | None = None
+    in_metres: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse an image without a lens."""
+        if self.lens is None and not self.in_metres:
+            raise BadInputError("lens None; expected a lens to take images with, or in_metres=True")
+
+    @property
+    def kind(self) -> str:
+        """Points in the camera's frame or in its image."""
+        return "camera_point" if self.in_metres else "camera_pixel"
+
+    @property
+    def points(self) -> dict[str, np.ndarray]:
+        """The points in the object's own frame."""
+        return dict(zip(self.target.names, self.target.places, strict=True))
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        """Points of the object in the base frame [m], shape (K, 3)."""
+        return np.asarray(self.target.places @ self.object_pose[:3, :3].T + self.object_pose[:3, 3])
+
+    def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
+        """Draw poses that have the whole of one image field after the other in view, from its front."""
+        owner = np.arange(n) * self.target.n_fields // n
+        shares = np.bincount(owner, minlength=self.target.n_fields)
+        return np.vstack([
+            plan_views(arm, int(share), rng=rng, view=self._view(i), min_height=min_height, rounds=_PATIENCE)
+            for i, share in enumerate(shares)
+        ])  # fmt: skip
+
+    def has_views(self, arm: Arm, rng: np.random.Generator, *, min_height: float | None) -> bool:
+        """Return whether the arm easily finds views of all fields."""
+        try:
+            for i in range(self.target.n_fields):
+                plan_views(arm, 1, rng=rng, view=self._view(i), min_height=min_height, rounds=_GLANCES)
+        except BadInputError:
+            return False
+        return True
+
+    def _view(self, i: int) -> View:
+        """Return how to look at an image field so that it is wholly in the image."""
+        lens = self.lens or Lens()
+        centre, normal, radius = self.target.look_at(i)
+        places = self._places[self.target.field == i]
+        half = 0.5 * min(size / focal for size, focal in zip(lens.size, lens.focals, strict=True))
+
+        def is_whole(camera: np.ndarray) -> np.ndarray:
+            seen = in_camera(camera, places).reshape(-1, 3)
+            return np.asarray(lens.sees(seen, margin=_BORDER).reshape(len(camera), -1).all(axis=1))
+
+        return View(
+            camera_pose=self.camera_pose,
+            look_at=self.object_pose[:3, :3] @ centre + self.object_pose[:3, 3],
+            facing=self.object_pose[:3, :3] @ normal,
+            distance=(radius / (half * _FILL[1]), radius / (half * _FILL[0])),
+            accept=is_whole,
+        )
+
+    def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
+        """Return a row for every pose and point in the image that faces the camera."""
+        if not self.in_metres:
+            refuse_scale(machine, "an image has none")
+        camera = machine.equilibrium(poses).tip @ self.camera_pose
+        seen = in_camera(camera, self._places).reshape(-1, 3)
+        visible = self._faces(camera, seen) & (self.lens is None or self.lens.sees(seen))
+        if not visible.any():
+            raise BadInputError("the camera sees no point of the object in any pose; take poses that look at it")
+        rows, point = np.divmod(np.flatnonzero(visible), len(self._places))
+        seen = as_read(machine.effects, seen[visible])
+        reading = seen if self.in_metres or self.lens is None else self.lens.project(seen)
+        reading = reading + draw_noise(reading.shape, self.sigma, rng)
+        names = ("cx", "cy", "cz") if self.in_metres else ("u", "v")
+        columns = dict(zip(names, reading.T, strict=True))
+        return Reading(poses, rows, {"point": np.array(self.target.names)[point]} | columns)
+
+    def _faces(self, camera: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Return whether the plate of each point, seen as in :func:`in_camera`, faces the camera, shape (N * K,)."""
+        if self.target.normals is None:
+            return np.ones(len(seen), bool)
+        normals = self.target.normals @ self.object_pose[:3, :3].T
+        facing = np.einsum("nab,ka->nkb", camera[:, :3, :3], normals).reshape(-1, 3)
+        cosine = -np.sum(facing * seen, axis=1) / np.maximum(np.linalg.norm(seen, axis=1), 1e-12)
+        return np.asarray(cosine > _OBLIQUE)
+
+    def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
+        """Return the origin of the object in the camera's frame."""
+        return in_camera(tip @ self.camera_pose, self.object_pose[None, :3, 3])[:, 0]
+
+    def truth(self) -> dict[str, Any]:
+        """Return where camera and object are, and the camera itself."""
+        noise = {"sigma_m": None, "sigma_rad": None, "sigma_px": self.sigma}
+        found = {
+            "noise": {"sigma_m": self.sigma, "sigma_rad": None} if self.in_metres else noise,
+            "T_tip_camera": self.camera_pose.tolist(),
+            "T_base_object": self.object_pose.tolist(),
+        }
+        return found | ({} if self.in_metres or self.lens is None else {"camera": self.lens.intrinsics})
 
 
 def in_camera(camera: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -96,75 +229,3 @@ def in_camera(camera: np.ndarray, places: np.ndarray) -> np.ndarray:
     """
     seen: np.ndarray = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3])
     return seen
-
-
-def _faces(camera: np.ndarray, seen: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return whether the plate of each point, seen as in :func:`in_camera`, looks at the camera, shape (N * K,)."""
-    facing = np.einsum("nab,ka->nkb", camera[:, :3, :3], normals).reshape(-1, 3)
-    cosine = -np.sum(facing * seen, axis=1) / np.maximum(np.linalg.norm(seen, axis=1), 1e-12)
-    return np.asarray(cosine > _SLANTED)
-
-
-def plan_camera_poses(
-    machine: TrueMachine,
-    n: int,
-    rng: np.random.Generator,
-    *,
-    camera_pose: np.ndarray,
-    look_at: Any,
-    distance: tuple[float, float] = (0.3, 0.6),
-    tilt: float = 0.6,
-    facing: Any = (0.0, 0.0, 1.0),
-    min_height: float | None = 0.1,
-    accept: Callable[[np.ndarray], np.ndarray] | None = None,
-    patience: int = 20,
-) -> np.ndarray:
-    """Find poses in which the camera looks at a point.
-
-    Args:
-        machine: The machine whose nominal arm is planned for.
-        n: Number of poses.
-        rng: Source of randomness.
-        camera_pose: Transform from camera to tip frame, shape (4, 4).
-        look_at: The point in the base frame [m], shape (3,).
-        distance: Smallest and largest distance of the camera from it [m].
-        tilt: Largest angle between view and the object's normal [rad].
-        facing: Normal of the object in the base frame, towards the camera, shape (3,).
-        min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
-        accept: What else is asked of a pose: gets transforms from camera to base frame, shape (N, 4, 4), says
-            which will do, shape (N,).
-        patience: Rounds of random goals before giving up.
-
-    Returns:
-        Joint positions, shape (n, number of joints).
-
-    Raises:
-        BadInputError: If the arm hardly reaches such poses.
-    """
-    arm, found = machine.nominal, np.empty((0, len(machine.names)))
-    for _ in range(patience):
-        seed = plan_poses(arm, max(4 * n, _TRIES), rng, min_height=min_height)
-        goals = np.tile(np.eye(4), (len(seed), 1, 1))
-        goals[:, :3, :3] = _views(len(seed), rng, np.asarray(facing, float), tilt)
-        goals[:, :3, 3] = np.asarray(look_at) - rng.uniform(*distance, (len(seed), 1)) * goals[:, :3, 2]
-        wanted = np.ones(len(seed), bool) if accept is None else accept(goals)
-        q, reached = reach(arm, seed[wanted], goals[wanted] @ np.linalg.inv(camera_pose))
-        q = q[reached]
-        found = np.vstack((found, q[is_clear(arm, q, min_height)]))
-        if len(found) >= n:
-            return found[:n]
-    raise BadInputError(f"only {len(found)} of {n} camera poses are within reach; move the object or widen the tilt")
-
-
-def _views(count: int, rng: np.random.Generator, facing: np.ndarray, tilt: float) -> np.ndarray:
-    """Return rotations of a camera whose view is tilted from the object's normal, shape (count, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    onto = Rotation.align_vectors(-facing[None], [[0.0, 0.0, 1.0]])[0]
-    spin = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi, (count, 1)) * [0.0, 0.0, 1.0])
-    direction = rng.uniform(-np.pi, np.pi, count)
-    angle = tilt * np.sqrt(rng.uniform(0.0, 1.0, (count, 1)))
-    axis = np.stack((np.cos(direction), np.sin(direction), 0.0 * direction), axis=1)
-    lean = Rotation.from_rotvec(angle * axis)
-    rotation: np.ndarray = (onto * lean * spin).as_matrix()
-    return rotation

@@ -1,22 +1,22 @@
-"""A measuring campaign: a set-up, the poses that it measures in, what hangs on the flange, and under which conditions."""
+"""A measuring campaign: a set-up, the poses that it measures in, and the conditions under which it does."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.effect import HiddenEffect, MeasuringEffect
+from pincal.simulate.conditions import Conditions
+from pincal.simulate.effect import HiddenEffect, as_read
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.measure import Table, scatter_of
-from pincal.simulate.setup import Setup
+from pincal.simulate.setup import Machine, SensorSetup, Table, draw_scatter
 
 # Time from one pose to the next: drive, settle, measure [s].
 _INTERVAL = 40.0
-# A machine that warms up: from the first temperature by so much, with draughts [deg C].
+# A machine that warms up: first temperature, rise, and standard deviation of draughts [deg C].
 _COLD, _WARMING, _DRAUGHT = 20.0, 10.0, 0.7
 
 
@@ -26,20 +26,17 @@ class Campaign:
 
     Attributes:
         q: Joint positions to measure in [rad or m], shape (N, n); where contact decides, near which.
-        conditions: Of ``payload`` [kg], ``temperature`` [deg C], ``time`` [s], each shape (N,), and ``approach``
-            (-1, 0, 1), shape (N, n), those that apply.
-        payload_com: Centre of mass of the payload in the tip frame [m].
+        conditions: The conditions that apply.
         setup: What measures.
         hidden: Of the conditions, those that have their effect but are not recorded.
     """
 
     q: np.ndarray
-    conditions: dict[str, np.ndarray]
-    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    setup: Setup
+    conditions: Conditions
+    setup: SensorSetup
     hidden: tuple[str, ...] = ()
 
-    def measure(self, machine: TrueMachine, rng: np.random.Generator) -> Table:
+    def measure(self, machine: Machine, rng: np.random.Generator) -> Table:
         """Return the table that the campaign gives of a machine.
 
         Args:
@@ -47,11 +44,10 @@ class Campaign:
             rng: Source of noise and scatter.
 
         Raises:
-            BadInputError: If the set-up can't measure it, or the machine has effects that no arm survives.
+            BadInputError: If the set-up can't measure it, or its errors and effects are too large for any arm.
         """
         approaches = [f"approach_{name}" for name in machine.names] if "approach" in self.hidden else []
-        hide = (*self.hidden, *approaches)
-        table = self.setup.measure(machine, self.q, rng, payload_com=self.payload_com, hide=hide, **self.conditions)
+        table = self.setup.measure(machine, self.q, rng=rng, hide=(*self.hidden, *approaches), **self.conditions)
         for name, column in table.items():
             if column.dtype.kind == "f" and not np.isfinite(column).all():
                 raise BadInputError(f"column {name}: not finite; make errors and effects smaller")
@@ -65,20 +61,55 @@ class Campaign:
             effect: The effect.
         """
         without = replace(machine, effects=tuple(e for e in machine.effects if e is not effect))
-        moved = self._sight(machine) - self._sight(without)
+        moved = self._line_of_sight(machine) - self._line_of_sight(without)
         return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
-    def _sight(self, machine: TrueMachine) -> np.ndarray:
+    def _line_of_sight(self, machine: TrueMachine) -> np.ndarray:
         """Return what the set-up looks at as it reads it without noise [m], shape (N, 3)."""
-        scatter = scatter_of(machine, self.q, np.random.default_rng(0))
-        seen = self.setup.sight(machine.tip(self.q, payload_com=self.payload_com, scatter=scatter, **self.conditions))
-        for effect in machine.effects:
-            if isinstance(effect, MeasuringEffect):
-                seen = effect.reading(seen)
-        return seen
+        scatter = draw_scatter(machine, self.q, np.random.default_rng(0))
+        tip = machine.tip(self.q, scatter=scatter, **self.conditions)
+        return as_read(machine.effects, self.setup.line_of_sight(tip))
+
+    def truth(self, machine: TrueMachine, *, tip: str) -> dict[str, Any]:
+        """Return what was put in: errors and effects of the machine, noise and place of the set-up, as for JSON.
+
+        Args:
+            machine: The machine that is measured.
+            tip: Name of the frame at the end of its arm.
+        """
+        names = machine.names
+        found = {
+            "poses": len(self.q),
+            "sensor": self.setup.kind,
+            "effects": [self._entry(machine, effect) for effect in machine.effects],
+            "geometry": {
+                "placement_errors": {
+                    end: {"translation_m": row[:3].tolist(), "rotation_rad": row[3:].tolist()}
+                    for end, row in zip((*names, tip), machine.placement_errors, strict=True)
+                },
+                "joint_offsets": dict(zip(names, machine.joint_offsets.tolist(), strict=True)),
+            },
+            "compliance": {
+                name: dict(zip(("k_x", "k_y", "k_z"), row.tolist(), strict=True))
+                for name, row in zip(names, machine.compliance, strict=True)
+            },
+            "moment_frame": machine.moment_frame,
+            "mass_factors": dict(zip(names, machine.mass_factors.tolist(), strict=True)),
+            "com_errors_m": dict(zip(names, machine.com_errors.tolist(), strict=True)),
+            "gravity": list(machine.gravity),
+            "payload_com": list(self.conditions.get("payload_com", (0.0, 0.0, 0.0))),
+            "not_recorded": list(self.hidden),
+        }
+        return found | self.setup.truth()
+
+    def _entry(self, machine: TrueMachine, effect: HiddenEffect) -> dict[str, Any]:
+        """Return an effect with its unit and by how far it moves what is looked at."""
+        values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(effect).items()}
+        shift = 1e3 * self.shift(machine, effect)
+        return {"effect": effect.effect} | values | {"unit": effect.unit, "moves_target_rms_mm": shift}
 
 
-def draw_conditions(names: Sequence[str], poses: int, joints: int, rng: np.random.Generator) -> dict[str, Any]:
+def draw_conditions(names: Sequence[str], poses: int, *, joints: int, rng: np.random.Generator) -> dict[str, Any]:
     """Return what a campaign goes through: a machine that warms up, minutes that pass, joints that come from both sides.
 
     Args:

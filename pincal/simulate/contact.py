@@ -1,119 +1,180 @@
-"""Simulated measurements without a view: the tool point is held in sockets, or by a bar, and the joints are read."""
+"""Set-ups that hold the tool point, in sockets or by a bar of constant length, while the joints are read."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.machine import TrueMachine
-from pincal.simulate.measure import Table, noise, pose_columns, scatter_of
-from pincal.simulate.planning import frames, is_clear, newton_step, plan_poses, position_jacobian, reach
+from pincal.simulate.arm import Arm
+from pincal.simulate.effect import as_read
+from pincal.simulate.planning import (
+    collect_poses,
+    frames,
+    is_clear,
+    newton_step,
+    plan_poses,
+    point_at,
+    position_jacobian,
+    reach,
+)
+from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, refuse_scale, transformed
 from pincal.simulate.state import Poses
-from pincal.simulate.typical import arm_reach
 
 Point = tuple[float, float, float]
-# Chord steps on the true arm, of which each gains about three digits, and what has to be left in the end [m].
-_STEPS, _HELD = 30, 5e-13
-# How far the tool point moves at least, in reaches of the arm, where one joint turns by a radian.
-_EASE = 0.02
-# Rounds of random goals before a place counts as out of reach, and how many in one, at least.
+# Chord steps on the true arm, of which each gains about three digits, and the distance that may be left [m].
+_STEPS, _CLOSED = 30, 5e-13
+# The tool point has to move by at least this part of the arm's reach when one joint turns by a radian.
+_LEAST_MOBILITY = 0.02
+# Rounds of random goals before a place counts as out of reach, and the smallest number of goals in a round.
 _ROUNDS, _TRIES = 20, 16
+# A pose given for contact has to bring the tool point this close to a place where it can be held [m].
+_NEAR = 0.02
 
 
-def measure_contacts(
-    machine: TrueMachine,
-    sockets: Mapping[str, Any],
-    *,
-    poses_per_socket: int,
-    rng: np.random.Generator,
-    tool: Point = (0.0, 0.0, 0.0),
-    noise_sigma: float = 0.0,
-    min_height: float | None = 0.1,
-    **conditions: Any,
-) -> Table:
-    """Hold the tool point in sockets in many orientations and record the joints.
+@dataclass(frozen=True, kw_only=True)
+class Contact(SensorSetup):
+    """The tool point is held at fixed places in many orientations: directly, in sockets, or by a ball bar.
 
-    Args:
-        machine: The true machine.
-        sockets: Position of each named socket in the robot's base frame [m], shape (3,).
-        poses_per_socket: Number of orientations in each.
-        rng: Source of randomness.
+    Of sockets only the joints are read, and ``sigma`` is the standard deviation with which the point sits in its
+    socket, each axis [m]. Of a bar the length is read, too, with noise ``sigma`` [m].
+
+    Attributes:
+        fixed: The places in the robot's base frame [m], shape (3,), by name.
         tool: Tool point in the tip frame [m].
-        noise_sigma: Standard deviation with which the point sits in its socket, each axis [m].
-        min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
-        **conditions: As in :func:`measure_held`.
-
-    Returns:
-        Columns: joints, conditions, and ``socket``.
-
-    Raises:
-        BadInputError: If the arm hardly reaches a socket.
+        instrument: Transform from the robot's base frame to that in which the places are known, shape (4, 4);
+            identity if None.
+        length: Length of the bar between place and tool point [m]; 0 for sockets.
     """
-    starts = []
-    for name, place in sockets.items():
-        try:
-            goals = _same_place(np.asarray(place, float))
-            starts.append(plan_held(machine, goals, poses_per_socket, rng, tool=tool, min_height=min_height))
-        except BadInputError:
+
+    fixed: Mapping[str, Any]
+    tool: Point = (0.0, 0.0, 0.0)
+    instrument: np.ndarray | None = None
+    length: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """Distance from an anchor with a bar, else contact."""
+        return "distance" if self.length else "socket"
+
+    @property
+    def _label(self) -> str:
+        return "anchor" if self.length else "socket"
+
+    @property
+    def points(self) -> dict[str, np.ndarray]:
+        """The places in the instrument's frame."""
+        places = {name: np.asarray(place, float) for name, place in self.fixed.items()}
+        return places if self.instrument is None else transformed(self.instrument, places)
+
+    @property
+    def _places(self) -> np.ndarray:
+        return np.array([*self.fixed.values()], float)
+
+    def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
+        """Draw poses that hold the tool point at one place after the other."""
+        owner = np.arange(n) * len(self.fixed) // n
+        planned = []
+        for i, (name, place) in enumerate(self.fixed.items()):
+            try:
+                planned.append(self._plan_at(arm, np.asarray(place, float), int(np.sum(owner == i)), rng, min_height))
+            except BadInputError as error:
+                raise BadInputError(f"{name}: {error}") from None
+        return np.vstack(planned)
+
+    def _plan_at(
+        self, arm: Arm, place: np.ndarray, n: int, rng: np.random.Generator, min_height: float | None
+    ) -> np.ndarray:
+        def draw() -> np.ndarray:
+            seed = plan_poses(arm, max(2 * n, _TRIES), rng, min_height=min_height)
+            goals = place + self.length * upward_directions(len(seed), rng)
+            q, is_held = can_hold(arm, seed, goals=goals, tool=self.tool, min_height=min_height)
+            return np.asarray(q[is_held])
+
+        shortage = "hold the tool point there, so that it is out of reach; choose a place within the arm's reach"
+        return collect_poses(draw, n, rounds=_ROUNDS, shortage=shortage)
+
+    def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
+        """Return the joints of the true machine at the place that is nearest to each pose, and what is read there."""
+        if not self.length:
+            refuse_scale(machine, "a socket reads none")
+        owner, offset = self._nearest(point_at(frames(machine.nominal, poses.q)[:, -1], self.tool))
+        # Noise of a bar is in the reading of its length, noise of a socket in the place of the point.
+        play = draw_noise(offset.shape, 0.0 if self.length else self.sigma, rng)
+        held = hold(machine, poses, self._places[owner] + play, tool=self.tool, radius=self.length)
+        columns = self._columns(machine, offset, rng)
+        return Reading(held, np.arange(len(owner)), columns | {self._label: np.array(list(self.fixed))[owner]})
+
+    def _columns(self, machine: Machine, offset: np.ndarray, rng: np.random.Generator | None) -> Table:
+        """Return the length of the bar as it is read; of sockets nothing is read."""
+        if not self.length:
+            return {}
+        bar = self.length * offset / np.linalg.norm(offset, axis=1, keepdims=True)
+        length = np.linalg.norm(as_read(machine.effects, bar), axis=1)
+        return {"distance": length + draw_noise(length.shape, self.sigma, rng)}
+
+    def _nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the place to which each tool point belongs, shape (N,), and the tool point from there [m], (N, 3)."""
+        offsets, rows = points[:, None] - self._places, np.arange(len(points))
+        off = np.abs(np.linalg.norm(offsets, axis=2) - self.length)
+        owner = off.argmin(axis=1)
+        if off[rows, owner].max() > _NEAR:
+            worst = int(off[rows, owner].argmax())
             raise BadInputError(
-                f"socket {name!r} at {place} is out of reach; place it where the tool can be held in it"
-            ) from None
-    places = np.repeat(np.array([*sockets.values()], float), poses_per_socket, axis=0)
-    table = measure_held(machine, np.vstack(starts), places, rng=rng, tool=tool, noise_sigma=noise_sigma, **conditions)
-    return table | {"socket": np.repeat(np.array(list(sockets)), poses_per_socket)}
+                f"pose {worst + 1}: the tool point is {off[worst].min():.3f} m from where it can be held "
+                f"({', '.join(self.fixed)}); leave --at out, or give poses of the same machine and seed"
+            )
+        return owner, offsets[rows, owner]
+
+    def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
+        """Return the tool point in the base frame, or the bar: the way to the tool point from its anchor."""
+        points = point_at(tip, self.tool)
+        if not self.length:
+            return points
+        offsets = points[:, None] - self._places
+        owner = np.abs(np.linalg.norm(offsets, axis=2) - self.length).argmin(axis=1)
+        return np.asarray(offsets[np.arange(len(offsets)), owner])
+
+    def truth(self) -> dict[str, Any]:
+        """Return where the places and the tool point are, and the length of the bar."""
+        instrument = np.eye(4) if self.instrument is None else self.instrument
+        return {
+            "noise": {"sigma_m": self.sigma, "sigma_rad": None},
+            "T_instrument_base": instrument.tolist(),
+            f"{self._label}s_in_base_m": as_lists(self.fixed),
+            "tool_m": list(self.tool),
+        } | ({"ball_bar_m": self.length} if self.length else {})
 
 
-def _same_place(place: np.ndarray) -> Callable[[int], np.ndarray]:
-    return lambda count: np.tile(place, (count, 1))
-
-
-def measure_held(
-    machine: TrueMachine,
-    q: np.ndarray,
-    places: np.ndarray,
-    *,
-    rng: np.random.Generator,
-    tool: Point = (0.0, 0.0, 0.0),
-    radius: float = 0.0,
-    noise_sigma: float = 0.0,
-    payload_com: Any = (0.0, 0.0, 0.0),
-    hide: Collection[str] = (),
-    **conditions: Any,
-) -> Table:
-    """Hold the tool point of the true machine at given places, or by a bar, and record the joints.
+def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, radius: float = 0.0) -> Poses:
+    """Hold the tool point of the true machine at given places, or by a bar.
 
     Args:
         machine: The true machine.
-        q: Joint positions near which it is held [rad or m], shape (N, n).
+        poses: Poses near which it is held.
         places: Where the tool point is held, in the robot's base frame [m], shape (N, 3).
-        rng: Source of noise and scatter.
         tool: Tool point in the tip frame [m].
-        radius: Length of the bar that holds it off the place, in whatever direction [m]; 0 without a bar.
-        noise_sigma: Standard deviation with which the point sits there, each axis [m].
-        payload_com: Centre of mass of the payload in the tip frame [m].
-        hide: Columns that the table does not show.
-        **conditions: ``payload``, ``temperature``, ``time`` and ``approach`` as in
-            :func:`pincal.simulate.measure.measure`.
+        radius: Length of the bar that holds it off the place, in any direction [m]; 0 without a bar.
 
     Returns:
-        Columns: joints and conditions.
+        The poses with the joint positions that are recorded there.
 
     Raises:
-        BadInputError: If the true arm can't be held there, as by play whose side nobody knows.
+        BadInputError: If the true arm can't be held there, as with backlash of unknown direction.
     """
-    goal = places + noise(places.shape, noise_sigma, rng)
-    scatter = scatter_of(machine, q, rng)
-    q = np.array(q, float)
     for _ in range(_STEPS):
-        poses = machine.poses(q, payload_com=payload_com, scatter=scatter, **conditions)
-        missing, jacobian = _missing(machine, poses, goal, radius, tool)
-        if np.abs(missing).max(initial=0.0) < _HELD:
-            table = pose_columns(machine, poses, conditions)
-            return {name: column for name, column in table.items() if name not in hide}
-        q = q + newton_step(jacobian, missing)
+        tip = machine.equilibrium(poses).tip
+        point = point_at(tip, tool)
+        missing = places - point
+        if radius:
+            missing = missing * (1.0 - radius / np.maximum(np.linalg.norm(missing, axis=1, keepdims=True), 1e-12))
+        if np.abs(missing).max(initial=0.0) < _CLOSED:
+            return poses
+        jacobian = position_jacobian(machine.nominal, frames(machine.nominal, poses.q), point)
+        poses = replace(poses, q=poses.q + newton_step(jacobian, missing))
     worst = int(np.abs(missing).max(axis=1).argmax())
     raise BadInputError(
         f"pose {worst + 1}: the true arm can't be held at {places[worst].round(4).tolist()}; make its errors smaller, "
@@ -121,60 +182,13 @@ def measure_held(
     )
 
 
-def _missing(
-    machine: TrueMachine, poses: Poses, goal: np.ndarray, radius: float, tool: Point
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the way from tool point to goal, or to the sphere about it, shape (N, 3), and the nominal Jacobian."""
-    tip = machine.equilibrium(poses).tip
-    point = tip[:, :3, :3] @ np.asarray(tool) + tip[:, :3, 3]
-    way = goal - point
-    if radius:
-        way = way * (1.0 - radius / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12))
-    return way, position_jacobian(machine.nominal, frames(machine.nominal, poses.q), point)
-
-
-def plan_held(
-    machine: TrueMachine,
-    goals: Callable[[int], np.ndarray],
-    n: int,
-    rng: np.random.Generator,
-    *,
-    tool: Point = (0.0, 0.0, 0.0),
-    min_height: float | None = 0.1,
-) -> np.ndarray:
-    """Find poses in which the nominal arm holds the tool point at a goal.
-
-    Args:
-        machine: The machine whose nominal arm is planned for.
-        goals: Gives so many goals in the base frame [m], shape (count, 3).
-        n: Number of poses.
-        rng: Source of randomness.
-        tool: Tool point in the tip frame [m].
-        min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
-
-    Returns:
-        Joint positions, shape (n, number of joints).
-
-    Raises:
-        BadInputError: If the arm hardly reaches such goals.
-    """
-    found = np.empty((0, len(machine.names)))
-    for _ in range(_ROUNDS):
-        seed = plan_poses(machine.nominal, max(2 * n, _TRIES), rng, min_height=min_height)
-        q, held = can_hold(machine, seed, goals(len(seed)), tool=tool, min_height=min_height)
-        found = np.vstack((found, q[held]))
-        if len(found) >= n:
-            return found[:n]
-    raise BadInputError(f"only {len(found)} of {n} poses hold the tool point there; place it where the arm reaches")
-
-
 def can_hold(
-    machine: TrueMachine, seed: np.ndarray, goals: np.ndarray, *, tool: Point, min_height: float | None
+    arm: Arm, seed: np.ndarray, *, goals: np.ndarray, tool: Point, min_height: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bring the tool point of the nominal arm to goals.
 
     Args:
-        machine: The machine whose nominal arm it is.
+        arm: The nominal arm.
         seed: Joint positions to start from [rad or m], shape (N, n).
         goals: Wanted tool points in the base frame [m], shape (N, 3).
         tool: Tool point in the tip frame [m].
@@ -184,7 +198,13 @@ def can_hold(
         Joint positions, shape (N, n), and whether they will do, shape (N,): at the goal, within the limits, off the
         floor, and not so stretched that the true arm could fall short.
     """
-    arm = machine.nominal
-    q, reached = reach(arm, seed, goals, tool=tool)
-    ease = np.linalg.svd(position_jacobian(arm, frames(arm, q), goals), compute_uv=False)[:, -1]
-    return q, reached & is_clear(arm, q, min_height) & (ease > _EASE * arm_reach(machine))
+    q, reached = reach(arm, seed, goal=goals, tool=tool)
+    mobility = np.linalg.svd(position_jacobian(arm, frames(arm, q), goals), compute_uv=False)[:, -1]
+    return q, reached & is_clear(arm, q, min_height) & (mobility > _LEAST_MOBILITY * arm.reach)
+
+
+def upward_directions(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return unit vectors spread over the upper half of all directions, shape (count, 3)."""
+    height, turn = rng.uniform(0.0, 1.0, count), rng.uniform(-np.pi, np.pi, count)
+    across = np.sqrt(1.0 - height**2)
+    return np.column_stack((across * np.cos(turn), across * np.sin(turn), height))

@@ -26,6 +26,7 @@ class GearEccentricity(DeformingEffect):
     """
 
     effect: ClassVar[str] = "gear_eccentricity"
+    typical_size: ClassVar[float] = 1.5e-4
     order: int = 1
     phase: float = 0.6
 
@@ -55,6 +56,7 @@ class TransmissionError(DeformingEffect):
     """
 
     effect: ClassVar[str] = "transmission_error"
+    typical_size: ClassVar[float] = 1e-4
     seed: int = 0
     bumps: int = 14
     periodic: bool = True
@@ -89,6 +91,8 @@ class GearRatio(DeformingEffect):
     """Wrong gear or encoder ratio; ``size`` is the relative error of the ratio [-]."""
 
     effect: ClassVar[str] = "gear_ratio"
+    unit: ClassVar[str] = "1"
+    typical_size: ClassVar[float] = 1e-4
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Let the joint run ahead in proportion to its angle."""
@@ -105,6 +109,8 @@ class JointCoupling(DeformingEffect):
     """
 
     effect: ClassVar[str] = "joint_coupling"
+    unit: ClassVar[str] = "1"
+    typical_size: ClassVar[float] = 2e-4
     source: str
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
@@ -128,6 +134,7 @@ class AxisWobble(DeformingEffect):
     """
 
     effect: ClassVar[str] = "axis_wobble"
+    typical_size: ClassVar[float] = 1e-4
     order: int = 2
     phase: float = 0.4
     roundness: float = 1.0
@@ -152,6 +159,8 @@ class Backlash(DeformingEffect):
     """
 
     effect: ClassVar[str] = "backlash"
+    typical_size: ClassVar[float] = 2e-4
+    column: ClassVar[str | None] = "approach"
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Hold the joint back on the side from which it came."""
@@ -172,6 +181,9 @@ class ThermalOffset(DeformingEffect):
     """Joint zero that shifts with temperature; ``size`` is the shift [rad/K]."""
 
     effect: ClassVar[str] = "thermal_offset"
+    unit: ClassVar[str] = "rad/K"
+    typical_size: ClassVar[float] = 1e-5
+    column: ClassVar[str | None] = "temperature"
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Shift the joint in proportion to the temperature."""
@@ -183,6 +195,7 @@ class JointScatter(DeformingEffect):
     """Joint that does not repeat; ``size`` is the standard deviation [rad]."""
 
     effect: ClassVar[str] = "joint_scatter"
+    typical_size: ClassVar[float] = 1e-4
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Turn the joint by its random draw of this pose."""

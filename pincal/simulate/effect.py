@@ -1,20 +1,49 @@
-"""What a hidden effect of the true machine is.
+"""The hidden effects of the true machine: their interface.
 
 Every effect is a small frozen value with the name that discovery reports, the joint on which it acts and a
-size whose unit its class states. A size of 0 is no effect. Effects are written from the mechanism (crank,
-play, bumps), not from the linear basis functions of the fit.
+size in the unit of its class. A size of 0 is no effect. Effects are written from the mechanism (crank, play,
+bumps), not from the linear basis functions of the fit.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from enum import Enum
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pincal.simulate.arm import Arm
 from pincal.simulate.state import Deformation, Loads, Poses
+
+WINDUP = 1e-3
+"""Typical wind-up of a drive under the largest moment of the arm [rad]."""
+
+
+class Scope(Enum):
+    """What an effect acts on."""
+
+    JOINT = "joint"
+    LINK_OR_ARM = "the link that a joint moves, or the whole arm without a joint"
+    ARM = "the whole arm"
+
+
+@dataclass(frozen=True)
+class Site:
+    """The place of an effect whose typical size follows from loads.
+
+    Attributes:
+        arm: The nominal arm.
+        joint: Index of the joint on which the effect acts, 0 for the whole arm.
+        moment: Moment for which that joint is made [N m], positive.
+        compliance: Compliance of its drive [rad/(N m)], 0 if rigid.
+    """
+
+    arm: Arm
+    joint: int
+    moment: float
+    compliance: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,13 +51,36 @@ class HiddenEffect(ABC):
     """One physical cause in the true machine.
 
     Attributes:
+        effect: Name of the effect.
+        unit: Unit of ``size``; on a sliding joint m instead of rad.
+        scope: What the effect acts on.
+        column: Column of the table without which the effect can't be told from others, None if there is none.
+        typical_size: A size that is typical whatever the arm, in ``unit``.
         joint: Joint on which it acts, None for an effect of the whole arm.
-        size: Its size in the unit that the class states.
+        size: Its size in ``unit``.
     """
 
     effect: ClassVar[str]
+    unit: ClassVar[str] = "rad"
+    scope: ClassVar[Scope] = Scope.JOINT
+    column: ClassVar[str | None] = None
+    typical_size: ClassVar[float] = 0.0
     joint: str | None = None
     size: float = 0.0
+
+    @classmethod
+    def typical_joints(cls, arm: Arm) -> list[str]:
+        """Return the joints at which the effect is typical: all, unless the class says otherwise."""
+        return list(arm.names)
+
+
+class SizedByLoad(ABC):
+    """An effect that follows from loads: it needs an arm with masses, and they determine its typical size."""
+
+    @classmethod
+    @abstractmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return typical values of the fields that depend on the arm, ``size`` among them."""
 
 
 class DeformingEffect(HiddenEffect):
@@ -60,3 +112,11 @@ class MeasuringEffect(HiddenEffect):
     @abstractmethod
     def reading(self, position: np.ndarray) -> np.ndarray:
         """Return what the instrument reads for true positions in its frame [m], shape (N, 3)."""
+
+
+def as_read(effects: tuple[HiddenEffect, ...], position: np.ndarray) -> np.ndarray:
+    """Return what an instrument with its errors among the effects reads for true positions [m], shape (N, 3)."""
+    for effect in effects:
+        if isinstance(effect, MeasuringEffect):
+            position = effect.reading(position)
+    return position

@@ -6,13 +6,13 @@ A positive compliance turns a joint in the sense of the moment that gravity exer
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import DeformingEffect
+from pincal.simulate.effect import WINDUP, DeformingEffect, Scope, Site, SizedByLoad
 from pincal.simulate.state import Deformation, Loads, Poses
 
 MOMENT_FRAMES = ("paper", "before", "after")
@@ -22,12 +22,21 @@ MOMENT_FRAMES = ("paper", "before", "after")
 and ``after`` do both on one side.
 """
 
+# Reach of the arm to which the default dimensions of the gravity compensator belong [m].
+_COMPENSATOR_REACH = 2.6
+
 
 @dataclass(frozen=True, kw_only=True)
-class JointElasticity(DeformingEffect):
+class JointElasticity(DeformingEffect, SizedByLoad):
     """Linear wind-up of a drive; ``size`` is the compliance c_z [rad/(N m)], or [m/N] for a sliding joint."""
 
     effect: ClassVar[str] = "joint_elasticity"
+    unit: ClassVar[str] = "rad/(N m)"
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return half of a drive's wind-up under the largest moment."""
+        return {"size": 0.5 * WINDUP / site.moment}
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Move the joint in proportion to the load along its freedom."""
@@ -36,7 +45,7 @@ class JointElasticity(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BearingElasticity(DeformingEffect):
+class BearingElasticity(DeformingEffect, SizedByLoad):
     """Bearing that gives way about the transverse axes; ``size`` is the compliance about x [rad/(N m)].
 
     Attributes:
@@ -45,8 +54,14 @@ class BearingElasticity(DeformingEffect):
     """
 
     effect: ClassVar[str] = "bearing_elasticity"
+    unit: ClassVar[str] = "rad/(N m)"
     size_y: float | None = None
     moment_frame: str = "paper"
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return a tilt of 0.3 times a drive's wind-up."""
+        return {"size": 0.3 * WINDUP / site.moment}
 
     def __post_init__(self) -> None:
         """Refuse an unknown moment frame."""
@@ -62,7 +77,7 @@ class BearingElasticity(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NonlinearElasticity(DeformingEffect):
+class NonlinearElasticity(DeformingEffect, SizedByLoad):
     """Drive that stiffens with torque; ``size`` is the extra compliance near torque 0 [rad/(N m)].
 
     The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral is the
@@ -73,7 +88,14 @@ class NonlinearElasticity(DeformingEffect):
     """
 
     effect: ClassVar[str] = "nonlinear_elasticity"
+    unit: ClassVar[str] = "rad/(N m)"
     stiffening: float = 2000.0
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return 0.3 mrad more at the largest moment, most of it in its first third."""
+        stiffening = 0.3 * site.moment
+        return {"size": 3e-4 / (stiffening * float(np.arcsinh(1.0 / 0.3))), "stiffening": stiffening}
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Add the extra wind-up."""
@@ -83,7 +105,7 @@ class NonlinearElasticity(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadBacklash(DeformingEffect):
+class LoadBacklash(DeformingEffect, SizedByLoad):
     """Play that the load takes up; ``size`` is the full play [rad].
 
     Attributes:
@@ -93,6 +115,11 @@ class LoadBacklash(DeformingEffect):
     effect: ClassVar[str] = "load_backlash"
     transition: float = 20.0
 
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return a play of 0.2 mrad, taken up by a fiftieth of the largest moment."""
+        return {"size": 2e-4, "transition": 0.02 * site.moment}
+
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Push the joint to the side to which the load pulls."""
         joint = arm.index(self.joint)
@@ -101,7 +128,7 @@ class LoadBacklash(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravityCompensator(DeformingEffect):
+class GravityCompensator(DeformingEffect, SizedByLoad):
     """Spring between two adjacent links; ``size`` is its rate [N/m].
 
     The drive no longer winds up under the torque that the spring takes: joint angle += compliance * torque of
@@ -115,10 +142,29 @@ class GravityCompensator(DeformingEffect):
     """
 
     effect: ClassVar[str] = "gravity_compensator"
+    unit: ClassVar[str] = "N/m"
     compliance: float = 2e-7
     anchor: tuple[float, float, float] = (-0.25, 0.55, 0.0)
     lever: tuple[float, float, float] = (0.3, 0.0, 0.0)
     free_length: float = 0.3
+
+    @classmethod
+    def typical_joints(cls, arm: Arm) -> list[str]:
+        """Return the second joint, which lifts the arm."""
+        return [arm.names[min(1, len(arm.names) - 1)]]
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return a spring in proportion to the arm that takes about a third of the largest moment."""
+        scale = site.arm.reach / _COMPENSATOR_REACH
+        lever = 0.3 * scale
+        return {
+            "size": 0.3 * site.moment / (lever * lever),
+            "compliance": site.compliance or WINDUP / site.moment,
+            "anchor": (-0.25 * scale, 0.55 * scale, 0.0),
+            "lever": (lever, 0.0, 0.0),
+            "free_length": 0.3 * scale,
+        }
 
     def torque(self, q: np.ndarray) -> np.ndarray:
         """Return the torque of the spring about the joint axis [N m], shape of q [rad]."""
@@ -138,10 +184,22 @@ class GravityCompensator(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkBending(DeformingEffect):
+class LinkBending(DeformingEffect, SizedByLoad):
     """Link that bends like a cantilever from its joint to the next; ``size`` is 1/(E I) [1/(N m^2)]."""
 
     effect: ClassVar[str] = "link_bending"
+    unit: ClassVar[str] = "1/(N m^2)"
+
+    @classmethod
+    def typical_joints(cls, arm: Arm) -> list[str]:
+        """Return the joints whose link is longer than a tenth of the longest."""
+        return [name for name, length in zip(arm.names, arm.lengths, strict=True) if length > 0.1 * arm.lengths.max()]
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return a bending of a fifth of a drive's wind-up."""
+        length = max(float(site.arm.lengths[site.joint]), 1e-3)
+        return {"size": 0.2 * WINDUP / (length * site.moment)}
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Bend the far end of the link under the force and moment there."""
@@ -160,7 +218,7 @@ class LinkBending(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaseElasticity(DeformingEffect):
+class BaseElasticity(DeformingEffect, SizedByLoad):
     """Foundation that tilts under the arm; ``size`` is its compliance [rad/(N m)].
 
     Attributes:
@@ -168,7 +226,14 @@ class BaseElasticity(DeformingEffect):
     """
 
     effect: ClassVar[str] = "base_elasticity"
+    unit: ClassVar[str] = "rad/(N m)"
+    scope: ClassVar[Scope] = Scope.ARM
     weights: tuple[float, float, float] = (1.0, 1.0, 0.0)
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return a tilt of a tenth of a drive's wind-up."""
+        return {"size": 0.1 * WINDUP / site.moment}
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Turn the base in proportion to the moment of the arm about its origin."""

@@ -7,7 +7,7 @@ other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, read_arm
 from pincal.simulate.chain import build_chain
-from pincal.simulate.conditions import fitted, poses_of
+from pincal.simulate.conditions import broadcast_copy, poses_of
 from pincal.simulate.effect import DeformingEffect, HiddenEffect, LoadingEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity
 from pincal.simulate.equilibrium import Equilibrium, Settler
@@ -79,20 +79,24 @@ class TrueMachine:
             RobotFileError: If the URDF has no such arm.
             BadInputError: If an attribute has a wrong name or shape.
         """
-        nominal = read_arm(urdf, tip, base)
+        return cls.of_arm(read_arm(urdf, tip, base), **errors)
+
+    @classmethod
+    def of_arm(cls, nominal: Arm, **errors: Any) -> TrueMachine:
+        """Make the true machine of a nominal arm, without errors by default; see :meth:`from_urdf`."""
         n = len(nominal.names)
-        shapes = {
-            "placement_errors": (n + 1, 6),
-            "joint_offsets": (n,),
-            "com_errors": (n, 3),
-            "compliance": (n, 3),
+        values = {
+            "placement_errors": np.zeros((n + 1, 6)),
+            "joint_offsets": np.zeros(n),
+            "mass_factors": np.ones(n),
+            "com_errors": np.zeros((n, 3)),
+            "compliance": np.zeros((n, 3)),
         }
-        values = {name: np.zeros(shape) for name, shape in shapes.items()} | {"mass_factors": np.ones(n)}
-        others = {"moment_frame", "gravity", "reference_temperature", "effects"}
-        if unknown := sorted(set(errors) - set(values) - others):
-            raise BadInputError(f"{', '.join(unknown)}: unknown; expected {', '.join(sorted(set(values) | others))}")
+        known = {field.name for field in fields(cls)} - {"nominal"}
+        if unknown := sorted(set(errors) - known):
+            raise BadInputError(f"{', '.join(unknown)}: unknown; expected {', '.join(sorted(known))}")
         for name in values.keys() & errors.keys():
-            errors[name] = fitted(name, errors[name], values[name].shape)
+            errors[name] = broadcast_copy(name, errors[name], values[name].shape)
         return cls(nominal, **(values | errors))
 
     @property

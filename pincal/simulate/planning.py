@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
 
-# Draws per wanted pose after which a limit on the height counts as impossible.
-_DRAWS = 2000
+# Rounds of draws after which limits on the poses count as impossible.
+_ROUNDS = 2000
 # Largest joint step of the inverse kinematics [rad or m] and its damping, relative to a reach of about a
 # metre.
 _STEP, _DAMPING = 0.3, 1e-4
@@ -45,20 +48,44 @@ def plan_poses(
         BadInputError: If hardly any pose of the arm fits the limits.
     """
     middle, half = (arm.upper + arm.lower) / 2.0, span * (arm.upper - arm.lower) / 2.0
-    found = np.empty((0, len(arm.names)))
-    for _ in range(_DRAWS):
+
+    def draw() -> np.ndarray:
         q = middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names)))
         fits = is_clear(arm, q, min_height)
         if max_radius is not None:
             fits &= np.linalg.norm(frames(arm, q)[:, -1, :3, 3], axis=1) < max_radius
-        found = np.vstack((found, q[fits]))
-        if len(found) >= n:
-            return found[:n]
-    raise BadInputError(f"only {len(found)} of {n} poses above {min_height} m and within {max_radius} m; relax these limits")
+        return np.asarray(q[fits])
+
+    limits = [f"above {min_height} m"] if min_height is not None else []
+    limits += [f"within {max_radius} m of the base"] if max_radius is not None else []
+    return collect_poses(draw, n, rounds=_ROUNDS, shortage=f"lie {' and '.join(limits)}; relax these limits")
+
+
+def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shortage: str) -> np.ndarray:
+    """Draw poses until there are enough.
+
+    Args:
+        draw: Returns the acceptable poses of one round, shape (any, number of joints).
+        n: Number of poses wanted.
+        rounds: Number of rounds before giving up.
+        shortage: What is said of the poses if there are too few, and what to do then.
+
+    Returns:
+        The first n poses, shape (n, number of joints).
+
+    Raises:
+        BadInputError: If all rounds together give too few.
+    """
+    found: list[np.ndarray] = []
+    for _ in range(rounds):
+        found.append(draw())
+        if sum(map(len, found)) >= n:
+            return np.vstack(found)[:n]
+    raise BadInputError(f"only {sum(map(len, found))} of {n} poses {shortage}")
 
 
 def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
-    """Return whether an arm keeps off the floor.
+    """Return in which poses an arm keeps off the floor.
 
     Args:
         arm: The arm.
@@ -98,8 +125,13 @@ def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
     return np.stack(chain, axis=1)
 
 
+def point_at(tip: np.ndarray, tool: ArrayLike) -> np.ndarray:
+    """Return a point of the tip frame [m], shape (3,), in the base frame, shape (N, 3), for tips of shape (N, 4, 4)."""
+    return np.asarray(tip[:, :3, :3] @ np.asarray(tool, float) + tip[:, :3, 3])
+
+
 def reach(
-    arm: Arm, seed: np.ndarray, goal: np.ndarray, *, tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    arm: Arm, seed: np.ndarray, *, goal: np.ndarray, tool: ArrayLike = (0.0, 0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find joint positions that bring a tool point, or the whole tip, to a goal.
 
@@ -113,12 +145,13 @@ def reach(
     Returns:
         Joint positions, shape (N, n), and whether each reaches its goal well within the joint limits, shape (N,).
     """
+    point = np.asarray(tool, float)
     q, error = np.array(seed, float), np.full(len(seed), np.inf)
     for _ in range(_REACHING):
         left = np.flatnonzero(error >= _REACHED)
         if len(left) == 0:
             break
-        missing, jacobian = _missing(arm, frames(arm, q[left]), goal[left], tool)
+        missing, jacobian = _missing(arm, frames(arm, q[left]), goal=goal[left], tool=point)
         error[left] = np.linalg.norm(missing, axis=1)
         q[left] += newton_step(jacobian, missing) * (error[left] >= _REACHED)[:, None]
     # A turn more or less changes nothing but the limits.
@@ -140,24 +173,22 @@ def newton_step(jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
     return step
 
 
-def position_jacobian(arm: Arm, places: np.ndarray, point: np.ndarray) -> np.ndarray:
+def position_jacobian(arm: Arm, joint_frames: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Return the derivative of points [base frame, m, shape (N, 3)] by the joints, shape (N, 3, n)."""
-    axes = places[:, 1:-1, :3, 2]
-    levers = point[:, None] - places[:, 1:-1, :3, 3]
+    axes = joint_frames[:, 1:-1, :3, 2]
+    levers = point[:, None] - joint_frames[:, 1:-1, :3, 3]
     columns = np.where(arm.prismatic[:, None], axes, np.cross(axes, levers))
     return np.swapaxes(columns, 1, 2)
 
 
-def _missing(
-    arm: Arm, places: np.ndarray, goal: np.ndarray, tool: tuple[float, float, float]
-) -> tuple[np.ndarray, np.ndarray]:
-    tip = places[:, -1]
+def _missing(arm: Arm, joint_frames: np.ndarray, *, goal: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    tip = joint_frames[:, -1]
     if goal.ndim == 2:
-        point = tip[:, :3, :3] @ np.asarray(tool) + tip[:, :3, 3]
-        return goal - point, position_jacobian(arm, places, point)
+        point = point_at(tip, tool)
+        return goal - point, position_jacobian(arm, joint_frames, point)
     from scipy.spatial.transform import Rotation
 
     turn = goal[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2)
     missing = np.hstack((goal[:, :3, 3] - tip[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()))
-    axes = np.where(arm.prismatic[:, None], 0.0, places[:, 1:-1, :3, 2])
-    return missing, np.hstack((position_jacobian(arm, places, tip[:, :3, 3]), np.swapaxes(axes, 1, 2)))
+    axes = np.where(arm.prismatic[:, None], 0.0, joint_frames[:, 1:-1, :3, 2])
+    return missing, np.hstack((position_jacobian(arm, joint_frames, tip[:, :3, 3]), np.swapaxes(axes, 1, 2)))

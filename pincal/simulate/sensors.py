@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.simulate.arm import Arm
 from pincal.simulate.calibration_object import OBJECTS
-from pincal.simulate.contact import Point
-from pincal.simulate.eye_in_hand import EyeInHand
-from pincal.simulate.held import BallBar, Sockets
-from pincal.simulate.lens import draw_lens
-from pincal.simulate.machine import TrueMachine
-from pincal.simulate.places import (
+from pincal.simulate.camera import EyeInHand
+from pincal.simulate.contact import Contact, Point
+from pincal.simulate.instrument import Instrument
+from pincal.simulate.layout import (
     draw_camera,
     draw_fixed_points,
     draw_instrument,
@@ -23,7 +22,8 @@ from pincal.simulate.places import (
     draw_targets,
     place_beside,
 )
-from pincal.simulate.setup import Beside, Setup
+from pincal.simulate.lens import draw_lens
+from pincal.simulate.setup import SensorSetup
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,12 +59,12 @@ class SetupOptions:
     min_height: float | None = 0.0
 
 
-def draw_setup(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
-    """Set a sensor up around a machine.
+def draw_setup(kind: str, arm: Arm, *, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+    """Set a sensor up around an arm.
 
     Args:
         kind: A key of ``SENSORS``.
-        machine: The machine.
+        arm: The nominal arm.
         rng: Source of randomness.
         options: What is chosen.
 
@@ -76,17 +76,17 @@ def draw_setup(kind: str, machine: TrueMachine, rng: np.random.Generator, option
     """
     if kind not in SENSORS:
         raise BadInputError(f"sensor {kind!r}; expected one of {', '.join(SENSORS)}")
-    return SENSORS[kind](kind, machine, rng, options)
+    return SENSORS[kind](kind, arm, rng, options)
 
 
-def _beside(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
+def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
     if options.ball_bar is not None:
-        return _ball_bar(machine, rng, options)
-    instrument, targets = _instrument_and_targets(machine, rng, options)
-    anchors = {f"anchor_{i + 1}": place_beside(machine, rng) for i in range(options.anchors)}
-    return Beside(
+        return _ball_bar(arm, rng, options)
+    instrument, targets = _instrument_and_targets(arm, rng, options)
+    anchors = {f"anchor_{i + 1}": place_beside(arm, rng) for i in range(options.anchors)}
+    return Instrument(
         reads=kind,
-        instrument=instrument,
+        pose=instrument,
         targets=targets,
         anchors=anchors,
         sigma=options.sigma,
@@ -94,32 +94,27 @@ def _beside(kind: str, machine: TrueMachine, rng: np.random.Generator, options: 
     )
 
 
-def _sockets(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
-    instrument, tool = _instrument_and_tool(machine, rng, options)
-    places = draw_fixed_points(
-        machine, options.sockets, rng, tool=tool, spacing=options.spacing, min_height=options.min_height
-    )
+def _sockets(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+    instrument, tool = _instrument_and_tool(arm, rng, options)
+    places = draw_fixed_points(arm, options.sockets, rng, tool=tool, spacing=options.spacing, min_height=options.min_height)
     fixed = {f"socket_{i + 1}": place for i, place in enumerate(places)}
-    return Sockets(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma)
+    return Contact(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma)
 
 
-def _ball_bar(machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
-    instrument, tool = _instrument_and_tool(machine, rng, options)
+def _ball_bar(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+    instrument, tool = _instrument_and_tool(arm, rng, options)
     length = 0.0 if options.ball_bar is None else options.ball_bar
-    places = draw_fixed_points(
-        machine, max(options.anchors, 1), rng, tool=tool, radius=length, min_height=options.min_height
-    )
+    places = draw_fixed_points(arm, max(options.anchors, 1), rng, tool=tool, radius=length, min_height=options.min_height)
     fixed = {f"anchor_{i + 1}": place for i, place in enumerate(places)}
-    return BallBar(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
+    return Contact(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
 
 
-def _eye_in_hand(kind: str, machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> Setup:
-    camera = draw_camera(machine, rng)
+def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+    camera = draw_camera(arm, rng)
     if options.tool is not None:
         camera[:3, 3] = options.tool
     setup = EyeInHand(
-        seen=OBJECTS[options.seen](),
-        object_pose=np.eye(4),
+        target=OBJECTS[options.seen](),
         camera_pose=camera,
         lens=draw_lens(rng, **options.lens),
         in_metres=kind == "camera_point",
@@ -127,12 +122,12 @@ def _eye_in_hand(kind: str, machine: TrueMachine, rng: np.random.Generator, opti
     )
 
     def is_seen(pose: np.ndarray) -> bool:
-        return replace(setup, object_pose=pose).is_in_reach(machine, rng, min_height=options.min_height)
+        return replace(setup, object_pose=pose).has_views(arm, rng, min_height=options.min_height)
 
-    return replace(setup, object_pose=draw_object(machine, rng, is_seen=is_seen))
+    return replace(setup, object_pose=draw_object(arm, rng, is_seen=is_seen))
 
 
-SENSORS: dict[str, Callable[[str, TrueMachine, np.random.Generator, SetupOptions], Setup]] = {
+SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], SensorSetup]] = {
     "position": _beside,
     "pose": _beside,
     "distance": _beside,
@@ -143,11 +138,9 @@ SENSORS: dict[str, Callable[[str, TrueMachine, np.random.Generator, SetupOptions
 """How each kind of measurement is set up, by the names of :attr:`pincal.measure.measurements.Measurements.kind`."""
 
 
-def _instrument_and_targets(
-    machine: TrueMachine, rng: np.random.Generator, options: SetupOptions
-) -> tuple[np.ndarray, dict[str, Any]]:
+def _instrument_and_targets(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, dict[str, Any]]:
     """Return where the instrument stands and the targets are, the chosen one at its place."""
-    instrument, targets = draw_instrument(machine, rng), draw_targets(machine, options.targets, rng)
+    instrument, targets = draw_instrument(arm, rng), draw_targets(arm, options.targets, rng)
     if options.tool is not None:
         if len(targets) > 1:
             raise BadInputError(f"tool {options.tool} places one target; expected targets 1, not {len(targets)}")
@@ -155,8 +148,8 @@ def _instrument_and_targets(
     return np.eye(4) if options.at_base else instrument, targets
 
 
-def _instrument_and_tool(machine: TrueMachine, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, Point]:
+def _instrument_and_tool(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, Point]:
     """Return the frame in which fixed points are known, and the tool point."""
-    instrument, targets = _instrument_and_targets(machine, rng, replace(options, targets=1))
+    instrument, targets = _instrument_and_targets(arm, rng, replace(options, targets=1))
     x, y, z = (float(value) for value in next(iter(targets.values()))[:3, 3])
     return instrument, (x, y, z)

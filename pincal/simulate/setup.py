@@ -1,26 +1,67 @@
-"""Measuring set-ups: what reads the robot, where that stands, which poses suit it, and what it writes down."""
+"""A sensor set-up: what measures the robot, where it stands, which poses suit it and what its table holds."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, Unpack
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.effect import MeasuringEffect
-from pincal.simulate.machine import TrueMachine
-from pincal.simulate.measure import Table, measure
-from pincal.simulate.planning import plan_poses
+from pincal.simulate.arm import Arm
+from pincal.simulate.conditions import Conditions
+from pincal.simulate.effect import HiddenEffect, MeasuringEffect
+from pincal.simulate.equilibrium import Equilibrium
+from pincal.simulate.state import Poses
+
+Table = dict[str, np.ndarray]
+"""Columns of a table of measurements, by name."""
+
+
+class Machine(Protocol):
+    """What a set-up needs of the machine that it measures."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+
+    @property
+    def nominal(self) -> Arm:
+        """The arm of the URDF."""
+
+    @property
+    def effects(self) -> tuple[HiddenEffect, ...]:
+        """Hidden effects, those of the instrument among them."""
+
+    def poses(self, q: np.ndarray, *, scatter: np.ndarray | None = None, **conditions: Unpack[Conditions]) -> Poses:
+        """Return recorded poses with their conditions."""
+
+    def equilibrium(self, poses: Poses) -> Equilibrium:
+        """Return the arm at rest in every pose."""
+
+
+class Reading(NamedTuple):
+    """What a set-up reads.
+
+    Attributes:
+        poses: The N poses in which the machine was measured.
+        rows: Index of the pose of each row of the table, shape (M,).
+        columns: The columns that the sensor adds, shape (M,).
+    """
+
+    poses: Poses
+    rows: np.ndarray
+    columns: Table
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setup(ABC):
+class SensorSetup(ABC):
     """What measures the robot, and where it stands.
 
     Attributes:
-        sigma: Noise of a coordinate or distance [m], of image coordinates [px].
+        sigma: Standard deviation of a coordinate or distance [m], of image coordinates [px].
     """
 
     sigma: float = 0.0
@@ -31,117 +72,131 @@ class Setup(ABC):
         """What is measured, as :class:`pincal.measure.measurements.Measurements` names it."""
 
     @property
+    @abstractmethod
     def points(self) -> dict[str, np.ndarray]:
         """Named points as the user knows them [m], shape (3,): in the instrument's frame or the object's own."""
-        return {}
 
-    def plan(self, machine: TrueMachine, count: int, rng: np.random.Generator, *, min_height: float | None) -> np.ndarray:
-        """Return poses that suit the set-up.
+    @abstractmethod
+    def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
+        """Draw poses of the nominal arm that suit the set-up.
 
         Args:
-            machine: The machine whose nominal arm is planned for.
-            count: Number of poses.
+            arm: The nominal arm.
+            n: Number of poses.
             rng: Source of randomness.
             min_height: Height of the floor [m]; None for no floor.
 
         Returns:
-            Joint positions [rad or m], shape (count, n).
+            Joint positions [rad or m], shape (n, number of joints).
 
         Raises:
             BadInputError: If hardly any pose will do.
         """
-        return plan_poses(machine.nominal, count, rng, min_height=min_height)
+
+    def measure(
+        self,
+        machine: Machine,
+        q: np.ndarray,
+        *,
+        rng: np.random.Generator | None = None,
+        hide: Collection[str] = (),
+        **conditions: Unpack[Conditions],
+    ) -> Table:
+        """Measure the true machine.
+
+        The same ``rng`` gives the same rows whatever effects the machine has. Without noise and ``rng`` they are
+        the truth.
+
+        Args:
+            machine: The true machine.
+            q: Recorded joint positions [rad or m], shape (N, n); with contact, positions near the recorded ones.
+            rng: Source of noise and scatter; needed if there is noise.
+            hide: Columns that are left out of the table.
+            **conditions: The conditions under which the poses are taken.
+
+        Returns:
+            Columns of the table by name: joints, those of ``payload``, ``temperature``, ``time`` and
+            ``approach_<joint>`` that are given, and what the sensor reads.
+
+        Raises:
+            BadInputError: If an argument has a wrong shape, or the set-up can't measure this machine.
+        """
+        poses = machine.poses(q, scatter=draw_scatter(machine, q, rng), **conditions)
+        reading = self._read(machine, poses, rng)
+        table = _pose_columns(machine.names, reading.poses, conditions)
+        table = {name: column[reading.rows] for name, column in table.items()} | reading.columns
+        return {name: column for name, column in table.items() if name not in hide}
 
     @abstractmethod
-    def measure(self, machine: TrueMachine, q: np.ndarray, rng: np.random.Generator, **conditions: Any) -> Table:
-        """Return the table of poses q, shape (N, n), under conditions as in :func:`pincal.simulate.measure.measure`."""
+    def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
+        """Return what the sensor reads of a machine in its poses."""
 
     @abstractmethod
-    def sight(self, tip: np.ndarray) -> np.ndarray:
+    def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
         """Return what is looked at in the frame of what looks [m], shape (N, 3), for tips in the base, (N, 4, 4)."""
 
     @abstractmethod
     def truth(self) -> dict[str, Any]:
-        """Return where everything stands, for programs."""
-
-    def refuse_scale(self, machine: TrueMachine, why: str) -> None:
-        """Refuse a machine with errors of an instrument's lengths, for a set-up that reads none.
-
-        Args:
-            machine: The machine.
-            why: What the set-up reads instead.
-
-        Raises:
-            BadInputError: If the machine has such an error.
-        """
-        for effect in machine.effects:
-            if isinstance(effect, MeasuringEffect):
-                raise BadInputError(f"{effect.effect}: it is an error of lengths that are read, and {why}; leave it out")
+        """Return where everything stands, as it is written to a JSON file."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Beside(Setup):
-    """An instrument beside the robot: position, pose or distance of targets on the tool.
+def draw_scatter(machine: Machine, q: np.ndarray, rng: np.random.Generator | None) -> np.ndarray | None:
+    """Return scatter for poses q, drawn from a child of the generator, so that the noise does not depend on it."""
+    return None if rng is None else rng.spawn(1)[0].standard_normal((len(q), len(machine.names)))
 
-    Attributes:
-        reads: "position", "pose" or "distance".
-        instrument: Transform from the robot's base frame to the instrument's frame, shape (4, 4).
-        targets: Place of each target in the tip frame [m], by its name, shape (4, 4).
-        sigma_angle: Noise of the orientation about each axis [rad].
-        anchors: Distances are measured from each of these points in the robot's base frame [m], shape (3,), by
-            name; without any, from the instrument's origin.
+
+def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | None) -> np.ndarray:
+    """Return normal noise, or zeros if sigma is 0.
+
+    Args:
+        shape: Shape of the result.
+        sigma: Standard deviation.
+        rng: Source of randomness; needed if sigma is not 0.
+
+    Returns:
+        New array.
+
+    Raises:
+        BadInputError: If there is noise to draw and nothing to draw it from.
     """
-
-    reads: str = "position"
-    instrument: np.ndarray
-    targets: dict[str, np.ndarray]
-    sigma_angle: float = 0.0
-    anchors: dict[str, np.ndarray] = field(default_factory=dict)
-
-    @property
-    def kind(self) -> str:
-        """What is read."""
-        return self.reads
-
-    @property
-    def points(self) -> dict[str, np.ndarray]:
-        """The anchors in the instrument's frame."""
-        return placed(self.instrument, self.anchors)
-
-    def measure(self, machine: TrueMachine, q: np.ndarray, rng: np.random.Generator, **conditions: Any) -> Table:
-        """Return a row for every pose, target and anchor."""
-        return measure(
-            machine,
-            q,
-            kind=self.reads,
-            base_pose=self.instrument,
-            targets=self.targets,
-            anchors=self.anchors or None,
-            noise_sigma=self.sigma,
-            noise_angle=self.sigma_angle,
-            rng=rng,
-            **conditions,
-        )
-
-    def sight(self, tip: np.ndarray) -> np.ndarray:
-        """Return the first target in the frame of the instrument, or from the first anchor."""
-        seen: np.ndarray = (self.instrument @ tip @ next(iter(self.targets.values())))[:, :3, 3]
-        return np.asarray(seen - next(iter(self.points.values()), np.zeros(3)))
-
-    def truth(self) -> dict[str, Any]:
-        """Return places of instrument, targets and anchors."""
-        found: dict[str, Any] = {
-            "T_instrument_base": self.instrument.tolist(),
-            "targets": {name: place.tolist() for name, place in self.targets.items()},
-        }
-        return found | ({"anchors_in_base_m": as_lists(self.anchors)} if self.anchors else {})
+    if sigma == 0.0:
+        return np.zeros(shape)
+    if rng is None:
+        raise BadInputError("noise needs rng; pass np.random.default_rng(seed), or a set-up with sigma=0")
+    return rng.normal(0.0, sigma, shape)
 
 
-def placed(transform: np.ndarray, points: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def refuse_scale(machine: Machine, why: str) -> None:
+    """Refuse a machine with errors of an instrument's lengths, for a set-up that reads none.
+
+    Args:
+        machine: The machine.
+        why: What the set-up reads instead.
+
+    Raises:
+        BadInputError: If the machine has such an error.
+    """
+    for effect in machine.effects:
+        if isinstance(effect, MeasuringEffect):
+            raise BadInputError(f"{effect.effect}: it is an error of lengths that are read, and {why}; leave it out")
+
+
+def transformed(transform: np.ndarray, points: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return named points [m], shape (3,), moved by a transform, shape (4, 4)."""
     return {name: transform[:3, :3] @ place + transform[:3, 3] for name, place in points.items()}
 
 
-def as_lists(points: dict[str, np.ndarray]) -> dict[str, list[float]]:
+def as_lists(points: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
     """Return named points as lists, for JSON."""
     return {name: np.asarray(place).tolist() for name, place in points.items()}
+
+
+def _pose_columns(names: tuple[str, ...], poses: Poses, conditions: Mapping[str, object]) -> Table:
+    """Return the part of a table that doesn't depend on the sensor: joints, and the conditions that are declared."""
+    table = dict(zip(names, poses.q.T, strict=True))
+    for name in ("payload", "temperature", "time"):
+        if conditions.get(name) is not None:
+            table[name] = np.broadcast_to(np.asarray(conditions[name], float), len(poses.q))
+    if poses.approach is not None:
+        table |= {f"approach_{name}": poses.approach[:, j] for j, name in enumerate(names)}
+    return table

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import DeformingEffect, LoadingEffect, MeasuringEffect
+from pincal.simulate.effect import DeformingEffect, LoadingEffect, MeasuringEffect, Scope, Site, SizedByLoad
 from pincal.simulate.state import Deformation, Loads, Poses
 
 
@@ -21,6 +21,10 @@ class ThermalExpansion(DeformingEffect):
     """
 
     effect: ClassVar[str] = "thermal_expansion"
+    unit: ClassVar[str] = "1/K"
+    typical_size: ClassVar[float] = 1.2e-5
+    column: ClassVar[str | None] = "temperature"
+    scope: ClassVar[Scope] = Scope.LINK_OR_ARM
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Scale the distance from each joint to the next."""
@@ -43,6 +47,10 @@ class BaseDrift(DeformingEffect):
     """
 
     effect: ClassVar[str] = "base_drift"
+    unit: ClassVar[str] = "m/s"
+    typical_size: ClassVar[float] = 2e-8
+    column: ClassVar[str | None] = "time"
+    scope: ClassVar[Scope] = Scope.ARM
     direction: tuple[float, float, float] = (0.8, 0.6, 0.0)
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -54,7 +62,7 @@ class BaseDrift(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PayloadError(LoadingEffect):
+class PayloadError(LoadingEffect, SizedByLoad):
     """Payload that differs from the table; ``size`` is the mass that the table lacks [kg].
 
     It counts where the table declares a payload, and everywhere if it declares none at all.
@@ -64,7 +72,14 @@ class PayloadError(LoadingEffect):
     """
 
     effect: ClassVar[str] = "payload_error"
+    unit: ClassVar[str] = "kg"
+    scope: ClassVar[Scope] = Scope.ARM
     com_shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return an error of 1 % of the arm's mass."""
+        return {"size": 0.01 * float(site.arm.masses.sum())}
 
     def true_payload(self, mass: np.ndarray, com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return mass and centre of mass that the arm really carries."""
@@ -77,6 +92,9 @@ class MeasurementScale(MeasuringEffect):
     """Instrument with a wrong scale; ``size`` is the relative error of every length [-]."""
 
     effect: ClassVar[str] = "measurement_scale"
+    unit: ClassVar[str] = "1"
+    typical_size: ClassVar[float] = 2e-5
+    scope: ClassVar[Scope] = Scope.ARM
 
     def reading(self, position: np.ndarray) -> np.ndarray:
         """Return the scaled positions."""

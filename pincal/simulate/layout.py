@@ -1,4 +1,4 @@
-"""Where things stand in a measuring campaign: instrument, targets, sockets, anchors, camera and calibration object."""
+"""Draws where the parts of a set-up stand: instrument, targets, sockets, anchors, camera and calibration object."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.contact import can_hold
-from pincal.simulate.machine import TrueMachine
-from pincal.simulate.planning import frames, plan_poses
-from pincal.simulate.typical import arm_reach
+from pincal.simulate.contact import Point, can_hold, upward_directions
+from pincal.simulate.planning import frames, plan_poses, point_at
 
 # Where an instrument stands and a target sits, in reaches of the arm: distance and height; off the last axis and along it.
 _DISTANCE, _HEIGHT = (1.5, 2.5), (0.0, 0.7)
@@ -26,11 +24,11 @@ _TURNED = 0.15
 _OBJECT_DISTANCE, _OBJECT_HEIGHT, _OBJECT_TURNED = (0.4, 0.65), (0.05, 0.35), 0.3
 
 
-def draw_instrument(machine: TrueMachine, rng: np.random.Generator) -> np.ndarray:
+def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     """Stand an instrument somewhere in the hall, turned in any way.
 
     Args:
-        machine: The machine beside which it stands.
+        arm: The nominal arm.
         rng: Source of randomness.
 
     Returns:
@@ -38,18 +36,18 @@ def draw_instrument(machine: TrueMachine, rng: np.random.Generator) -> np.ndarra
     """
     from scipy.spatial.transform import Rotation
 
-    place = place_beside(machine, rng)
+    place = place_beside(arm, rng)
     transform = np.eye(4)
     transform[:3, :3] = Rotation.random(rng=rng).as_matrix()
     transform[:3, 3] = -transform[:3, :3] @ place
     return transform
 
 
-def draw_targets(machine: TrueMachine, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+def draw_targets(arm: Arm, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Mount targets at the tip, off the last axis (of which nothing could be seen otherwise) and away from each other.
 
     Args:
-        machine: The machine.
+        arm: The nominal arm.
         count: How many, at least 1.
         rng: Source of randomness.
 
@@ -58,7 +56,7 @@ def draw_targets(machine: TrueMachine, count: int, rng: np.random.Generator) -> 
     """
     from scipy.spatial.transform import Rotation
 
-    reach, start = arm_reach(machine), rng.uniform(-np.pi, np.pi)
+    reach, start = arm.reach, rng.uniform(-np.pi, np.pi)
     found = {}
     for i in range(count):
         angle, radius = start + 2.0 * np.pi * i / count, reach * rng.uniform(*_OFF_AXIS)
@@ -69,19 +67,19 @@ def draw_targets(machine: TrueMachine, count: int, rng: np.random.Generator) -> 
     return found
 
 
-def place_beside(machine: TrueMachine, rng: np.random.Generator) -> np.ndarray:
+def place_beside(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     """Return a place somewhere in the hall where an instrument can stand, in the robot's base frame [m], shape (3,)."""
-    direction, reach = rng.uniform(-np.pi, np.pi), arm_reach(machine)
+    direction, reach = rng.uniform(-np.pi, np.pi), arm.reach
     ground = rng.uniform(*_DISTANCE) * np.array([np.cos(direction), np.sin(direction)])
     return np.asarray(reach * np.append(ground, rng.uniform(*_HEIGHT)))
 
 
 def draw_fixed_points(
-    machine: TrueMachine,
+    arm: Arm,
     count: int,
     rng: np.random.Generator,
     *,
-    tool: tuple[float, float, float],
+    tool: Point,
     radius: float = 0.0,
     spacing: float | None = None,
     min_height: float | None = 0.0,
@@ -89,7 +87,7 @@ def draw_fixed_points(
     """Find places where the tool point, or the end of a bar, can be held in many ways.
 
     Args:
-        machine: The machine.
+        arm: The nominal arm.
         count: How many places.
         rng: Source of randomness.
         tool: Tool point in the tip frame [m].
@@ -103,51 +101,32 @@ def draw_fixed_points(
     Raises:
         BadInputError: If the arm holds it nowhere.
     """
-    arm = machine.nominal
     # The end of a bar is where the tool point was: its other end then is within reach, too.
-    ends = tool_points(arm, plan_poses(arm, _PLACES, rng, min_height=min_height), tool)
-    places = ends - radius * directions(_PLACES, rng)
+    ends = point_at(frames(arm, plan_poses(arm, _PLACES, rng, min_height=min_height))[:, -1], tool)
+    places = ends - radius * upward_directions(_PLACES, rng)
     turn = rng.uniform(-np.pi, np.pi, _PLACES)
     step = (spacing or 0.0) * np.column_stack((np.cos(turn), np.sin(turn), np.zeros(_PLACES)))
     together = np.stack((places, places + step)[: 1 if spacing is None else 2], axis=1)
-    share = _held_share(machine, together.reshape(-1, 3), radius, tool, rng, min_height)
+    share = _success_rate(arm, together.reshape(-1, 3), rng, tool=tool, radius=radius, min_height=min_height)
     share = share.reshape(together.shape[:2]).min(axis=1)
     if share.max() < _SCARCE:
         raise BadInputError("the tool point can hardly be held anywhere; look at --tool, --floor and the length of the bar")
     order = np.argsort(-share, kind="stable")
     order = order[share[order] >= _GOOD * share.max()]
     wanted = -(-count // together.shape[1])
-    chosen = _apart(together[order], wanted, _APART * arm_reach(machine))
+    chosen = _apart(together[order], wanted, _APART * arm.reach)
     return np.asarray(chosen.reshape(-1, 3)[:count])
 
 
-def tool_points(arm: Arm, q: np.ndarray, tool: tuple[float, float, float]) -> np.ndarray:
-    """Return where an arm has its tool point, in the base frame [m], shape (N, 3)."""
-    tip = frames(arm, q)[:, -1]
-    return np.asarray(tip[:, :3, :3] @ np.asarray(tool) + tip[:, :3, 3])
-
-
-def directions(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return unit vectors spread over the upper half of all directions, shape (count, 3)."""
-    height, turn = rng.uniform(0.0, 1.0, count), rng.uniform(-np.pi, np.pi, count)
-    across = np.sqrt(1.0 - height**2)
-    return np.column_stack((across * np.cos(turn), across * np.sin(turn), height))
-
-
-def _held_share(
-    machine: TrueMachine,
-    places: np.ndarray,
-    radius: float,
-    tool: tuple[float, float, float],
-    rng: np.random.Generator,
-    min_height: float | None,
+def _success_rate(
+    arm: Arm, places: np.ndarray, rng: np.random.Generator, *, tool: Point, radius: float, min_height: float | None
 ) -> np.ndarray:
     """Return in which part of random trials the tool point can be held at places, shape (n, 3), or a bar about them."""
-    seed = np.tile(plan_poses(machine.nominal, _TRIALS, rng, min_height=min_height), (len(places), 1))
-    goals = np.repeat(places, _TRIALS, axis=0) + radius * directions(len(seed), rng)
-    held = can_hold(machine, seed, goals, tool=tool, min_height=min_height)[1].reshape(-1, _TRIALS)
+    seed = np.tile(plan_poses(arm, _TRIALS, rng, min_height=min_height), (len(places), 1))
+    goals = np.repeat(places, _TRIALS, axis=0) + radius * upward_directions(len(seed), rng)
+    is_held = can_hold(arm, seed, goals=goals, tool=tool, min_height=min_height)[1].reshape(-1, _TRIALS)
     low = np.zeros(len(places), bool) if min_height is None else places[:, 2] < min_height + _ROOM
-    return np.asarray(np.where(low, 0.0, held.mean(axis=1)))
+    return np.asarray(np.where(low, 0.0, is_held.mean(axis=1)))
 
 
 def _apart(groups: np.ndarray, count: int, distance: float) -> np.ndarray:
@@ -166,11 +145,11 @@ def _apart(groups: np.ndarray, count: int, distance: float) -> np.ndarray:
         distance *= 0.7
 
 
-def draw_camera(machine: TrueMachine, rng: np.random.Generator) -> np.ndarray:
+def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     """Mount a camera at the tip beside the last axis, looking along it and away from the arm.
 
     Args:
-        machine: The machine.
+        arm: The nominal arm.
         rng: Source of randomness.
 
     Returns:
@@ -178,7 +157,7 @@ def draw_camera(machine: TrueMachine, rng: np.random.Generator) -> np.ndarray:
     """
     from scipy.spatial.transform import Rotation
 
-    reach, arm = arm_reach(machine), machine.nominal
+    reach = arm.reach
     axis = arm.placements[-1][:3, :3].T @ [0.0, 0.0, 1.0]
     # Away from the arm is where the tip lies, seen from the joints before, on the average.
     places = frames(arm, plan_poses(arm, 50, np.random.default_rng(0), min_height=None))
@@ -196,13 +175,11 @@ def draw_camera(machine: TrueMachine, rng: np.random.Generator) -> np.ndarray:
     return camera
 
 
-def draw_object(
-    machine: TrueMachine, rng: np.random.Generator, *, is_seen: Callable[[np.ndarray], bool], tries: int = 80
-) -> np.ndarray:
+def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.ndarray], bool], tries: int = 80) -> np.ndarray:
     """Stand a calibration object before the robot where the camera can look at all of it.
 
     Args:
-        machine: The machine.
+        arm: The nominal arm.
         rng: Source of randomness.
         is_seen: Whether the camera can, for a transform from object to base frame, shape (4, 4).
         tries: Places to try.
@@ -215,7 +192,7 @@ def draw_object(
     """
     from scipy.spatial.transform import Rotation
 
-    reach = arm_reach(machine)
+    reach = arm.reach
     for _ in range(tries):
         direction = rng.uniform(-np.pi, np.pi)
         ground = rng.uniform(*_OBJECT_DISTANCE) * np.array([np.cos(direction), np.sin(direction)])

@@ -1,0 +1,125 @@
+"""Why a parameter is not identified: the cause with its figures, and the one place where they become words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+
+from pincal.units import format_readable
+
+
+class Status(StrEnum):
+    """What became of a parameter; the values are those of ``result.json``."""
+
+    IDENTIFIED = "identified"
+    PRIOR = "prior"
+    FIXED = "fixed"
+    UNIDENTIFIABLE = "unidentifiable"
+    AT_BOUND = "at bound"
+
+
+class Cause(Enum):
+    """Why a parameter is not identified."""
+
+    NONE = "it is identified"
+    GIVEN = "the user gave its value"
+    NOT_NEEDED = "a higher term of the lens that is left at zero"
+    AT_BOUND = "the data ask for more than its bound allows"
+    ABSORBS = "a coordinate of base or tool that takes up other parameters"
+    NO_MOMENT = "no pose has a static moment about the axis of this compliance"
+    NOT_EXCITED = "no pose excites it"
+    NOT_OBSERVED = "it does not move the measured target"
+    BASE = "the unknown base frame has the same effect"
+    TOOL = "the unknown tool frame has the same effect"
+    FRAMES = "the unknown base and tool frames together have the same effect"
+    PARALLEL_AXES = "only its sum with the same parameter of a parallel axis is identifiable"
+    COMBINATION = "only its sum with another parameter is identifiable"
+    ALIASED = "other parameters together have the same effect"
+    HIDDEN = "very many other parameters together have the same effect"
+    WEAK = "the data narrow the prior only a little"
+    UNINFORMED = "the data add nothing to the prior"
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum ``other + factor * own`` that the data identify where they do not identify its members."""
+
+    other: str
+    factor: float
+    own: str
+
+    def __str__(self) -> str:
+        size = abs(self.factor)
+        times = "" if abs(size - 1.0) < _ONE else f"{size:.3g} x "
+        return f"{self.other} {'+' if self.factor > 0 else '-'} {times}{self.own}"
+
+
+# Relative difference from 1 that three digits of a factor do not show.
+_ONE = 1e-3
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a parameter is not identified, as data; ``str()`` gives it in words.
+
+    Attributes:
+        cause: the kind of reason.
+        parameters: the others that have the same effect, largest part of it first or as they stand in the model.
+        combination: the sum that is identifiable instead.
+        size: bound, prior standard deviation, or conditional standard deviation of a frame's coordinate [``unit``].
+        narrowed: posterior standard deviation [``unit``].
+        unit: SI unit of the parameter.
+        axis: letter of the axis that a compliance is about; empty for anything else.
+        moment: largest static moment about that axis in these poses [N m].
+        with_points: whether unknown named points are free along with the tool frame.
+    """
+
+    cause: Cause
+    parameters: tuple[str, ...] = ()
+    combination: Combination | None = None
+    size: float | None = None
+    narrowed: float | None = None
+    unit: str = ""
+    axis: str = ""
+    moment: float | None = None
+    with_points: bool = False
+
+    def __str__(self) -> str:
+        words = _WORDS[self.cause].format(
+            aliases=_listed(self.parameters),
+            combination=self.combination,
+            size="" if self.size is None else format_readable(self.size, self.unit),
+            narrowed="" if self.narrowed is None else format_readable(self.narrowed, self.unit),
+            axis=self.axis,
+            together=" together" if len(self.parameters) > 1 else "",
+            points=" and the unknown points" if self.with_points else "",
+            s="" if self.with_points else "s",
+        )
+        return words if self.moment is None else f"{words} (static moment about this axis: at most {self.moment:.2g} N m)"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+_WORDS = {
+    Cause.NONE: "",
+    Cause.GIVEN: "given by the user",
+    Cause.NOT_NEEDED: "fixed at zero: most lenses need no higher terms",
+    Cause.AT_BOUND: "stopped at its bound of {size}",
+    Cause.ABSORBS: "±{size} if the parameters it absorbs are held at the values found",
+    Cause.NO_MOMENT: "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no mass beyond it)",
+    Cause.NOT_EXCITED: "not excited by any of these poses",
+    Cause.NOT_OBSERVED: "has no influence on the measured target",
+    Cause.BASE: "the unknown base frame absorbs it",
+    Cause.TOOL: "the unknown tool frame{points} absorb{s} it",
+    Cause.FRAMES: "the unknown base and tool frames{points} absorb it",
+    Cause.PARALLEL_AXES: "only {combination} is identifiable (the axes are parallel)",
+    Cause.COMBINATION: "only {combination} is identifiable",
+    Cause.ALIASED: "indistinguishable from {aliases}{together}",
+    Cause.HIDDEN: "indistinguishable from a combination of many other parameters",
+    Cause.WEAK: "the data narrow the prior of ±{size} only to ±{narrowed}",
+    Cause.UNINFORMED: "the data add nothing to the prior of ±{size}",
+}
+IDENTIFIED = Reason(Cause.NONE)
+"""The reason of a parameter that needs none."""

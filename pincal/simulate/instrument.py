@@ -1,0 +1,131 @@
+"""An instrument beside the robot, such as a laser tracker: it reads position, pose or distance of targets on the tool."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.simulate.arm import Arm
+from pincal.simulate.effect import as_read
+from pincal.simulate.planning import plan_poses
+from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, transformed
+from pincal.simulate.state import Poses
+
+KINDS = ("position", "pose", "distance")
+"""What an instrument beside the robot can measure."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instrument(SensorSetup):
+    """An instrument beside the robot.
+
+    Attributes:
+        reads: One of ``KINDS``.
+        pose: Transform from the robot's base frame to the instrument's frame, shape (4, 4).
+        targets: Target in the tip frame: a position [m], shape (3,), or a transform, shape (4, 4); or a mapping
+            from name to one of these. Several targets give one row each for every pose.
+        sigma_angle: Standard deviation of the orientation about each axis [rad].
+        anchors: Distances are measured from each of these points in the robot's base frame [m], shape (3,), by
+            name; without any, from the instrument's origin.
+
+    Raises:
+        BadInputError: If an attribute has a wrong shape or the kind is unknown.
+
+    Example:
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> from pincal.simulate.machine import TrueMachine
+        >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+        >>> Instrument(targets=(0.0, 0.0, 0.1)).measure(machine, np.zeros((1, 6)))["x"].round(6)
+        array([2.62])
+    """
+
+    reads: str = "position"
+    pose: np.ndarray = field(default_factory=lambda: np.eye(4))
+    targets: Any = (0.0, 0.0, 0.0)
+    sigma_angle: float = 0.0
+    anchors: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown kind of measurement; keep targets as transforms by name."""
+        if self.reads not in KINDS:
+            raise BadInputError(f"kind {self.reads!r}; expected one of {', '.join(KINDS)}")
+        if self.anchors and self.reads != "distance":
+            raise BadInputError(f"anchors with kind {self.reads!r}; expected 'distance', or no anchors")
+        named = self.targets if isinstance(self.targets, Mapping) else {"": self.targets}
+        object.__setattr__(self, "targets", {name: _transform(target) for name, target in named.items()})
+
+    @property
+    def kind(self) -> str:
+        """What is read."""
+        return self.reads
+
+    @property
+    def points(self) -> dict[str, np.ndarray]:
+        """The anchors in the instrument's frame."""
+        return transformed(self.pose, self.anchors)
+
+    def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
+        """Draw random poses: the instrument sees them all."""
+        return plan_poses(arm, n, rng, min_height=min_height)
+
+    def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
+        """Return a row for every pose, target and anchor."""
+        offsets = np.array([*self.targets.values()])
+        seen = ((self.pose @ machine.equilibrium(poses).tip)[:, None] @ offsets).reshape(-1, 4, 4)
+        rows, columns = np.repeat(np.arange(len(poses.q)), len(offsets)), Table()
+        if len(offsets) > 1:
+            columns["target"] = np.tile(np.array(list(self.targets)), len(poses.q))
+        if self.anchors:
+            count = len(self.anchors)
+            rows, seen = np.repeat(rows, count), np.repeat(seen, count, axis=0)
+            seen[:, :3, 3] -= np.tile(np.array([*self.points.values()]), (len(seen) // count, 1))
+            columns = {name: np.repeat(column, count) for name, column in columns.items()}
+            columns["anchor"] = np.tile(np.array(list(self.anchors)), len(seen) // count)
+        return Reading(poses, rows, columns | self._readings(machine, seen, rng))
+
+    def _readings(self, machine: Machine, seen: np.ndarray, rng: np.random.Generator | None) -> Table:
+        """Return what is read of transforms from target to instrument or anchor, shape (M, 4, 4)."""
+        position = as_read(machine.effects, seen[:, :3, 3])
+        if self.reads == "distance":
+            distance = np.linalg.norm(position, axis=1)
+            return {"distance": distance + draw_noise(distance.shape, self.sigma, rng)}
+        position = position + draw_noise(position.shape, self.sigma, rng)
+        columns = dict(zip("xyz", position.T, strict=True))
+        return columns | _quaternion(seen[:, :3, :3], self.sigma_angle, rng) if self.reads == "pose" else columns
+
+    def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
+        """Return the first target in the frame of the instrument, or from the first anchor."""
+        seen: np.ndarray = (self.pose @ tip @ next(iter(self.targets.values())))[:, :3, 3]
+        return np.asarray(seen - next(iter(self.points.values()), np.zeros(3)))
+
+    def truth(self) -> dict[str, Any]:
+        """Return where instrument, targets and anchors are."""
+        found: dict[str, Any] = {
+            "noise": {"sigma_m": self.sigma, "sigma_rad": self.sigma_angle if self.reads == "pose" else None},
+            "T_instrument_base": self.pose.tolist(),
+            "targets": {name: target.tolist() for name, target in self.targets.items()},
+        }
+        return found | ({"anchors_in_base_m": as_lists(self.anchors)} if self.anchors else {})
+
+
+def _transform(target: Any) -> np.ndarray:
+    value = np.asarray(target, float)
+    if value.shape == (4, 4):
+        return value
+    if value.shape != (3,):
+        raise BadInputError(f"target has shape {value.shape}; expected (3,) or (4, 4)")
+    transform = np.eye(4)
+    transform[:3, 3] = value
+    return transform
+
+
+def _quaternion(rotation: np.ndarray, sigma: float, rng: np.random.Generator | None) -> Table:
+    from scipy.spatial.transform import Rotation
+
+    jitter = Rotation.from_rotvec(draw_noise((len(rotation), 3), sigma, rng))
+    quaternion = (jitter * Rotation.from_matrix(rotation)).as_quat(canonical=True)
+    return dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))

@@ -1,0 +1,169 @@
+"""What a user may ask of a simulation, and the machine and conditions that are drawn for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.measure.measurements import Measurements
+from pincal.simulate.campaign import draw_conditions, spread_payloads
+from pincal.simulate.conditions import Conditions
+from pincal.simulate.effect import SizedByLoad
+from pincal.simulate.hidden import HIDDEN_EFFECTS
+from pincal.simulate.machine import TrueMachine
+from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect
+
+RECORDED = ("temperature", "time", "approach")
+"""Columns that a campaign may record of its conditions."""
+
+
+class Stream(IntEnum):
+    """Parts of a simulation, each with random numbers of its own: a change to one leaves the others as they were."""
+
+    ERRORS = 0
+    ELASTICITY = 1
+    MASSES = 2
+    EFFECTS = 3
+    LAYOUT = 4
+    POSES = 5
+    CONDITIONS = 6
+    NOISE = 7
+
+    def generator(self, seed: int) -> np.random.Generator:
+        """Return the source of randomness of this part.
+
+        Args:
+            seed: Seed of the whole simulation.
+
+        Raises:
+            BadInputError: If the seed is negative.
+        """
+        if seed < 0:
+            raise BadInputError(f"seed {seed}; expected 0 or more")
+        return np.random.default_rng([seed, int(self)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class MachineOptions:
+    """What may be chosen of a true machine; the rest is drawn.
+
+    Attributes:
+        seed: Seed of the machine.
+        errors: Size of the geometric errors relative to typical ones, 0 for none.
+        elastic: Compliance of drives and bearings relative to a typical one, 0 for a rigid arm; None for a
+            typical one if the arm has masses.
+        masses_off: Standard deviation of masses and centres of mass [%].
+        effects: Hidden effects: name and given fields of each.
+    """
+
+    seed: int = 0
+    errors: float = 1.0
+    elastic: float | None = None
+    masses_off: float = 0.0
+    effects: Sequence[tuple[str, Mapping[str, Any]]] = ()
+
+
+def draw_machine(nominal: TrueMachine, options: MachineOptions, *, massless: Sequence[str] = ()) -> TrueMachine:
+    """Draw a machine with errors, elasticity and hidden effects.
+
+    Args:
+        nominal: The machine without errors.
+        options: What is chosen.
+        massless: Names of the arm's links that lack a mass.
+
+    Returns:
+        A new machine.
+
+    Raises:
+        BadInputError: If an effect is unknown, or loads are asked for on an arm without masses.
+    """
+    loaded = ["elasticity"] if options.elastic else []
+    loaded += [name for name, _ in options.effects if issubclass(HIDDEN_EFFECTS[name], SizedByLoad)]
+    if massless and loaded:
+        raise BadInputError(
+            f"{loaded[0]} needs inertial data, and {', '.join(massless)} of the URDF "
+            f"{'has' if len(massless) == 1 else 'have'} no mass; leave it out (--elastic 0)"
+        )
+    machine = draw_typical_errors(nominal, Stream.ERRORS.generator(options.seed), scale=options.errors)
+    machine = machine.draw_masses(Stream.MASSES.generator(options.seed), sigma=options.masses_off / 100.0)
+    scale = (0.0 if massless else 1.0) if options.elastic is None else options.elastic
+    if scale:
+        machine = draw_typical_elasticity(machine, Stream.ELASTICITY.generator(options.seed), scale=scale)
+    rng = Stream.EFFECTS.generator(options.seed)
+    return machine.with_effects(*(typical_effect(machine, name, rng, **values) for name, values in options.effects))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionOptions:
+    """What may be chosen of the conditions of a campaign; the rest is drawn.
+
+    Attributes:
+        seed: Seed of poses, conditions and noise.
+        cycles: Number of times that every pose is measured, one round after the other.
+        recorded: Of ``RECORDED``, columns to record whether an effect needs them or not.
+        payload: Payloads [kg]; None for no payload column.
+        payload_order: ``blocks`` or ``alternating``, see :func:`pincal.simulate.campaign.spread_payloads`.
+        payload_com: Centre of mass of the payload in the tip frame [m].
+    """
+
+    seed: int = 0
+    cycles: int = 1
+    recorded: Sequence[str] = ()
+    payload: Sequence[float] | None = None
+    payload_order: str = "blocks"
+    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def repeat_poses(
+    machine: TrueMachine, q: np.ndarray, options: ConditionOptions, *, given: Mapping[str, np.ndarray] | None = None
+) -> tuple[np.ndarray, Conditions]:
+    """Return the poses of all cycles and the conditions under which they are measured.
+
+    Args:
+        machine: The machine, whose effects decide which conditions matter.
+        q: Joint positions of one cycle [rad or m], shape (N, n).
+        options: What is chosen.
+        given: Conditions of these poses that are not to be drawn, shape (N, ...).
+
+    Returns:
+        Joint positions, shape (cycles N, n), and their conditions.
+    """
+    needed = {effect.column for effect in machine.effects} | set(options.recorded)
+    names, poses = [name for name in RECORDED if name in needed], len(q)
+    rng = Stream.CONDITIONS.generator(options.seed)
+    drawn = draw_conditions(names, options.cycles * poses, joints=len(machine.names), rng=rng)
+    fixed = dict(given or {})
+    if options.payload is not None:
+        fixed["payload"] = spread_payloads(options.payload, poses, order=options.payload_order)
+    if "approach" in drawn:
+        # Every cycle comes to a pose from the same side, as ISO 9283 has it.
+        fixed = {"approach": drawn["approach"][:poses]} | fixed
+    repeated = {name: np.tile(value, (options.cycles, *[1] * (value.ndim - 1))) for name, value in fixed.items()}
+    conditions: Any = drawn | repeated | {"payload_com": options.payload_com}
+    return np.tile(q, (options.cycles, 1)), conditions
+
+
+def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return the poses of a table to measure them again, and the conditions that it records.
+
+    Several targets or points may be seen in one pose; each pose is returned once.
+
+    Args:
+        rows: The table.
+
+    Returns:
+        Joint positions [rad or m], shape (N, n), and of ``RECORDED`` and ``payload`` what the table has.
+    """
+    labels = rows.target if rows.point is None else rows.point
+    begins, seen = np.ones(len(rows), bool), set[str]()
+    for i, label in enumerate(labels):
+        begins[i] = i == 0 or label in seen or not np.array_equal(rows.q[i], rows.q[i - 1])
+        seen = {label} if begins[i] else seen | {label}
+    rows = rows.select(begins)
+    given = {name: value for name in (*RECORDED, "payload") if (value := getattr(rows, name)) is not None}
+    return rows.q, given

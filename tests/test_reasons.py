@@ -1,0 +1,53 @@
+"""Reasons are data: every cause has words, and the words hold the figures of the reason."""
+
+import string
+
+import pytest
+
+from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
+
+FULL = {
+    "parameters": ("a.d", "b.d", "c.d"),
+    "combination": Combination("a.d", -1.0, "b.d"),
+    "size": 3e-3,
+    "narrowed": 2e-3,
+    "unit": "m",
+    "axis": "x",
+}
+
+
+@pytest.mark.parametrize("cause", [cause for cause in Cause if cause is not Cause.NONE])
+def test_every_cause_has_words(cause: Cause) -> None:
+    """A reason with all figures is a sentence without a gap, no two alike."""
+    words = str(Reason(cause, **FULL))
+    assert words and "{" not in words and "None" not in words and not words.endswith(tuple(string.whitespace))
+    assert sum(str(Reason(other, **FULL)) == words for other in Cause) == 1
+
+
+def test_words_hold_the_figures() -> None:
+    """Sizes stand in readable units, moments in N m, combinations with their factor."""
+    assert str(IDENTIFIED) == ""
+    weak = Reason(Cause.WEAK, size=3e-3, narrowed=2e-3, unit="rad", moment=12.34)
+    assert (
+        str(weak) == "the data narrow the prior of ±3 mrad only to ±2 mrad (static moment about this axis: at most 12 N m)"
+    )
+    assert str(Reason(Cause.AT_BOUND, size=0.01, unit="m")) == "stopped at its bound of 10 mm"
+    for factor, words in ((1.0, "a.d + b.d"), (-1.0005, "a.d - b.d"), (-0.5, "a.d - 0.5 x b.d")):
+        assert str(Combination("a.d", factor, "b.d")) == words
+    assert str(Reason(Cause.TOOL)) == "the unknown tool frame absorbs it"
+    assert str(Reason(Cause.TOOL, with_points=True)) == "the unknown tool frame and the unknown points absorb it"
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [(("a.d",), "a.d"), (("a.d", "b.d"), "a.d and b.d together"), (("a.d", "b.d", "c.d"), "a.d, b.d and c.d together")],
+)
+def test_aliases_are_listed(names: tuple[str, ...], words: str) -> None:
+    """One, two or several parameters with the same effect are named as one would write it."""
+    assert str(Reason(Cause.ALIASED, names)) == f"indistinguishable from {words}"
+
+
+def test_a_status_is_its_word_in_the_file() -> None:
+    """Files and users of earlier versions compare with these strings."""
+    assert {str(status) for status in Status} == {"identified", "prior", "fixed", "unidentifiable", "at bound"}
+    assert Status("at bound") is Status.AT_BOUND
