@@ -16,7 +16,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated import CalibratedModel, calibrated_model_of, load_model, save_model
 from pincal.errors import ModelFileError, OutputError
 from pincal.identify.calibrate import Fit, Options, calibrate
-from pincal.io.model_json import known_effects
+from pincal.io.effect_entry import known_effects
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain

@@ -11,8 +11,9 @@ import numpy as np
 from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Options
+from pincal.io.camera_file import read_lens, read_mount
 from pincal.measure.measurements import Measurements
-from pincal.measure.setup import KnownDistance, Setup, read_distances, read_lens, read_mount, read_points
+from pincal.measure.setup import KnownDistance, Setup, read_distances, read_points
 from pincal.measure.table import column_names, read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot, find_file

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -205,66 +203,6 @@ def read_distances(path: str | os.PathLike[str]) -> tuple[KnownDistance, ...]:
         KnownDistance(str(a), str(b), float(length), float(s))
         for a, b, length, s in zip(columns["first"], columns["second"], columns["distance"], sigma, strict=True)
     )
-
-
-def read_lens(path: str | os.PathLike[str]) -> Lens:
-    """Read a camera from JSON: ``fx fy u0 v0`` and, where there is distortion, ``k1 k2 p1 p2 k3``.
-
-    Raises:
-        MeasurementError: if the file can't be read, or a value is missing or no number.
-    """
-    found = _camera_file(path)
-    return Lens(**dict(_lens_values(found, path)))
-
-
-def read_mount(path: str | os.PathLike[str]) -> np.ndarray | None:
-    """Read how a camera is mounted, ``T_tip_camera`` (4 rows of 4), from the JSON of :func:`read_lens`; None without it.
-
-    Raises:
-        MeasurementError: as :func:`read_lens`, or if it is no rigid transform.
-    """
-    found = _camera_file(path).get("T_tip_camera")
-    if found is None:
-        return None
-    try:
-        mount = np.array(found, float)
-    except (TypeError, ValueError):
-        mount = np.zeros(0)
-    if mount.shape != (4, 4) or not _is_rigid(mount):
-        raise MeasurementError(f"{path}: T_tip_camera is no transform; expected 4 rows of 4, rotation and metres")
-    return mount
-
-
-def _is_rigid(transform: np.ndarray) -> bool:
-    R = transform[:3, :3]
-    is_turn = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
-    return bool(np.isfinite(transform).all() and is_turn and np.array_equal(transform[3], [0.0, 0.0, 0.0, 1.0]))
-
-
-def _camera_file(path: str | os.PathLike[str]) -> dict[str, Any]:
-    try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MeasurementError(f"{path}: can't be read ({error.strerror}); expected a camera's JSON") from None
-    except ValueError as error:
-        raise MeasurementError(f"{path}: no JSON ({error}); expected {{{_keys()}}}") from None
-    if not isinstance(found, dict) or any(name not in found for name in PINHOLE):
-        raise MeasurementError(f"{path}: expected an object with {', '.join(PINHOLE)} [px] and, where known, {_keys()}")
-    return found
-
-
-def _lens_values(found: dict[str, Any], path: str | os.PathLike[str]) -> Iterator[tuple[str, float]]:
-    for name in (f.name for f in fields(Lens)):
-        value = found.get(name, 0.0)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise MeasurementError(f"{path}: {name} is {value!r}; expected a number")
-        if name in ("fx", "fy") and value <= 0.0:
-            raise MeasurementError(f"{path}: {name} is {value:g} px; expected more than 0")
-        yield name, float(value)
-
-
-def _keys() -> str:
-    return ", ".join((*PINHOLE, *DISTORTION))
 
 
 def _listed(names: Mapping[str, Any]) -> str:
