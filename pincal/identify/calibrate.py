@@ -13,13 +13,14 @@ from scipy.special import chdtri
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.exact import is_exact, rounding
 from pincal.identify.normal import accumulate, posterior, posterior_step
-from pincal.identify.placement import Extrinsics
 from pincal.identify.problem import Problem, conditions_of, problem_of
-from pincal.identify.rows import some_rows
 from pincal.identify.solve import Loss, Noise, Priors, Solution, solve
 from pincal.identify.start import placements
+from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.measurements import Measurements
+from pincal.measure.rows import some_rows
 from pincal.measure.sensing import sensor_of
+from pincal.measure.sensor import KnownParameters
 from pincal.measure.setup import Setup
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Effect, ToolFrame
@@ -442,13 +443,15 @@ def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors:
     return bool(gain > chdtri(int(held.sum()), _MISSED))
 
 
-def doubts_lens(fit: Fit) -> bool:
-    """Return whether the images call for another camera than the given one, which the fit held (a score test)."""
+def doubts_of_known(fit: Fit) -> tuple[str, ...]:
+    """Return what to say if the readings contradict what was given of the sensor, which the fit held (a score test)."""
     problem = fit.problem
-    usual = np.zeros(len(problem.parameters), bool)
-    usual[problem.model.n_parameters :] = problem.sensor.fixed
-    usual &= np.array([p.effect in ("lens", "lens_distortion") for p in problem.parameters], bool)
-    return bool(usual.any()) and _is_missed(problem, fit.solution, fit.solution.free | usual, fit.priors)
+    if not (isinstance(problem.sensor, KnownParameters) and problem.sensor.is_given):
+        return ()
+    held = np.zeros(len(problem.parameters), bool)
+    held[problem.model.n_parameters :] = problem.sensor.fixed
+    is_doubted = held.any() and _is_missed(problem, fit.solution, fit.solution.free | held, fit.priors)
+    return (problem.sensor.doubt,) if is_doubted else ()
 
 
 def _refuse_too_few(measurements: Measurements, problem: Problem, fitted: Solution, noise: Noise) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from pincal.identify.calibrate import EXTRINSICS, Fit, known_frames
 from pincal.identify.normal import NULL, accumulate, posterior
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
-from pincal.identify.rows import some_rows
+from pincal.measure.rows import some_rows
 from pincal.parameters import Parameter
 
 # Ratio of posterior to prior standard deviation below which a parameter counts as identified: at 0.5 the data hold three

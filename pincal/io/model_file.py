@@ -27,7 +27,8 @@ from pincal.io.arrays import (
 from pincal.io.effect_entry import effect_from_entry, effect_to_entry
 from pincal.io.strict_json import MODEL_FILE, Fault, read_json, write_json
 from pincal.measure.lens import Lens
-from pincal.measure.setup import KnownDistance, Setup
+from pincal.measure.named_points import KnownDistance
+from pincal.measure.setup import Setup
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.effects import Effect
 from pincal.model.model import Model

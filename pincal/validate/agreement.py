@@ -9,9 +9,9 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.identify.calibrate import Fit, Options, frames_of, place, priors_of, released_of
 from pincal.identify.problem import Problem
-from pincal.identify.rows import some_rows
 from pincal.identify.solve import Noise, Priors, solve
 from pincal.measure.measurements import Measurements
+from pincal.measure.rows import some_rows
 from pincal.robot.robot import Robot
 
 # Nominal errors above this part of the reach make one look for a mix-up; real ones are a fifth of it and less.
