@@ -31,8 +31,8 @@ from discovery_cases import draw_case
 import pincal
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Model, Options, Robot, read_measurements
 from pincal.builtin import kuka_urdf_path
-from pincal.compensate.reach import reach
-from pincal.compensate.task import Task
+from pincal.compensate.ik_problem import Bounds, IkProblem
+from pincal.compensate.solve_ik import solve_ik
 from pincal.discover.run import run_discovery
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import BearingElasticity, JointElasticity
@@ -164,9 +164,10 @@ def time_compensation() -> Iterator[Line]:
             rows = Conditions.at(q, payload_centre=(0.0, 0.0, 0.1))
             rows = replace(rows, payload=rng.uniform(0.0, 3.0, POSES))
             wanted = Model(Chain.of(robot), ()).predict(np.zeros(0), rows)
-            task = partial(reach, Task.of(model, values, rows, wanted, turns=True), q, robot.lower, robot.upper)
-            _, status = task()
-            taken = 1e6 * seconds(task, CALLS).min() / POSES
+            problem = IkProblem.of(model, values, conditions=rows, wanted=wanted, with_orientation=True)
+            solve = partial(solve_ik, problem, q, limits=Bounds(robot.lower, robot.upper))
+            _, status = solve()
+            taken = 1e6 * seconds(solve, CALLS).min() / POSES
             served = f"{np.sum(status == 'ok')} of {POSES} poses reached"
             yield line(f"compensate {name}, N = {POSES}, {where}: {served}, a pose", float(taken), target, "{:.1f} us")
 

@@ -20,7 +20,8 @@ from pincal.calibration.calibrated import CalibratedModel, Covered, save_model
 from pincal.cli import main
 from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
 from pincal.compensate.frames import base_in_instrument, false_targets, program_poses
-from pincal.compensate.reach import STATUSES
+from pincal.compensate.ik_problem import Bounds
+from pincal.compensate.solve_ik import STATUSES
 from pincal.compensate.targets import read_targets
 from pincal.errors import BadInputError
 from pincal.measure.table import write_table
@@ -352,6 +353,22 @@ def test_poses_far_from_the_seed_are_found_within_the_limits(arm: str, rng: np.r
     assert_reaches(calibrated.predict(replace(there, q=found.q))[found.is_ok], wanted[found.is_ok])
     # No whole turns: the joints of the UR could go round twice.
     assert np.abs(found.q - middle)[found.is_ok].max() <= np.pi + 1e-6
+
+
+def test_bounds_are_intervals_of_rows_and_joints() -> None:
+    """What is within, at a limit, and the corridor of some rows, from the definition."""
+    limits = Bounds(np.array([-1.0, -np.inf]), np.array([1.0, 2.0]))
+    q = np.array([[0.0, -50.0], [1.0 + 1e-13, 0.0], [1.5, 0.0], [0.0, 2.5]])
+
+    assert limits.contain(q).tolist() == [True, True, False, False]
+    assert limits.touched(q).tolist() == [False, True, True, True]
+    assert Bounds.none(2).contain(1e9 * q).all() and not Bounds.none(2).touched(q).any()
+    corridor = limits.around(q, np.array([True, True, False, True]), distance=0.25)
+    np.testing.assert_array_equal(corridor.lower, [[-0.25, -50.25], [0.75, -0.25], [-1.0, -np.inf], [-0.25, 1.75]])
+    np.testing.assert_array_equal(corridor.upper, [[0.25, -49.75], [1.0, 0.25], [1.0, 2.0], [0.25, 2.0]])
+    rows = np.array([3, 1])
+    np.testing.assert_array_equal(corridor.select(rows).lower, corridor.lower[rows])
+    assert limits.select(rows) is limits
 
 
 # --- rows that can't be had -----------------------------------------------------------------------------------------

@@ -168,7 +168,7 @@ def _pose_columns(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.
 
 def _result(robot: Robot, done: CompensatedTable, beyond: Extrapolation) -> dict[str, Any]:
     """Return the outcome for programs."""
-    from pincal.compensate.reach import STATUSES
+    from pincal.compensate.solve_ik import STATUSES
 
     found, lines = done.found, done.targets.rows.rows
     left = [

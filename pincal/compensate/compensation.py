@@ -1,7 +1,7 @@
 """Compensation: from wanted poses, or a nominal program, to the joint positions that reach them by the calibrated model.
 
-The fourth step of the paper (Radkhah, Hemker, Friedmann, von Stryk, Fig. 1): what identification has found is used to make
-the robot go where it was meant to go.
+The fourth step of the paper (Radkhah, Hemker, Friedmann, von Stryk, Fig. 1): the identified model is used to make the robot
+reach the poses that were meant.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.frames import Frame, base_in_instrument, in_base_frame, program_poses
-from pincal.compensate.reach import reach
-from pincal.compensate.task import Task
+from pincal.compensate.ik_problem import Bounds, IkProblem
+from pincal.compensate.solve_ik import solve_ik
 from pincal.errors import BadInputError
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
@@ -33,13 +33,13 @@ class Compensation:
 
     Attributes:
         q: shape (N, n), within the limits [rad or m].
-        status: shape (N,), "ok": reached to 1e-9 m and 1e-9 rad; "singular": a small correction would take a large motion
-            of joints, so they stay within 0.1 rad of the seed and keep the position, the orientation as near as it goes;
-            "joint_limit": a joint stops at its limit before; "unreachable": no joint positions were found.
-        error: shape (N,), distance from the wanted position by the model [m].
-        turn: shape (N,), angle from the wanted orientation by the model [rad]; 0 where none was wanted.
-        seed_error: shape (N,), distance of the seeds from the wanted position by the model [m]: the error of a program that
-            is not compensated.
+        status: shape (N,), "ok": reached to 1e-9 m and 1e-9 rad; "singular": a small correction would take large joint
+            motions, so the joints stay within 0.1 rad of the seed and reach the position, with the orientation as close as
+            possible; "joint_limit": a joint stops at its limit; "unreachable": no joint positions were found.
+        error: shape (N,), distance from the wanted position predicted by the model [m].
+        turn: shape (N,), angle from the wanted orientation predicted by the model [rad]; 0 where none was wanted.
+        seed_error: shape (N,), distance of the seeds from the wanted position predicted by the model [m]: the error of the
+            uncompensated program.
         wanted: shape (N, 3, 4), the wanted poses of the target in ``frame``.
         frame: "instrument" or "base".
     """
@@ -69,17 +69,17 @@ def compensate_poses(
 ) -> Compensation:
     """Return the joint positions that bring the target to wanted poses by the calibrated model.
 
-    Of all joint positions that reach a pose the ones closest to the seed are returned, in the sum of squares of all joints
-    [rad, m], if the seed stands within 5 cm and 0.1 rad of the pose; no joint that turns then moves by more than 0.35 rad.
-    From a seed that is farther away they are some that reach it, as close to the seed as the search comes.
+    Of all joint positions that reach a pose, the closest to the seed (sum of squares of all joints [rad, m]) are returned if
+    the seed lies within 5 cm and 0.1 rad of the pose; no joint then moves by more than 0.35 rad or m. From a seed farther
+    away, the closest that the search finds are returned.
 
     Args:
         calibrated: the calibrated model.
         wanted: shape (N, 3, 4), poses of the target, or shape (N, 3), positions alone [m].
         conditions: the N rows; their joint positions are the seeds.
-        frame: in which the wanted poses are given: the instrument's or the robot's base.
-        orientation: of wanted positions: "keep" the one that the nominal robot has at the seed, since that is what the
-            program meant; or "free". An arm with fewer than six joints keeps it as near as it can.
+        frame: frame of the wanted poses: the instrument's or the robot's base.
+        orientation: of wanted positions: "keep" that of the nominal robot at the seed, which is what the program meant, or
+            "free". An arm with fewer than six joints keeps it as closely as it can.
         limits: whether to stay within the joint limits of the URDF.
 
     Returns:
@@ -87,7 +87,7 @@ def compensate_poses(
 
     Raises:
         BadInputError: for wanted poses or seeds of a wrong shape or not finite, or an unknown frame or orientation; or if an
-            effect of the model needs a column that the conditions lack.
+            effect of the model needs a column that is missing from the conditions.
 
     Example:
         >>> from pincal.builtin import kuka_urdf_path
@@ -113,22 +113,28 @@ def compensate_poses(
     if np.ndim(wanted) == 2 and orientation == "keep":
         poses[:, :, :3] = _orientation_of_seeds(calibrated, conditions, frame)
     known = in_base_frame(calibrated) if frame == "base" else calibrated
-    turns = np.ndim(wanted) == 3 or orientation == "keep"
-    task = Task.of(known.model, known.values[: known.model.n_parameters], conditions, poses, turns=turns)
-    robot, none = known.model.chain.robot, np.full(conditions.q.shape[1], np.inf)
-    lower, upper = (robot.lower, robot.upper) if limits else (-none, none)
+    problem = IkProblem.of(
+        known.model,
+        known.values[: known.model.n_parameters],
+        conditions=conditions,
+        wanted=poses,
+        with_orientation=np.ndim(wanted) == 3 or orientation == "keep",
+    )
+    robot = known.model.chain.robot
+    bounds = Bounds(robot.lower, robot.upper) if limits else Bounds.none(robot.n_joints)
     q, status = np.empty_like(conditions.q, dtype=float), np.empty(len(conditions), dtype="<U12")
-    for start in range(0, len(task), _PIECE):
+    for start in range(0, len(problem), _PIECE):
         rows = slice(start, start + _PIECE)
-        q[rows], status[rows] = reach(task.select(rows), conditions.q[rows], lower, upper)
-    error, turn = task.distances(task.missing(q))
-    return Compensation(q, status, error, turn, task.distances(task.missing(conditions.q))[0], poses, frame)
+        q[rows], status[rows] = solve_ik(problem.select(rows), conditions.q[rows], limits=bounds)
+    error, turn = problem.distances(problem.residuals(q))
+    seed_error, _ = problem.distances(problem.residuals(conditions.q))
+    return Compensation(q, status, error, turn, seed_error, poses, frame)
 
 
 def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True) -> Compensation:
     """Return the joint positions at which the real robot does what a nominal program meant.
 
-    Wanted is where the nominal robot, with the tool that was identified, has the target at the program's joint positions.
+    The wanted pose is that of the target on the nominal robot, with the identified tool, at the program's joint positions.
 
     Args:
         calibrated: the calibrated model.
@@ -145,7 +151,7 @@ def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, l
 
 
 def middle_of_range(robot: Robot) -> np.ndarray:
-    """Return a seed for poses that come without one: joints in the middle of their limits, 0 where there are none, (n,)."""
+    """Return a seed for poses without one, shape (n,): the middle of each joint's limits, 0 where it has none."""
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     return np.where(bounded, (np.where(bounded, robot.lower, 0.0) + np.where(bounded, robot.upper, 0.0)) / 2.0, 0.0)
 

@@ -1,7 +1,7 @@
-"""In which frame and by which model a pose is meant: calibrated in the robot's base, nominal, or as a false target.
+"""Frames and models in which a pose is given: calibrated in the robot's base frame, nominal, or as a false target.
 
-All of it by leaving effects out of the calibrated model: without what places the instrument it predicts in the robot's
-base frame, with nothing but its tool it is the nominal robot carrying the tool that was identified.
+All follow from the calibrated model by leaving out effects: without those of the instrument it predicts in the robot's base
+frame; with its tool alone it is the nominal robot with the identified tool.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from pincal.robot.se3 import compose, inverse
 Frame = Literal["instrument", "base"]
 FalseTarget = Literal["tip", "target"]
 
-# Effects that belong to the instrument and not to the robot: where it stands, how it drifts, how it reads lengths.
+# Effects of the instrument, not of the robot: where it stands, how it drifts, how it scales lengths.
 _PLACING = ("base_frame", "base_drift")
 _OF_INSTRUMENT = (*_PLACING, "measurement_scale")
 _OF_TOOL = ("tool_frame",)
 
 
 def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the calibrated model that predicts in the robot's base frame, whatever the instrument does."""
+    """Return the calibrated model without the instrument: it predicts in the robot's base frame."""
     return _with_effects(calibrated, lambda effect: effect.name not in _OF_INSTRUMENT, np.eye(3))
 
 
 def nominal_model(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the nominal robot that carries the calibrated tool; it predicts in the robot's base frame."""
+    """Return the nominal robot with the calibrated tool; it predicts in the robot's base frame."""
     return _with_effects(calibrated, lambda effect: effect.name in _OF_TOOL, np.eye(3))
 
 
@@ -54,7 +54,7 @@ def _with_effects(
 
 
 def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
-    """Return where a nominal program wants the target: where the nominal robot has it at these joint positions.
+    """Return the wanted poses of a nominal program: those of the target on the nominal robot at these joint positions.
 
     Args:
         calibrated: the calibrated model.
@@ -69,7 +69,7 @@ def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.nda
 def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
     """Return the pose of the robot's base in the instrument's frame at each of N poses, shape (N, 3, 4) [m].
 
-    It differs from row to row only where the base drifts.
+    It differs from row to row only if the base drifts.
     """
     placed = _with_effects(calibrated, lambda effect: effect.name in _PLACING, calibrated.model.chain.base_rotation)
     bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
@@ -77,15 +77,15 @@ def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> n
 
 
 def false_targets(calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip") -> np.ndarray:
-    """Return the poses to give to a controller that only has the nominal model, so that it commands these joints.
+    """Return the poses to send to a controller with the nominal model so that it commands these joint positions.
 
-    The controller has to choose the same branch (and, with seven joints, the same elbow) as the joint positions do.
+    The controller has to choose the same branch of its inverse kinematics (with seven joints, the same elbow position).
 
     Args:
         calibrated: the calibrated model.
-        conditions: the N poses, their joint positions those to command.
-        of: "tip", the tip link of the nominal robot, for a controller without a tool; or "target", for one that has the
-            calibrated tool.
+        conditions: the N poses; their joint positions are those to command.
+        of: "tip": poses of the nominal robot's tip link, for a controller without a tool; "target": for a controller that
+            has the calibrated tool.
 
     Returns:
         Poses in the robot's base frame, shape (N, 3, 4) [m].

@@ -1,4 +1,4 @@
-"""One compensation from a table of targets: which wanted poses its rows mean, and the joint positions that reach them."""
+"""One compensation from table to result: the wanted poses of its rows, and the joint positions that reach them."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class CompensatedTable:
 
     Attributes:
         targets: the table.
-        seeds: the conditions of its rows, with the joint positions that were started from.
+        seeds: the conditions of its rows, with the joint positions that the search started from.
         commanded: the same conditions with the joint positions to command.
         found: how each row ended.
-        orientation: "keep" where the rows want an orientation, "free" where any will do.
-        sigma: shape (N,), standard deviation of the position at these joints, of all three coordinates together [m]: what
-            the calibration leaves unknown.
+        orientation: "keep" if the rows want an orientation, "free" if any will do.
+        sigma: shape (N,), standard deviation of the predicted position, all three coordinates combined [m]: the uncertainty
+            of the calibration.
     """
 
     targets: Targets
@@ -50,15 +50,15 @@ def run_compensation(
     Args:
         calibrated: the calibrated model.
         targets: the table.
-        frame: of its positions, and of the wanted poses that come back; a program means poses in the robot's base frame.
-        seed: shape (n,), joint positions to start from if the table has none; unless given, the middle of the joints'
-            ranges, and positions without a quaternion then take any orientation.
-        any_orientation: whether positions are to be reached in any orientation, even if the table has one.
+        frame: frame of its positions and of the wanted poses in the result; a program is always meant in the base frame.
+        seed: shape (n,), joint positions to start from if the table has none; default: the middle of the joint ranges, with
+            any orientation for positions without a quaternion.
+        any_orientation: whether to reach positions in any orientation, even if the table has one.
         limits: whether to stay within the joint limits of the URDF.
 
     Raises:
         BadInputError: as :func:`pincal.compensate.compensation.compensate_poses`.
-        MeasurementError: if wanted positions can only be in another unit.
+        MeasurementError: if the wanted positions are evidently in another unit.
     """
     robot = calibrated.model.chain.robot
     seeds = targets.conditions(calibrated, middle_of_range(robot) if seed is None else seed)
@@ -69,20 +69,20 @@ def run_compensation(
         wanted = poses if orientation == "keep" else poses[:, :, 3]
         found = compensate_poses(calibrated, wanted, seeds, frame="base", orientation=orientation, limits=limits)
         if frame == "instrument":
-            seen = compose(base_in_instrument(calibrated, seeds), found.wanted)
-            found = replace(found, wanted=seen, frame=frame)
+            in_instrument = compose(base_in_instrument(calibrated, seeds), found.wanted)
+            found = replace(found, wanted=in_instrument, frame=frame)
     else:
         wanted = _wanted(targets, with_orientation=orientation == "keep")
-        check_positions(targets, robot, _in_base(calibrated, wanted, seeds, frame))
+        check_positions(targets, robot, positions=_in_base(calibrated, wanted, seeds=seeds, frame=frame))
         found = compensate_poses(calibrated, wanted, seeds, frame=frame, orientation=orientation, limits=limits)
     commanded = replace(seeds, q=found.q)
-    seer = in_base_frame(calibrated) if frame == "base" else calibrated
-    sigma = np.linalg.norm(seer.position_sigma(commanded), axis=1)
+    predictor = in_base_frame(calibrated) if frame == "base" else calibrated
+    sigma = np.linalg.norm(predictor.position_sigma(commanded), axis=1)
     return CompensatedTable(targets, seeds, commanded, found, orientation, sigma)
 
 
 def _wanted(targets: Targets, *, with_orientation: bool) -> np.ndarray:
-    """Return what the table wants: positions, shape (N, 3), or poses, shape (N, 3, 4)."""
+    """Return the wanted positions, shape (N, 3), or poses, shape (N, 3, 4), of the table."""
     position, quaternion = targets.rows.position, targets.rows.quaternion
     assert position is not None
     if quaternion is None or not with_orientation:
@@ -90,7 +90,7 @@ def _wanted(targets: Targets, *, with_orientation: bool) -> np.ndarray:
     return np.concatenate([rotation_matrices(quaternion), position[:, :, None]], axis=2)
 
 
-def _in_base(calibrated: CalibratedModel, wanted: np.ndarray, seeds: Conditions, frame: Frame) -> np.ndarray:
+def _in_base(calibrated: CalibratedModel, wanted: np.ndarray, *, seeds: Conditions, frame: Frame) -> np.ndarray:
     """Return wanted positions in the robot's base frame, shape (N, 3) [m]."""
     places = wanted if wanted.ndim == 2 else wanted[:, :, 3]
     if frame == "base":

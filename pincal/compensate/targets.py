@@ -91,8 +91,8 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, ignore: Sequence
     return Targets(rows, has_joints)
 
 
-def check_positions(targets: Targets, robot: Robot, positions: np.ndarray) -> None:
-    """Refuse wanted positions that can only be in another unit.
+def check_positions(targets: Targets, robot: Robot, *, positions: np.ndarray) -> None:
+    """Reject wanted positions that are evidently in another unit.
 
     Args:
         targets: the table.
@@ -100,11 +100,11 @@ def check_positions(targets: Targets, robot: Robot, positions: np.ndarray) -> No
         positions: shape (N, 3), the wanted positions in the robot's base frame [m].
 
     Raises:
-        MeasurementError: if most of them are far beyond any arm and the header does not say that this is meant.
+        MeasurementError: if most of them are far beyond the robot's reach and the header does not give their unit.
     """
     away = float(np.median(np.linalg.norm(positions, axis=1)))
     if away > _OTHER_UNIT * robot.reach and "x" not in targets.rows.units:
         raise MeasurementError(
             f"{targets.rows.source}: wanted positions lie {away:.4g} m from the robot's base, whose reach is "
-            f"{robot.reach:.3g} m; looks like millimetres: write `x [mm]` in the header, or `x [m]` if meant"
+            f"{robot.reach:.3g} m; this looks like millimetres: write `x [mm]` in the header, or `x [m]` if it is correct"
         )

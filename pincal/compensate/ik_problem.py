@@ -1,0 +1,154 @@
+"""Inverse kinematics of a calibrated model: poses that the target has to reach, and how they move with the joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pincal.model.effects import Conditions, JointOffset
+from pincal.model.model import Model
+from pincal.robot.se3 import rotation_vectors
+
+# A pose counts as reached within this [m and rad]: a tenth of what is promised, a thousand times the rounding of a pose.
+REACHED = 1e-10
+# Typical lever arm of a rotation, as a fraction of the robot's reach.
+_LEVER = 1.0 / 3.0
+# Rounding error of a joint limit [rad or m].
+_ON_LIMIT = 1e-12
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Limits of the joint positions [rad or m]; may be infinite.
+
+    Attributes:
+        lower: shape (n,), or shape (N, n) where each row has its own.
+        upper: likewise.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @classmethod
+    def none(cls, n: int) -> Bounds:
+        """Return bounds that allow everything."""
+        return cls(np.full(n, -np.inf), np.full(n, np.inf))
+
+    def select(self, rows: np.ndarray) -> Bounds:
+        """Return the bounds of some rows."""
+        return self if self.lower.ndim == 1 else Bounds(self.lower[rows], self.upper[rows])
+
+    def contain(self, q: np.ndarray) -> np.ndarray:
+        """Return which rows of joint positions, shape (N, n), lie within, shape (N,)."""
+        return np.asarray(np.all((q >= self.lower - _ON_LIMIT) & (q <= self.upper + _ON_LIMIT), axis=1))
+
+    def touched(self, q: np.ndarray) -> np.ndarray:
+        """Return in which rows of joint positions, shape (N, n), a joint is at a limit, shape (N,)."""
+        return np.asarray(np.any((q <= self.lower + _ON_LIMIT) | (q >= self.upper - _ON_LIMIT), axis=1))
+
+    def around(self, q: np.ndarray, rows: np.ndarray, *, distance: float) -> Bounds:
+        """Return row-wise bounds that keep the rows of a mask, shape (N,), close to joint positions, shape (N, n)."""
+        start, narrow = np.clip(q, self.lower, self.upper), rows[:, None]
+        lower = np.where(narrow, np.maximum(start - distance, self.lower), self.lower)
+        return Bounds(lower, np.where(narrow, np.minimum(start + distance, self.upper), self.upper))
+
+
+@dataclass(frozen=True)
+class IkProblem:
+    """N poses for the target, each under its own conditions.
+
+    A joint position adds to the same coordinate as the joint's offset. The model's exact derivative by the offsets, which
+    includes the change of the static moments, is therefore the derivative by the joint positions except for effects that
+    depend on the position itself (gear errors, about 1e-4 of it): each Newton step gains three digits.
+
+    Attributes:
+        model: the model, with a joint offset of value zero as its last effect.
+        values: shape (P,), its parameters.
+        conditions: the N poses; their joint positions are not used.
+        wanted: shape (N, 3, 4), poses of the target in the model's instrument frame.
+        with_orientation: whether the orientation has to be reached as well.
+    """
+
+    model: Model
+    values: np.ndarray
+    conditions: Conditions
+    wanted: np.ndarray
+    with_orientation: bool
+
+    @classmethod
+    def of(
+        cls, model: Model, values: np.ndarray, *, conditions: Conditions, wanted: np.ndarray, with_orientation: bool
+    ) -> IkProblem:
+        """Return the problem for a model and its values, shape (P,)."""
+        n = model.chain.robot.n_joints
+        movable = model.with_effects((*model.effects, JointOffset()))
+        return cls(movable, np.concatenate([values, np.zeros(n)]), conditions, wanted, with_orientation)
+
+    def __len__(self) -> int:
+        return len(self.wanted)
+
+    def select(self, rows: slice | np.ndarray) -> IkProblem:
+        """Return the problem for some rows."""
+        return replace(self, conditions=self.conditions.select(rows), wanted=self.wanted[rows])
+
+    def without_orientation(self) -> IkProblem:
+        """Return the problem for the same positions in any orientation."""
+        return replace(self, with_orientation=False)
+
+    @property
+    def n_equations(self) -> int:
+        """Equations per pose: 3 or 6."""
+        return 6 if self.with_orientation else 3
+
+    @cached_property
+    def length(self) -> float:
+        """Weight of a rotation against a translation [m]: a rotation by 1 rad counts as much as this distance."""
+        return max(_LEVER * self.model.chain.robot.reach, 1e-3)
+
+    @cached_property
+    def is_redundant(self) -> bool:
+        """Whether the arm has more joints than a pose has equations."""
+        return self.model.chain.robot.n_joints > self.n_equations
+
+    @cached_property
+    def is_overdetermined(self) -> bool:
+        """Whether the arm has too few joints for an arbitrary orientation."""
+        return self.with_orientation and self.model.chain.robot.n_joints < self.n_equations
+
+    def residuals(self, q: np.ndarray) -> np.ndarray:
+        """Return wanted minus actual pose at joint positions of shape (N, n).
+
+        Returns:
+            Translation over ``length`` and, if the orientation counts, rotation vector [rad], shape (N, n_equations).
+        """
+        return self._residuals(self.model.predict(self.values, replace(self.conditions, q=q)))
+
+    def linearise(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals, shape (N, n_equations), and how the joints reduce them, shape (N, n_equations, n)."""
+        n = q.shape[1]
+        free = np.zeros(len(self.values), bool)
+        free[-n:] = True
+        there = replace(self.conditions, q=q)
+        poses, J = self.model.linearise(self.values, there, free=free, rows=self.n_equations)
+        J = np.ascontiguousarray(J)
+        J[:, :3] /= self.length
+        return self._residuals(poses), J
+
+    def _residuals(self, poses: np.ndarray) -> np.ndarray:
+        translation = (self.wanted[:, :, 3] - poses[:, :, 3]) / self.length
+        if not self.with_orientation:
+            return np.asarray(translation)
+        turn = rotation_vectors(self.wanted[:, :, :3] @ poses[:, :, :3].swapaxes(1, 2))
+        return np.hstack([translation, turn])
+
+    def distances(self, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances [m] and the angles [rad] of residuals, each of shape (N,)."""
+        angle = np.linalg.norm(residuals[:, 3:], axis=1)
+        return self.length * np.linalg.norm(residuals[:, :3], axis=1), angle
+
+    def is_reached(self, residuals: np.ndarray) -> np.ndarray:
+        """Return which rows are reached, shape (N,)."""
+        distance, angle = self.distances(residuals)
+        return (distance <= REACHED) & (angle <= REACHED)

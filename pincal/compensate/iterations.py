@@ -1,0 +1,145 @@
+r"""Iterations of inverse kinematics: Newton's method for all rows at once, and a bounded search for the few that resist.
+
+With the residual e and the way back to the seed, r = seed - q, the Newton step that ends closest to the seed is
+
+.. math:: \Delta q = r + J^+ (e - J r),
+
+which is :math:`J^{-1} e` for an arm without redundancy. Rows that it does not solve (far, singular or beyond a limit) go
+through a Levenberg-Marquardt search that never gets worse [Marquardt1963]_; joints at their limits stay there while they
+push outwards.
+
+.. [Marquardt1963] D. W. Marquardt, An algorithm for least-squares estimation of nonlinear parameters, J. SIAM 11 (1963).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.compensate.ik_problem import Bounds, IkProblem
+
+# From 10 mm off, three steps reach rounding; the others are for seeds that are far away.
+_NEWTON_STEPS = 12
+# The longest step of a joint [rad or m]: an arm's poses are nearly linear within it.
+_LONGEST = 0.3
+# A redundant arm moves on to the solution closest to its seed until its steps are smaller than this [rad or m].
+_SETTLED = 1e-8
+# Keep exactly singular poses from a division by zero: relative to the square of the Jacobian, and for joints that do not
+# move the target at all.
+_FLOOR, _NOTHING = 1e-14, 1e-30
+_SEARCH_STEPS = 60
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-14, 1e6
+_SHRINK, _GROW = 0.3, 4.0
+# A search has converged after several steps in a row with less relative decrease of the squares than this.
+_ARRIVED, _PATIENCE = 1e-2, 3
+# Steps shorter than this do not count as motion [rad or m].
+_STILL = 1e-13
+
+
+def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joint positions closest to the seed that reach the poses, regardless of limits.
+
+    Args:
+        problem: N poses.
+        start: shape (N, n), where to begin [rad or m].
+        seed: shape (N, n), what a redundant arm stays close to [rad or m].
+
+    Returns:
+        Joint positions, shape (N, n), and which rows are reached, shape (N,).
+    """
+    q, reached = np.array(start, float), np.zeros(len(problem), bool)
+    rows, part = np.arange(len(problem)), problem
+    for _ in range(_NEWTON_STEPS):
+        residuals, J = part.linearise(q[rows])
+        step = _step_near(seed[rows] - q[rows] if problem.is_redundant else None, residuals, J=J)
+        settled = np.abs(step).max(axis=1) < _SETTLED if problem.is_redundant else True
+        done = part.is_reached(residuals) & settled
+        reached[rows[done]] = True
+        if done.any():
+            rows, step = rows[~done], step[~done]
+            part = problem.select(rows)
+        if not len(rows):
+            break
+        q[rows] += step
+    return q, reached
+
+
+def _step_near(back: np.ndarray | None, residuals: np.ndarray, *, J: np.ndarray) -> np.ndarray:
+    """Return Newton steps, limited in length, that end as close as possible to where ``back`` leads, shape (N, n)."""
+    transposed = J.swapaxes(1, 2)
+    square = J @ transposed
+    square[:, range(J.shape[1]), range(J.shape[1])] += _floor(square)[:, None]
+    if back is None:
+        return _shortened((transposed @ np.linalg.solve(square, residuals[..., None]))[..., 0])
+    back = _shortened(back)
+    left = residuals[..., None] - J @ back[..., None]
+    return _shortened(back + (transposed @ np.linalg.solve(square, left))[..., 0])
+
+
+def _floor(square: np.ndarray) -> np.ndarray:
+    return np.asarray(_FLOOR * np.trace(square, axis1=1, axis2=2) + _NOTHING)
+
+
+def _shortened(step: np.ndarray) -> np.ndarray:
+    longest = np.abs(step).max(axis=1, keepdims=True)
+    return np.asarray(step * np.minimum(1.0, _LONGEST / np.maximum(longest, 1e-300)))
+
+
+def bounded_search(
+    problem: IkProblem, start: np.ndarray, *, bounds: Bounds, position_weight: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint positions within bounds that come as close to the poses as a descent from the start does.
+
+    Args:
+        problem: N poses.
+        start: shape (N, n), where to begin [rad or m].
+        bounds: the joint limits.
+        position_weight: weight of the position over the orientation.
+
+    Returns:
+        Joint positions, shape (N, n), and which rows are reached, shape (N,).
+    """
+    weight = np.where(np.arange(problem.n_equations) < 3, position_weight, 1.0)
+    q = np.clip(start, bounds.lower, bounds.upper)
+    residuals, J = problem.linearise(q)
+    damping, idle = np.full(len(problem), _DAMPING), np.zeros(len(problem), int)
+    rows = np.flatnonzero(~problem.is_reached(residuals))
+    for _ in range(_SEARCH_STEPS):
+        if not len(rows):
+            break
+        limits = bounds.select(rows)
+        step = _bounded_step(J[rows] * weight[:, None], residuals[rows] * weight, damping=damping[rows], q=q[rows],
+                             bounds=limits)  # fmt: skip
+        trial = np.clip(q[rows] + _shortened(step), limits.lower, limits.upper)
+        tried, slope = problem.select(rows).linearise(trial)
+        before, after = _squares(residuals[rows] * weight), _squares(tried * weight)
+        better, moves = after < before, np.abs(step).max(axis=1) > _STILL
+        idle[rows] = np.where(after < (1.0 - _ARRIVED) * before, 0, idle[rows] + better)
+        damping[rows] = np.maximum(damping[rows] * np.where(better, _SHRINK, _GROW), _LEAST_DAMPING)
+        at = rows[better]
+        q[at], residuals[at], J[at] = trial[better], tried[better], slope[better]
+        goes_on = moves & (idle[rows] < _PATIENCE) & (damping[rows] < _MOST_DAMPING)
+        rows = rows[goes_on & ~problem.is_reached(residuals[rows])]
+    return q, problem.is_reached(residuals)
+
+
+def _squares(residuals: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("ni,ni->n", residuals, residuals))
+
+
+def _bounded_step(J: np.ndarray, residuals: np.ndarray, *, damping: np.ndarray, q: np.ndarray, bounds: Bounds) -> np.ndarray:
+    """Return damped steps in which joints at a bound do not push beyond it, shape (N, n)."""
+    square, slope = J.swapaxes(1, 2) @ J, (J.swapaxes(1, 2) @ residuals[..., None])[..., 0]
+    at_bound = np.zeros(q.shape, bool)
+    while True:
+        step = _step_of_free(square, slope, damping=damping, at_bound=at_bound)
+        pushes = ((q <= bounds.lower) & (step < 0.0) | (q >= bounds.upper) & (step > 0.0)) & ~at_bound
+        if not pushes.any():
+            return step
+        at_bound |= pushes
+
+
+def _step_of_free(square: np.ndarray, slope: np.ndarray, *, damping: np.ndarray, at_bound: np.ndarray) -> np.ndarray:
+    n = at_bound.shape[1]
+    system = np.where(at_bound[:, :, None] | at_bound[:, None, :], 0.0, square)
+    system[:, range(n), range(n)] += np.where(at_bound, 1.0, (damping + _floor(square))[:, None])
+    return np.asarray(np.linalg.solve(system, np.where(at_bound, 0.0, slope)[..., None])[..., 0])

@@ -1,0 +1,212 @@
+"""Which joint positions to command within the limits, and what prevents a pose from being reached.
+
+A row whose seed is already close to the wanted pose asks for a small correction: its joints stay within a few degrees of the
+seed. Where a small correction would take large joint motions, the arm is singular, and a program would make the wrist spin.
+Such a row is flagged, and its joints stay close to the seed; position has priority over orientation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from pincal.compensate.ik_problem import Bounds, IkProblem
+from pincal.compensate.iterations import bounded_search, newton
+
+Status = Literal["ok", "singular", "joint_limit", "unreachable"]
+STATUSES: tuple[Status, ...] = get_args(Status)
+
+# A seed this close to the wanted pose [m, rad] asks for a correction, not a motion; errors of real arms are a fifth of it.
+_NEAR, _NEAR_ANGLE = 0.05, 0.1
+# How far a correction may move a joint [rad or m]: more is a motion that no program asked for. Where it would take more,
+# the joints stay this close to the seed if the position allows it.
+_CORRECTION, _GENTLE = 0.35, 0.1
+# Small displacement [rad or m] for arms that start exactly in a singular pose, where the first step leads nowhere.
+_ASIDE = 0.05
+# Singular value of the Jacobian, lengths over IkProblem.length, below which a direction is lost; regular poses have 0.1.
+_LOST = 2e-3
+# Weight of position over orientation where both can't be reached.
+_POSITION_FIRST = 1e3
+# Random poses among which starts for far targets are chosen; how many are tried, and how many where these fail.
+_POOL, _STARTS, _MOST_STARTS = 4000, 8, 32
+# A target farther than this fraction of the reach from all of them is out of reach.
+_HOPELESS = 0.3
+_TURN = 2.0 * np.pi
+
+
+def solve_ik(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joint positions to command and how each row ended.
+
+    Args:
+        problem: N poses.
+        seed: shape (N, n), joint positions to stay close to [rad or m].
+        limits: the joint limits, of shape (n,).
+
+    Returns:
+        Joint positions within the limits, shape (N, n), and statuses, shape (N,).
+    """
+    if problem.is_overdetermined:
+        return _solve_with_few_joints(problem, seed, limits=limits)
+    near = _is_near(problem, seed)
+    corridor = limits.around(seed, near, distance=_CORRECTION)
+    q, exact = newton(problem, seed, seed=seed)
+    q = _unwind(problem, q, reached=exact, seed=seed, limits=limits)
+    beyond = exact & ~limits.contain(q)
+    done = exact & corridor.contain(q)
+    rows = np.flatnonzero(~done)
+    if len(rows):
+        q[rows], done[rows] = _within_bounds(problem.select(rows), seed[rows], bounds=corridor.select(rows))
+    rows = np.flatnonzero(~near)
+    if len(rows):
+        q[rows] = _unwind(problem.select(rows), q[rows], reached=done[rows], seed=seed[rows], limits=limits)
+    rows = rows[~done[rows]]
+    if len(rows):
+        q[rows], done[rows] = _from_random_starts(problem.select(rows), q[rows], seed=seed[rows], limits=limits)
+    has_position = done.copy()
+    rows = np.flatnonzero(~done)
+    if len(rows):
+        part = problem.select(rows)
+        q[rows], has_position[rows] = _best_effort(part, q[rows], seed=seed[rows], near=near[rows], limits=limits)
+        beyond[rows] |= _is_beyond(part, q[rows], limits=limits)
+        done[rows] = part.is_reached(part.residuals(q[rows]))
+    status = np.where(done, "ok", np.where(beyond, "joint_limit", np.where(near & has_position, "singular", "unreachable")))
+    return q, status
+
+
+def _solve_with_few_joints(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Reach the positions, then come as close to the orientations as the joints allow."""
+    q, status = solve_ik(problem.without_orientation(), seed, limits=limits)
+    rows = np.flatnonzero(status == "ok")
+    if len(rows):
+        nowhere = np.zeros(len(rows), bool)
+        q[rows], _ = _best_effort(problem.select(rows), q[rows], seed=q[rows], near=nowhere, limits=limits)
+    return q, status
+
+
+def _is_near(problem: IkProblem, seed: np.ndarray) -> np.ndarray:
+    distance, angle = problem.distances(problem.residuals(seed))
+    return np.asarray((distance <= _NEAR) & (angle <= _NEAR_ANGLE))
+
+
+def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.ndarray, limits: Bounds) -> np.ndarray:
+    """Return joint positions as close to the seed as whole turns bring them, within the limits where possible."""
+    most, least = np.floor((q - limits.lower) / _TURN), np.ceil((q - limits.upper) / _TURN)
+    turns = np.clip(np.round((q - seed) / _TURN), least, np.maximum(most, least))
+    is_revolute = np.array([kind != "prismatic" for kind in problem.model.chain.robot.joint_types])
+    unwound = np.where(is_revolute & (least <= most), q - _TURN * turns, q)
+    rows = np.flatnonzero(reached & np.any(unwound != q, axis=1))
+    if len(rows):
+        # With gear errors the pose a whole turn away differs slightly.
+        again, arrived = newton(problem.select(rows), unwound[rows], seed=unwound[rows])
+        q[rows] = np.where((arrived & limits.contain(again))[:, None], again, q[rows])
+    return q
+
+
+def _closest(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.ndarray) -> np.ndarray:
+    """Move redundant arms that have reached their pose on to the solution closest to their seed."""
+    rows = np.flatnonzero(reached) if problem.is_redundant else np.arange(0)
+    if len(rows):
+        closer, arrived = newton(problem.select(rows), q[rows], seed=seed[rows])
+        q[rows] = np.where(arrived[:, None], closer, q[rows])
+    return q
+
+
+def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Search with joints that stop at their bounds, from the seed and, if it is singular, from beside it."""
+    q, reached = bounded_search(problem, seed, bounds=bounds)
+    rows = np.flatnonzero(~reached)
+    rows = rows[_is_singular(problem.select(rows), seed[rows])]
+    if len(rows):
+        aside = seed[rows] + _ASIDE * np.where(np.arange(seed.shape[1]) % 2, -1.0, 1.0)
+        found, ended = bounded_search(problem.select(rows), aside, bounds=bounds.select(rows))
+        q[rows[ended]], reached[rows[ended]] = found[ended], True
+    closer = _closest(problem, q.copy(), reached=reached, seed=seed)
+    return np.where(bounds.contain(closer)[:, None], closer, q), reached
+
+
+def _is_singular(problem: IkProblem, q: np.ndarray) -> np.ndarray:
+    """Return at which joint positions the arm has lost a direction, shape (N,)."""
+    if not len(q):
+        return np.zeros(0, bool)
+    _, J = problem.linearise(q)
+    return np.asarray(np.linalg.svd(J, compute_uv=False)[:, -1] < _LOST)
+
+
+def _is_beyond(problem: IkProblem, q: np.ndarray, *, limits: Bounds) -> np.ndarray:
+    """Return which rows would be reached if joints at a limit could move on, shape (N,)."""
+    out = limits.touched(q)
+    rows = np.flatnonzero(out)
+    if len(rows):
+        out[rows] = bounded_search(problem.select(rows), q[rows], bounds=Bounds.none(q.shape[1]))[1]
+    return out
+
+
+def _best_effort(
+    problem: IkProblem, q: np.ndarray, *, seed: np.ndarray, near: np.ndarray, limits: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Come as close as possible, with little motion where the seed is near; return which positions can be reached.
+
+    Where the position can be reached, it has priority, with the orientation as close as the joints then allow. Where it
+    can't, giving up the orientation for a little of it gains nothing.
+    """
+    start = np.where(near[:, None], seed, q)
+    bounds = limits.around(start, near, distance=_GENTLE)
+    best, _ = bounded_search(problem, start, bounds=bounds, position_weight=_POSITION_FIRST)
+    best, has_position = bounded_search(problem.without_orientation(), best, bounds=bounds)
+    rows = np.flatnonzero(~has_position)
+    if len(rows):
+        best[rows], _ = bounded_search(problem.select(rows), start[rows], bounds=bounds.select(rows))
+    return best, has_position
+
+
+def _from_random_starts(
+    problem: IkProblem, q: np.ndarray, *, seed: np.ndarray, limits: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Start from random poses close to the wanted ones; of the solutions, keep the closest to the seed."""
+    best, reached = q.copy(), np.zeros(len(problem), bool)
+    distance = np.full(len(problem), np.inf)
+    starts, hopeful = _starts(problem)
+    for k, start in enumerate(starts):
+        rows = np.flatnonzero(hopeful & (~reached | (k < _STARTS)))
+        if not len(rows):
+            break
+        part = problem.select(rows)
+        found, ended = bounded_search(part, start[rows], bounds=limits)
+        found = _unwind(part, found, reached=ended, seed=seed[rows], limits=limits)
+        away = np.where(ended, np.linalg.norm(found - seed[rows], axis=1), np.inf)
+        closer = away < distance[rows]
+        at = rows[closer]
+        best[at], distance[at], reached[at] = found[closer], away[closer], True
+    return best, reached
+
+
+def _starts(problem: IkProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Return random joint positions whose poses are the closest to the wanted ones, and which rows have any that are near.
+
+    Returns:
+        Shape (starts, N, n) [rad or m], and shape (N,).
+    """
+    from scipy.spatial import cKDTree
+
+    robot = problem.model.chain.robot
+    pool = robot.random_configurations(_POOL, np.random.default_rng(0))
+    out, hopeful = np.empty((_MOST_STARTS, len(problem), robot.n_joints)), np.zeros(len(problem), bool)
+    for target in np.unique(problem.conditions.target):
+        rows = np.flatnonzero(problem.conditions.target == target)
+        there = replace(problem.conditions.select(np.full(_POOL, rows[0])), q=pool)
+        poses, wanted = problem.model.predict(problem.values, there), problem.wanted[rows]
+        _, nearest = cKDTree(_features(problem, poses)).query(_features(problem, wanted), k=_MOST_STARTS)
+        out[:, rows] = pool[nearest.T]
+        distance, _ = cKDTree(poses[:, :, 3]).query(wanted[:, :, 3])
+        hopeful[rows] = distance < _HOPELESS * robot.reach
+    return out, hopeful
+
+
+def _features(problem: IkProblem, poses: np.ndarray) -> np.ndarray:
+    """Return poses as points, shape (N, 3) or (N, 12), whose distances approximate the residuals between them."""
+    places = poses[:, :, 3] / problem.length
+    if not problem.with_orientation:
+        return places
+    return np.hstack([places, poses[:, :, :3].reshape(len(poses), 9) / np.sqrt(2.0)])
