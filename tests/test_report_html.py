@@ -17,7 +17,7 @@ from pincal.identify.reasons import Cause, Reason
 from pincal.report.advice import narrow_joints, unidentified_groups
 from pincal.report.glossary import EFFECTS
 from pincal.report.html import write_report
-from pincal.report.summary import next_steps, verdict_of
+from pincal.report.verdict import next_steps, verdict_of
 
 
 class Page(HTMLParser):
@@ -64,7 +64,7 @@ def found() -> Discovery:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave figures away, where only words are looked at."""
-    monkeypatch.setattr("pincal.report.html.illustrations", lambda *_: [])
+    monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
 
 
 def test_the_page_needs_nothing_from_elsewhere(page: str) -> None:
@@ -82,7 +82,7 @@ def test_the_nutshell_has_the_held_out_numbers(page: str, run: Calibration) -> N
     top = Page(page[: page.index('id="subject"')]).text
     errors = {model: run.result.error[model]["test"]["mean_mm"] for model in ("nominal", "calibrated")}
     assert f"{errors['nominal']:.3f}" in top and f"{errors['calibrated']:.4f}" in top
-    assert "never saw" in top and "What to do next" in top and "adequate" in top and "0.0500 mm" in top
+    assert "not used by the calibration" in top and "What to do next" in top and "adequate" in top and "0.0500 mm" in top
 
 
 def test_all_that_a_report_owes_is_there(page: str, run: Calibration) -> None:
@@ -93,7 +93,7 @@ def test_all_that_a_report_owes_is_there(page: str, run: Calibration) -> None:
     figures = re.findall(r"<figure>.*?</figure>", page, flags=re.DOTALL)
     assert len(figures) >= 3 + run.robot.n_joints + 4
     assert all('role="img" aria-label="' in figure and "<figcaption>" in figure for figure in figures)
-    for words in ("Correlations worth knowing", "what to measure", "SHA-256", "pincal test", "repeatability", "compliance"):
+    for words in ("Strong correlations", "what to measure", "SHA-256", "pincal test", "repeatability", "compliance"):
         assert words in parsed.text
 
 
@@ -155,19 +155,19 @@ def test_a_discovery_is_told_step_by_step(found: Discovery, tmp_path: Path) -> N
 def test_verdicts(run: Calibration, found: Discovery) -> None:
     """Declared noise is a measure, estimated noise none; a fit that did not settle is not to be used."""
     result = run.result
-    assert verdict_of(result).word == "adequate"
-    assert verdict_of(replace(result, chi2_p_value=None)).word == "not judged"
-    assert verdict_of(replace(result, chi2_p_value=1e-9)).word == "not adequate"
-    assert verdict_of(replace(result, converged=False)).word == "not converged"
-    assert verdict_of(found.calibration.result, found).word == found.report["verdict"]
+    assert verdict_of(result).judgement == "adequate"
+    assert verdict_of(replace(result, chi2_p_value=None)).judgement == "not judged"
+    assert verdict_of(replace(result, chi2_p_value=1e-9)).judgement == "not adequate"
+    assert verdict_of(replace(result, converged=False)).judgement == "not converged"
+    assert verdict_of(found.calibration.result, found).judgement == found.report["verdict"]
 
 
 def test_next_steps_follow_from_what_is_wrong(run: Calibration) -> None:
     """What misses something is to be searched; outliers are to be looked at."""
     worse = replace(run, result=replace(run.result, chi2_p_value=1e-9, outliers=(3, 4)))
-    steps = " ".join(next_steps(worse))
+    steps = " ".join(map(str, next_steps(worse)))
     assert "pincal discover" in steps and "2 rows" in steps
-    assert "Use it" in " ".join(next_steps(run))
+    assert "Use it" in " ".join(map(str, next_steps(run)))
 
 
 def test_causes_cover_every_reason(run: Calibration) -> None:

@@ -2,129 +2,126 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from pincal.calibration.run import Calibration
+from pincal.calibration.result import ParameterRow
 from pincal.discover.run import Discovery
 from pincal.discover.shrink import gap_names, partial_residual_title
-from pincal.report.evidence import Evidence, evidence_of
+from pincal.report.blocks import Figures, Picture
+from pincal.report.evidence import Evidence
 from pincal.report.svg import inline_svg
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_HISTOGRAM = (
-    "How many poses have which error. The scale is logarithmic: the further left, the better, each labelled step about a "
-    "doubling."
-)
+_HISTOGRAM = "Share of poses by size of error, on a logarithmic scale: the further left, the better."
 _CUMULATIVE = (
-    "Which share of the poses has less error than this: solid held-out, dotted fitted poses. Where both lie together, new "
-    "poses will do as well as these. The dashed curve is what the instrument's noise alone would leave."
+    "Share of poses with a smaller error: solid lines held-out, dotted lines fitted poses. Where both coincide, new poses "
+    "will do as well as these. The dashed curve is what the noise of the instrument alone would leave."
 )
 _TOP = (
-    "The workspace from above, the robot at 0, 0; each cell the mean error of its poses. Brighter is worse, on the same "
-    "scale before and after."
+    "The workspace from above, the robot at the origin; each cell shows the mean error of its poses, brighter is worse, on "
+    "the same scale before and after."
 )
 _SIDE = "The same from the side: distance from the robot's vertical axis, and height."
-_ORDER = "Each pose in the order of measurement, with the running median. A step or a slope says that something moved."
+_ORDER = "Each pose in the order of measurement, with the running median. A step or a slope means that something moved."
 _DRIFT = (
-    "What calibration leaves, x, y, z in the instrument's frame, averaged over neighbouring poses; bars are two standard "
-    "deviations. Bars that reach zero: nothing drifted."
+    "Residuals after calibration, x, y, z in the instrument's frame, averaged over neighbouring poses; bars are two "
+    "standard deviations. If the bars include zero, nothing drifted."
 )
 _CORRECTION = (
-    "What was corrected, largest first, with 95 % intervals. Filled: surely different from nominal; open: no correction "
-    "needed."
+    "Calibrated minus nominal, largest first, with 95 % intervals. Filled: significantly different from nominal; open: no "
+    "significant correction."
 )
 _SHRINKING = (
-    "Error on poses that neither fit nor search saw, step by step from top to bottom. At the upright mark there is only the "
-    "noise of the instrument left."
+    "Error on poses used neither by the fit nor by the search, step by step from top to bottom. The vertical line marks the "
+    "noise of the instrument."
 )
 
-
-@dataclass(frozen=True)
-class Picture:
-    """One figure of the report.
-
-    Attributes:
-        section: where it belongs: "size", "joint", "workspace", "order", "gap", "effect" or "correction".
-        svg: the drawing.
-        caption: what one sees and how to read it.
-    """
-
-    section: str
-    svg: str
-    caption: str
+Drawing = tuple["Figure", str, str]
+"""A figure, its title and its caption."""
 
 
-def illustrations(calibration: Calibration, discovery: Discovery | None = None) -> list[Picture]:
-    """Return all figures of a report, in order.
+def figures(key: str, drawings: Iterable[Drawing]) -> Figures:
+    """Return figures as a block of the page.
 
     Args:
-        calibration: what to report.
-        discovery: what was found missing, if it was looked for.
+        key: what tells the identifiers within these figures from those of others on the page.
+        drawings: the figures.
     """
-    drawn: list[Picture] = []
-    everything = [*_of_errors(calibration), *_of_corrections(calibration), *(_of_discovery(discovery) if discovery else ())]
-    for section, figure, title, caption in everything:
-        drawn.append(Picture(section, inline_svg(figure, key=f"f{len(drawn)}", title=title), caption))
-    return drawn
+    return Figures(
+        tuple(
+            Picture(inline_svg(figure, key=f"{key}{i}", title=title), caption)
+            for i, (figure, title, caption) in enumerate(drawings)
+        )
+    )
 
 
-def _of_errors(calibration: Calibration) -> Iterator[tuple[str, Figure, str, str]]:
+def error_drawings(readings: Iterable[Evidence]) -> Iterator[Drawing]:
+    """Yield the distribution of errors, held-out and fitted, of each kind of reading."""
     from pincal.report.plots import cumulative_figure, histogram_figure
 
-    readings = evidence_of(calibration)
     for evidence in readings:
         for held in (True, False):
             if evidence.part(held=held).any():
                 rows = "held-out" if held else "fitted"
                 title = f"Histogram of {evidence.name} errors of {rows} poses before and after calibration"
-                caption = f"{_HISTOGRAM} These poses were {'never seen by the fit' if held else 'used by the fit'}."
-                yield "size", histogram_figure(evidence, held=held), title, caption
-        yield "size", cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", _CUMULATIVE
-    yield from _of_places(readings[0])
+                caption = f"{_HISTOGRAM} These poses were {'not used by the fit' if held else 'used by the fit'}."
+                yield histogram_figure(evidence, held=held), title, caption
+        yield cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", _CUMULATIVE
 
 
-def _of_places(evidence: Evidence) -> Iterator[tuple[str, Figure, str, str]]:
-    from pincal.report.plots import drift_figure, joint_figure, median_range, order_figure, workspace_figure
+def joint_drawings(evidence: Evidence) -> Iterator[Drawing]:
+    """Yield the error against the position of each joint."""
+    from pincal.report.plots import joint_figure, median_range
 
     for i, name in enumerate(evidence.joint_names):
         title = f"Error against the position of {name}, before and after calibration"
         low, high = median_range(evidence, i)
-        caption = f"{name}: after calibration the median goes from {low:.3g} to {high:.3g} {evidence.unit} over its range."
-        yield "joint", joint_figure(evidence, i), title, caption
-    yield "workspace", workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", _TOP
-    yield "workspace", workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", _SIDE
-    yield "order", order_figure(evidence), "Error in the order of measurement", _ORDER
-    yield "order", drift_figure(evidence), "Mean residual in the order of measurement", _DRIFT
+        caption = f"{name}: after calibration the median error varies from {low:.3g} to {high:.3g} {evidence.unit}."
+        yield joint_figure(evidence, i), title, caption
 
 
-def _of_corrections(calibration: Calibration) -> Iterator[tuple[str, Figure, str, str]]:
+def workspace_drawings(evidence: Evidence) -> Iterator[Drawing]:
+    """Yield the mean error over the workspace, from above and from the side."""
+    from pincal.report.plots import workspace_figure
+
+    yield workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", _TOP
+    yield workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", _SIDE
+
+
+def order_drawings(evidence: Evidence) -> Iterator[Drawing]:
+    """Yield the error and the mean residual in the order of measurement."""
+    from pincal.report.plots import drift_figure, order_figure
+
+    yield order_figure(evidence), "Error in the order of measurement", _ORDER
+    yield drift_figure(evidence), "Mean residual in the order of measurement", _DRIFT
+
+
+def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]:
+    """Yield the identified corrections, lengths and angles apart."""
     from pincal.report.plots import correction_figure
 
-    parameters = calibration.result.parameters
     for unit, what in (("m", "lengths"), ("rad", "angles")):
-        try:
-            figure = correction_figure(parameters, unit)
-        except ValueError:
-            continue
-        yield "correction", figure, f"Corrections of {what} with their uncertainty", _CORRECTION
+        with contextlib.suppress(ValueError):
+            yield correction_figure(parameters, unit), f"Corrections of {what} with their uncertainty", _CORRECTION
 
 
-def _of_discovery(discovery: Discovery) -> Iterator[tuple[str, Figure, str, str]]:
+def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
+    """Yield the error step by step, and what each effect explains."""
     from pincal.report.plots import effect_figure, shrinking_figure
 
     gaps = discovery.gaps
     errors = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
     figure = shrinking_figure(gap_names(gaps), errors, discovery.report["noise_floor_mm"])
-    yield "gap", figure, "Error on held-out rows after each step", _SHRINKING
+    yield figure, "Error on held-out rows after each step", _SHRINKING
     for trace in discovery.traces:
         title = partial_residual_title(trace)
         caption = (
-            f"{title}: what is off against {trace.variable}, the effect left out of the final model (above) and in it "
-            "(below). Small dots are poses, those with bars their mean among neighbours, the line what was fitted. Below, "
-            "the bars have to reach zero."
+            f"{title}: error against {trace.variable} with the effect removed from the final model (above) and included "
+            "(below). Small dots are poses, dots with bars the mean of neighbouring poses, the line the fitted effect. In "
+            "the lower panel the bars should include zero."
         )
-        yield "effect", effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption
+        yield effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption

@@ -1,0 +1,85 @@
+"""The section on what a discovery found missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pincal.report.blocks import Block, Bullets, Card, Group, Heading, Paragraph, Section, code, joined, rich
+from pincal.report.glossary import effect_meaning
+from pincal.report.illustrations import discovery_drawings, figures
+from pincal.report.sections import Subject
+from pincal.report.tables import by_reason, location_table, show_chance, stage_table
+from pincal.report.words import effect_words
+from pincal.units import format_digits, small_unit
+
+# An effect with more parameters than this is a curve; its numbers stand in discovery.json.
+_FEW = 4
+
+
+def missing(subject: Subject) -> Section | None:
+    """Where model and data disagreed, which effects were found, and how the error fell; None without a search."""
+    if subject.discovery is None:
+        return None
+    report = subject.discovery.report
+    intro = (
+        "The search starts from a simple model, looks where model and data disagree, names the effect that explains most, "
+        "adds it, fits everything again, and stops when only noise is left. The noise alone amounts to "
+        f"{report['noise_floor_mm']:.4f} mm rms; {report['unexplained_mm']:.4f} mm rms remain unexplained. A name stands "
+        "for a cause that fits the data; it is not a proof of that cause."
+    )
+    blocks: list[Block] = [Paragraph(intro)]
+    if report["where"]:
+        text = "Shares of what exceeds the noise. They may overlap: the same error can be described by joint and by region."
+        blocks += [Heading("Where model and data disagreed"), location_table(report["where"]), Paragraph(text, "mute")]
+    blocks.append(Heading("Effects found"))
+    cards = tuple(_card(entry) for entry in report["effects"])
+    blocks.append(Group("cards", cards) if cards else Paragraph("These data show no missing effect."))
+    blocks += [
+        Paragraph(
+            f"{entry['joint']} scatters by {1e3 * entry['sigma_rad']:.3f} mrad from pose to pose, independently of "
+            f"everything recorded. Record {entry['missing']}: it may explain the scatter.",
+            "note",
+        )
+        for entry in report["scatter"]
+    ]
+    blocks += [Heading("How the error fell"), figures("search", discovery_drawings(subject.discovery))]
+    blocks.append(stage_table(report, subject.discovery.gaps))
+    untestable = by_reason(((e["effect"], e["joint"], e["reason"]) for e in report["not_testable"]), 0)
+    if untestable:
+        items = tuple(rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
+        blocks += [Heading("What could not be tested"), Bullets(items)]
+    return Section("missing", "What was missing", "What was missing", tuple(blocks))
+
+
+def _card(entry: Mapping[str, Any]) -> Card:
+    """Return an effect with its parameters, what it explained, and what it could also be."""
+    values = entry["parameters"]
+    shown = joined(
+        (rich('{} = <span class="nw">{}</span>', code(name), _measured(**p)) for name, p in values.items()), "<br>"
+    )
+    explained = rich(
+        'mean held-out error {} → <b>{} mm</b>; chance that noise looks like this: <span class="nw">{}</span>',
+        *(f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}", show_chance(entry["p_value"])),
+    )
+    blocks = [
+        Paragraph(effect_meaning(entry["effect"]), "mute"),
+        Paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
+        Paragraph(explained),
+    ]
+    if entry["equivalent"]:
+        others = "; ".join(effect_words(other) for other in entry["equivalent"])
+        decide = f" To decide between them: {entry['tell_apart']}." if entry["tell_apart"] else ""
+        blocks.append(Paragraph(f"Could also be: {others}.{decide}", "care"))
+    return Card(effect_words(entry), tuple(blocks))
+
+
+def _measured(value: float, sigma: float | None, unit: str) -> str:
+    """Return a value with its standard deviation to two digits, in the unit that suits it."""
+    factor, name = small_unit(unit)
+    if not sigma:
+        return f"{format_digits(value * factor)} {name}"
+    places = max(0, 1 - int(np.floor(np.log10(sigma * factor))))
+    return f"{value * factor:z.{places}f} ± {sigma * factor:.{places}f} {name}"

@@ -1,0 +1,296 @@
+"""The sections of the page on a calibration: each a function from what is reported to a section, or to None."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+from urllib.parse import quote
+
+from markupsafe import Markup
+
+from pincal.calibration.result import Result
+from pincal.calibration.run import Calibration
+from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table, shown_parameters
+from pincal.discover.run import Discovery
+from pincal.report.advice import unidentified_groups
+from pincal.report.blocks import (
+    Bars,
+    Block,
+    Bullets,
+    Card,
+    Facts,
+    Group,
+    Heading,
+    Paragraph,
+    Section,
+    Tag,
+    bold,
+    code,
+    joined,
+    rich,
+)
+from pincal.report.evidence import Evidence, evidence_of
+from pincal.report.glossary import TERMS, effect_meaning
+from pincal.report.illustrations import (
+    correction_drawings,
+    error_drawings,
+    figures,
+    joint_drawings,
+    order_drawings,
+    workspace_drawings,
+)
+from pincal.report.verdict import Judgement, next_steps, verdict_of
+from pincal.report.words import noise_words
+from pincal.tables import Tone
+from pincal.validate.lack_of_fit import lack_words, pure_words
+from pincal.validate.replicates import cycle_words
+
+_STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
+# Lines of rejected rows that are listed.
+_LISTED = 12
+# A ratio of errors that is worth a word.
+_IMPROVED = 1.05
+_TONES: dict[str, Tone] = {Judgement.ADEQUATE: "good", Judgement.NOT_JUDGED: "care"}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a page reports on.
+
+    Attributes:
+        calibration: the calibration.
+        provenance: versions, command, inputs with hashes.
+        notes: what the exported URDF does not carry.
+        discovery: what was found missing, if it was looked for.
+        view: name of the file beside the report that holds the view in three dimensions, if there is one.
+    """
+
+    calibration: Calibration
+    provenance: dict[str, Any]
+    notes: tuple[str, ...] = ()
+    discovery: Discovery | None = None
+    view: str | None = None
+
+    @property
+    def result(self) -> Result:
+        """The figures of the calibration."""
+        return self.calibration.result
+
+    @cached_property
+    def readings(self) -> tuple[Evidence, ...]:
+        """Errors row by row, one for each kind of reading, positions first."""
+        return evidence_of(self.calibration)
+
+    @property
+    def part(self) -> Literal["test", "train"]:
+        """The rows whose errors are quoted first: held-out ones if there are any."""
+        return "test" if "test" in self.result.error["calibrated"] else "train"
+
+
+def summary(subject: Subject) -> Section:
+    """Whether the model is good, what to do next, and the errors at a glance."""
+    result, verdict = subject.result, verdict_of(subject.result, subject.discovery)
+    left: list[Block] = [Paragraph(_headline(subject))]
+    left.append(Tag(verdict.judgement, _TONES.get(verdict.judgement, "bad"), str(verdict)))
+    left += [Paragraph(warning, "note") for warning in result.warnings]
+    steps = tuple(str(step) for step in next_steps(subject.calibration, subject.discovery))
+    right = (Heading("What to do next"), Bullets(steps))
+    columns = Group("split", (Group("plain", tuple(left)), Group("plain", right)))
+    return Section("summary", "Summary", "", (columns, Group("glance", _glance(subject))), is_panel=True)
+
+
+def _headline(subject: Subject) -> Markup:
+    """Return the mean error now and before, and the noise beside it."""
+    result, part = subject.result, subject.part
+    unit = "mm" if "mean_mm" in result.error["calibrated"][part] else "px"
+    before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
+    rows = (
+        f"On {subject.calibration.n_poses('test')} poses not used by the calibration"
+        if part == "test"
+        else "No poses were held out, so these are the errors of the fit itself, not of new poses: over all poses"
+    )
+    ratio = before / after if after > 0.0 else 1.0
+    times = f" ({ratio:.1f} times as large)" if ratio >= _IMPROVED else ""
+    noise = (
+        "The declared noise of the instrument is"
+        if result.noise["source"] == "declared"
+        else "The residuals, instrument noise and whatever the model lacks, have a standard deviation of"
+    )
+    return rich(
+        "{}, the mean error of the model is <b>{}</b>; before calibration it was <b>{}</b>{}. {} {}.",
+        *(rows, _size(after, unit), _size(before, unit), times, noise, noise_words(result.noise)),
+    )
+
+
+def _size(value: float, unit: str) -> str:
+    return f"{value:.4f} {unit}" if value < 0.1 else f"{value:.3f} {unit}"
+
+
+def _glance(subject: Subject) -> tuple[Bars, ...]:
+    """Return mean, 95 % and worst error, before and after."""
+    before, after = (subject.result.error[model][subject.part] for model in ("nominal", "calibrated"))
+    found = []
+    for unit, suffix in (("mm", ""), ("mrad", " of orientation")):
+        keys = [(f"{name}_{unit}", words) for name, words in _STATISTICS if f"{name}_{unit}" in after]
+        largest = max((max(before[key], after[key]) for key, _ in keys), default=0.0) or 1.0
+        for key, words in keys:
+            shares = (100.0 * before[key] / largest, 100.0 * after[key] / largest)
+            title = f"{words} error{suffix}"
+            found.append(Bars(title, _size(before[key], "").rstrip(), _size(after[key], unit), shares))
+    return tuple(found)
+
+
+def setup(subject: Subject) -> Section:
+    """Robot, data, model and fit."""
+    calibration, result, robot = subject.calibration, subject.result, subject.calibration.robot
+    effects = dict.fromkeys(effect.name for effect in calibration.fit.options.effects)
+    p_value = "" if result.chi2_p_value is None else f" (p {result.chi2_p_value:.2g})"
+    view = (
+        rich('<a href="{}">the robot, its errors and the measured points</a>', quote(subject.view))
+        if subject.view
+        else rich(
+            "<code>pincal view model.json {} --html view3d.html</code> shows the robot, its errors and the measured points",
+            calibration.train.source,
+        )
+    )
+    items = (
+        ("robot", rich("{}: {} joints from {} to {}", robot.name, robot.n_joints, code(robot.base), code(robot.tip))),
+        ("joints", joined(map(code, robot.joint_names), ", ")),
+        ("data", _data(subject)),
+        ("model", joined((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; ")),
+        (
+            "fit",
+            f"{result.iterations} iterations in {result.seconds:.2f} s; identifiable rank {result.rank}, condition number "
+            f"{result.condition:.2g}; reduced chi-square {result.chi2_reduced:.3f}{p_value}",
+        ),
+        ("3D view", view),
+    )
+    return Section("subject", "Robot, data and model", "", (Facts(items),))
+
+
+def _data(subject: Subject) -> Markup:
+    train, test, result = subject.calibration.train, subject.calibration.test, subject.result
+    other = result.rows["test"] and test.source != train.source
+    lines = ", ".join(map(str, result.outliers[:_LISTED])) + " ..." * (len(result.outliers) > _LISTED)
+    rejected = f", {len(result.outliers)} rejected as outliers (line {lines})" if result.outliers else ""
+    held = rich(" from {}", code(test.source)) if other else ""
+    counts = (result.rows["train"], result.rows["test"], held, rejected)
+    return rich("{} in {}: {} rows fitted, {} held out{}{}", train.kind, code(train.source), *counts)
+
+
+def accuracy(subject: Subject) -> Section:
+    """Errors before and after, and their distribution."""
+    result = subject.result
+    blocks: list[Block] = [
+        Paragraph(
+            rich(
+                "The error at a pose is the distance from the predicted to the measured target: the <b>accuracy</b> of a "
+                "single measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between repeated "
+                "measurements of a pose, which no calibration improves. “Nominal” is the robot as in its URDF, with only "
+                "the placement of instrument and target fitted."
+            )
+        )
+    ]
+    if not result.rows["test"]:
+        text = (
+            "No rows were held out: the errors are those of the poses that were fitted. Expect somewhat larger ones at new "
+            "poses."
+        )
+        blocks.append(Paragraph(text, "note"))
+    blocks += [error_table(result.error), figures("accuracy", error_drawings(subject.readings)), *_replicates(result)]
+    return Section("accuracy", "Before and after", "Accuracy", tuple(blocks))
+
+
+def _replicates(result: Result) -> list[Block]:
+    """Return what repeated measurements of poses say of accuracy, repeatability and lack of fit."""
+    iso, lack = result.iso9283, result.lack_of_fit
+    blocks: list[Block] = [Heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
+    if iso:
+        text = rich(
+            "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its measurements; <b>pose "
+            "repeatability RP</b> their scatter about this mean, mean distance plus three standard deviations (ISO 9283). "
+            "Calibration improves AP; it cannot improve RP, which includes the noise of the instrument. {}. A pose that the "
+            "fit has used in any of its measurements does not count as held out.",
+            cycle_words(iso),
+        )
+        blocks += [Paragraph(text), iso9283_table(iso)]
+    if lack:
+        scatter = f"Repeated measurements of a pose scatter by {pure_words(lack)}, whatever the model."
+        blocks.append(Paragraph(rich("{} {} {}.", bold("Lack of fit."), scatter, lack_words(lack))))
+    return blocks
+
+
+def where(subject: Subject) -> Section:
+    """Errors by joint position, over the workspace, and in the order of measurement."""
+    first, is_timed = subject.readings[0], subject.calibration.train.time is not None
+    key = Markup(
+        '<span class="key"><span style="background:var(--before)"></span>before'
+        '<span style="background:var(--after)"></span>after</span>'
+    )
+    by_joint = (
+        "Lines are medians, bands hold 90 % of the poses, fitted and held out together. A calibrated arm has flat bands; a "
+        "remaining wave or slope means that this joint does something that the model lacks. "
+    )
+    line = "" if is_timed else " No times were recorded, so the line of the table stands in for them."
+    residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)
+    blocks = (
+        *(Heading("By joint position"), Paragraph(rich("{}{}", by_joint, key)), figures("joint", joint_drawings(first))),
+        *(Heading("Over the workspace"), figures("workspace", workspace_drawings(first))),
+        *(Heading("In the order of measurement"), Paragraph(residual), figures("order", order_drawings(first))),
+    )
+    return Section("where", "Where the errors are", "Where the errors are", blocks)
+
+
+def parameters(subject: Subject) -> Section:
+    """Every parameter with its uncertainty, and the strong correlations."""
+    result = subject.result
+    intro = rich(
+        "Symbols follow Denavit and Hartenberg: theta and d about and along the joint axis, a and alpha along and about "
+        "the link; s_x and s_y tilt the axis. k is a <b>compliance</b>, the rotation of a joint or bearing per unit of "
+        "moment. Sigma is the standard deviation. Status: <b>identified</b>: determined by the data; <b>prior</b>: "
+        "dominated by prior knowledge; <b>unidentifiable</b>: these poses cannot determine it by itself, whatever the "
+        "noise; predictions do not depend on it."
+    )
+    blocks: list[Block] = [Paragraph(intro), figures("correction", correction_drawings(result.parameters))]
+    blocks += [parameter_table(result.parameters), Heading("Strong correlations")]
+    if result.correlations:
+        text = (
+            "Each of these pairs is known much better in combination than individually: an error of one is compensated by "
+            "the other. Quote them together."
+        )
+        blocks += [Paragraph(text), correlation_table(result.correlations)]
+    else:
+        blocks.append(Paragraph("No two identified parameters have a correlation above 0.9."))
+    return Section("parameters", "Parameters", "Parameters", tuple(blocks))
+
+
+def unidentified(subject: Subject) -> Section:
+    """Parameters that are not identified, by cause, with what to measure."""
+    cards = tuple(
+        Card(
+            group.advice.title,
+            (
+                Paragraph(group.advice.text),
+                Paragraph(rich("{}: {}", len(group.names), joined(map(code, group.names), ", ")), "mute"),
+            ),
+        )
+        for group in unidentified_groups(shown_parameters(subject.result.parameters))
+    )
+    blocks: list[Block] = [Group("cards", cards) if cards else Paragraph("All parameters are identified.")]
+    if subject.notes:
+        blocks += [Heading("Not included in the calibrated URDF"), Bullets(subject.notes)]
+    return Section("unidentified", "What is not identifiable, and what to measure", "Not identifiable", tuple(blocks))
+
+
+def basis(subject: Subject) -> Section:
+    """Versions, command and inputs."""
+    shown = {name: value for name, value in subject.provenance.items() if name != "inputs"}
+    items = [(name, code("-" if value is None else value)) for name, value in shown.items()]
+    items += [(f"input {name}", rich("SHA-256 {}", code(value))) for name, value in subject.provenance["inputs"].items()]
+    return Section("basis", "Provenance", "Provenance", (Facts(tuple(items)),))
+
+
+def glossary(subject: Subject) -> Section:
+    """The terms of the page."""
+    return Section("glossary", "Glossary", "Glossary", (Facts(TERMS),))
