@@ -82,7 +82,7 @@ def show_sigma(quantity: Quantity | None) -> str:
         >>> show_sigma(Quantity(1.234e-5, "rad")), show_sigma(None)
         ('0.012', '-')
     """
-    return _scaled(quantity, scaled="#.2g", plain=".1e")
+    return _scaled(quantity, scaled="#.2g", plain=".1e").removesuffix(".")
 
 
 def _scaled(quantity: Quantity | None, *, scaled: str, plain: str) -> str:

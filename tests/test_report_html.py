@@ -15,9 +15,12 @@ from pincal.calibration.run import Calibration
 from pincal.discover.run import Discovery
 from pincal.identify.reasons import Cause, Reason
 from pincal.report.advice import narrow_joints, unidentified_groups
+from pincal.report.blocks import Paragraph, Section
 from pincal.report.glossary import EFFECTS
-from pincal.report.html import write_report
+from pincal.report.html import SECTIONS, report_page, write_report
+from pincal.report.sections import Subject
 from pincal.report.verdict import next_steps, verdict_of
+from pincal.tables import Column, Kind, Table, fixed
 
 
 class Page(HTMLParser):
@@ -137,6 +140,19 @@ def test_the_view_is_linked_if_there_is_one(run: Calibration, page: str, no_figu
     """A file beside the report is linked; without one the page says how to make it."""
     assert 'href="view 3d.html"'.replace(" ", "%20") in page_of(run, view="view 3d.html")
     assert "pincal view model.json" in page and "view3d.html</a>" not in page
+
+
+def test_a_section_is_a_function(run: Calibration, no_figures: None) -> None:
+    """A section of the user's own is one function in the layout: it has its place, its link and its table, escaped."""
+
+    def ranges(subject: Subject) -> Section:
+        table = Table("Ranges", (Column("<joint>"), Column("range", "rad", Kind.NUMBER, fixed(2))), (("a<b", 1.5),))
+        return Section("ranges", "Ranges of joints", "Ranges", (Paragraph("How far & wide."), table))
+
+    page = report_page(run, ORIGIN, (), layout=(SECTIONS[0], ranges))
+    assert '<a href="#ranges">Ranges</a>' in page and '<h2 id="ranges">Ranges of joints</h2>' in page
+    assert "How far &amp; wide." in page and "a&lt;b" in page and "1.50" in page and 'id="parameters"' not in page
+    assert page.index('id="summary"') < page.index('id="ranges"')
 
 
 def test_a_discovery_is_told_step_by_step(found: Discovery, tmp_path: Path) -> None:
