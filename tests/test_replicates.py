@@ -18,7 +18,7 @@ from pincal.measure.sensor import Block
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.report.summary import verdict_of
+from pincal.report.verdict import verdict_of
 from pincal.robot.se3 import quaternions
 from pincal.validate.lack_of_fit import evenness, explained_by_uncertainty, lack_of_fit, spread_of, squares_of
 from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy, replicate_groups
@@ -270,10 +270,10 @@ def soft(kuka):
 def test_a_missing_effect_is_told_without_any_declared_noise(kuka, soft):
     """Geometry alone does not fit a robot that bends; with elasticity it does, and RP is the same."""
     lacking = soft.result
-    assert lacking.lack_of_fit["p_value"] < 1e-6 and verdict_of(lacking).word == "not adequate"
+    assert lacking.lack_of_fit["p_value"] < 1e-6 and verdict_of(lacking).judgement == "not adequate"
     assert any("lack of fit" in words for words in lacking.warnings)
     whole = run_calibration(kuka, visited(50, 3, 0, compliance=3e-7), Options(effects=ELASTIC)).result
-    assert whole.lack_of_fit["p_value"] > 1e-3 and verdict_of(whole).word == "adequate"
+    assert whole.lack_of_fit["p_value"] > 1e-3 and verdict_of(whole).judgement == "adequate"
     assert whole.lack_of_fit["pure_error"]["sigma_m"] == pytest.approx(5e-5, rel=0.15)
     for part in ("train", "test"):
         before, after = (result.iso9283["calibrated"][part] for result in (lacking, whole))
@@ -291,7 +291,7 @@ def test_a_robot_that_repeats_badly_is_not_a_wrong_model(kuka):
 
 def test_the_report_has_a_section_on_visits(soft, monkeypatch):
     """AP, RP, the number of cycles and the test stand there; not where no pose was visited twice."""
-    monkeypatch.setattr("pincal.report.html.illustrations", lambda *_: [])
+    monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
     page = page_of(soft)
     assert 'id="repeatability"' in page and "3 visits each; ISO 9283 asks for 30" in page and "Lack of fit" in page
     bare = replace(soft, result=replace(soft.result, iso9283=None, lack_of_fit=None))
@@ -301,7 +301,7 @@ def test_the_report_has_a_section_on_visits(soft, monkeypatch):
 
 def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypatch):
     """Calibrate and validate print them and have them in their JSON, in the words of the standard."""
-    monkeypatch.setattr("pincal.report.html.illustrations", lambda *_: [])
+    monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
     simulated = ["simulate", URDF, "--elastic", "0", "--cycles", "4", "--quiet", "--out"]
     assert run(*simulated, tmp_path / "data.csv", "--poses", "30", "--sensor", "pose") == 0
     assert run(*simulated, tmp_path / "new.csv", "--poses", "12", "--sensor", "pose", "--pose-seed", "1") == 0
