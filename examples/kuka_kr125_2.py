@@ -17,7 +17,7 @@ import numpy as np
 
 from pincal import Fit, Model, Options, Robot, calibrate, calibrated_model_of, explain, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
-from pincal.identify.calibrate import Stages
+from pincal.identify.options import Stages
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, BearingElasticity, Effect, JointElasticity
 from pincal.report.plots import deviation_figure
@@ -101,10 +101,10 @@ def combination_error(found: Fit, values: np.ndarray, reference: np.ndarray) -> 
     """
     free, sizes = found.solution.free, found.priors.sizes[found.solution.free]
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    J = np.zeros((3 * len(found.problem), int(free.sum())))
+    J = np.zeros((3 * len(found.station), int(free.sum())))
     for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights, strict=True):
         between = reference + node * (values - reference)
-        J += weight * found.model.linearise(between, found.problem.conditions, free=free)[1].reshape(len(J), -1)
+        J += weight * found.model.linearise(between, found.station.conditions, free=free)[1].reshape(len(J), -1)
     _, singular, Vt = np.linalg.svd(J * sizes, full_matrices=False)
     # Told is what moves the readings by more than their noise when it changes by as much as real robots differ.
     told = Vt[singular > NOISE]
@@ -176,7 +176,7 @@ def print_table_two(figure: Path) -> None:
     print(f"\nTable II: {'stage':36s} {'rms residual [m]':>16s} {'iterations':>10s}")
     for stage in complete.stages:
         print(f"          {stage.name:36s} {stage.rms:16.1e} {stage.iterations:10d}")
-    norm = float(np.linalg.norm(complete.problem.residuals(complete.values)))
+    norm = float(np.linalg.norm(complete.station.residuals(complete.values)))
     print(f"          {'norm of the last residual':36s} {norm:16.1e}")
     series = {
         "standard DH": deviations(geometric, other, geometric.nominal.values),

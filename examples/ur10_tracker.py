@@ -82,7 +82,7 @@ def _curve(found: Discovery, entry: dict[str, Any]) -> str:
     fit = found.calibration.fit
     for effect in fit.model.effects:
         if isinstance(effect, TransmissionError) and (effect.name, effect.joint) == (entry["effect"], entry["joint"]):
-            terms = effect.terms(fit.model.chain, fit.problem.conditions, None)
+            terms = effect.terms(fit.model.chain, fit.station.conditions, None)
             values = [fit.values[fit.model.index(parameter.name)] for parameter in effect.parameters(fit.model.chain)]
             curve = sum(values[term.parameter] * term.basis for term in terms if term.basis is not None)
             return f"{np.rad2deg(np.std(curve)) * 3600.0:5.1f} arcsec rms"

@@ -22,14 +22,15 @@ if TYPE_CHECKING:
     from pincal.design.reach import Limits, SensorSetup
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
-    from pincal.identify.calibrate import Fit, Options, calibrate
+    from pincal.identify.calibrate import calibrate
     from pincal.identify.explain import explain
+    from pincal.identify.fit import Fit
+    from pincal.identify.options import Options
     from pincal.identify.repeat import bootstrap, cross_validate, monte_carlo
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements_from_arrays
-    from pincal.measure.named_points import KnownDistance
-    from pincal.measure.setup import Setup
+    from pincal.measure.setup import KnownDistance, Setup
     from pincal.measure.table import read_measurements
     from pincal.model.augmented import augmented_model, calibrated_model
     from pincal.model.chain import Chain
@@ -48,14 +49,15 @@ _HOMES = {
     "pincal.design.reach": ("Limits", "SensorSetup"),
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
-    "pincal.identify.calibrate": ("Fit", "Options", "calibrate"),
+    "pincal.identify.calibrate": ("calibrate",),
+    "pincal.identify.fit": ("Fit",),
+    "pincal.identify.options": ("Options",),
     "pincal.identify.explain": ("explain",),
     "pincal.identify.repeat": ("bootstrap", "cross_validate", "monte_carlo"),
     "pincal.io.urdf_export": ("calibrated_urdf",),
     "pincal.measure.lens": ("Lens",),
     "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
-    "pincal.measure.named_points": ("KnownDistance",),
-    "pincal.measure.setup": ("Setup",),
+    "pincal.measure.setup": ("KnownDistance", "Setup"),
     "pincal.measure.table": ("read_measurements",),
     "pincal.model.augmented": ("augmented_model", "calibrated_model"),
     "pincal.model.chain": ("Chain",),

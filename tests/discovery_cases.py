@@ -22,7 +22,8 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.loop import History, discover_effects, place_of
 from pincal.discover.nuisance import MassError, compliances_of
-from pincal.identify.calibrate import Fit, refit
+from pincal.identify.calibrate import refit
+from pincal.identify.fit import Fit
 from pincal.identify.split import hold_out, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model import catalogue
@@ -203,7 +204,7 @@ class _Absorber:
         relative = [parameter.size for parameter in model.parameters[len(fit.values) :]]
         free = np.ones(model.n_parameters, bool)
         values = np.append(fit.values, np.zeros(len(relative)))
-        pieces = fit.problem.with_model(model).linearise(values, free)
+        pieces = fit.station.with_model(model).linearise(values, free)
         self.jacobian = np.concatenate([J.transpose(2, 1, 0) for _, _, J in pieces]) / SIGMA
         # Directions that only priors hold (parallel axes) absorb no more than their priors let them.
         self.held = 1.0 / np.append(fit.priors.sizes, relative)
@@ -446,7 +447,7 @@ def _gap(fit: Fit, held: Measurements, clean: np.ndarray) -> float:
 
 def _known_form(hidden: HiddenEffect, fit: Fit) -> list[Effect]:
     """Return the catalogue's effect that a hidden one is, a drive curve in several resolutions."""
-    values, conditions = vars(hidden), fit.problem.conditions
+    values, conditions = vars(hidden), fit.station.conditions
     joint = str(hidden.joint)
     if hidden.effect == "transmission_error":
         q = conditions.q[:, fit.model.chain.robot.joint_names.index(joint)]

@@ -125,7 +125,7 @@ def test_model_file_predicts_with_the_new_effect(tmp_path: Path, found: Discover
     fit = found.calibration.fit
     save_model(tmp_path / "model.json", calibrated_model_of(fit, {}))
     back = load_model(tmp_path / "model.json")
-    conditions = fit.problem.conditions
+    conditions = fit.station.conditions
 
     assert "backlash" in [effect.name for effect in back.model.effects]
     expected = fit.model.predict(fit.values[: fit.model.n_parameters], conditions)
@@ -147,7 +147,7 @@ def test_nothing_is_located_where_there_is_only_noise() -> None:
 
 def test_levers_are_how_readings_move(elastic_fit: Any) -> None:
     """The lever of a joint's drive is the derivative of the prediction by the joint's position."""
-    chain, problem, h = elastic_fit.model.chain, elastic_fit.problem, 1e-5
+    chain, problem, h = elastic_fit.model.chain, elastic_fit.station, 1e-5
     values = elastic_fit.values[: elastic_fit.model.n_parameters]
     moved = [replace(problem.conditions, q=problem.conditions.q + h * sign * np.eye(6)[2]) for sign in (1.0, -1.0)]
     plus, minus = (elastic_fit.model.predict(values, c)[:, :, 3] for c in moved)
@@ -190,7 +190,7 @@ def test_power_is_that_of_simulated_tests() -> None:
 
 def test_detectable_size_follows_noise_and_curves_are_measured_by_rms(elastic_fit: Any, case: Case) -> None:
     """Twice the noise needs twice the effect; each has a size, or a reason why it has none."""
-    effects = candidates(elastic_fit.model.chain, elastic_fit.problem.conditions)
+    effects = candidates(elastic_fit.model.chain, elastic_fit.station.conditions)
     once, twice = (minimum_detectable(elastic_fit, effects, sigma=np.array([s])) for s in (SIGMA, 2.0 * SIGMA))
 
     for a, b in zip(once, twice, strict=True):
@@ -211,7 +211,7 @@ def test_detectable_size_follows_noise_and_curves_are_measured_by_rms(elastic_fi
 def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elastic_fit: Any, case: Case) -> None:
     """Tables simulated with an effect of that size, random in phase, pass the test about that often."""
     fit, rng = elastic_fit, np.random.default_rng(3)
-    conditions = fit.problem.conditions
+    conditions = fit.station.conditions
     effects = candidates(fit.model.chain, conditions)
     sights = minimum_detectable(fit, effects, sigma=np.array([SIGMA]))
     sight = next(s for s in sights if s.effect.name == name and vars(s.effect)["joint"] == "joint_3")
@@ -225,7 +225,7 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
         beta = rng.standard_normal(len(sight.effect.parameters(fit.model.chain)))
         values = np.concatenate([fit.values, sight.size * beta / np.linalg.norm(beta)])
         position = model.predict(values, conditions)[:, :, 3] + SIGMA * rng.standard_normal((len(conditions), 3))
-        again = calibrate(case.robot, case.rows.with_readings(position=position), fit.options)
+        again = calibrate(case.robot, replace(case.rows, position=position), fit.options)
         tested = score_test(again, [sight.effect], [], np.zeros(len(conditions), int))
         score = tested.score([0], len(effects))
         hits.append(score.p_value < ALPHA / groups)
@@ -379,7 +379,7 @@ def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys:
     calibrated = _model_with(elastic_fit, TransmissionError("joint_3", -0.5, 0.5))
     save_model(tmp_path / "model.json", calibrated)
     write_table(tmp_path / "poses.csv", {name: q[:, i] for i, name in enumerate(calibrated.model.chain.robot.joint_names)})
-    conditions = elastic_fit.problem.conditions.select(np.arange(3))
+    conditions = elastic_fit.station.conditions.select(np.arange(3))
 
     (beyond,) = calibrated.outside_curves(replace(conditions, q=q))
 

@@ -15,8 +15,10 @@ import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated import CalibratedModel, calibrated_model_of, load_model, save_model
 from pincal.errors import ModelFileError, OutputError
-from pincal.identify.calibrate import Fit, Options, calibrate
-from pincal.io.effect_entry import known_effects
+from pincal.identify.calibrate import calibrate
+from pincal.identify.fit import Fit
+from pincal.identify.options import Options
+from pincal.io.model_json import known_effects
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain
@@ -194,10 +196,10 @@ def test_a_model_read_again_exports_the_same_urdf(calibrated: CalibratedModel, p
 
 def test_a_model_is_that_of_its_fit(fit: Fit, calibrated: CalibratedModel) -> None:
     """Predictions are the fit's own; what was given and not fitted has no variance."""
-    poses = fit.model.predict(fit.values, fit.problem.conditions)
+    poses = fit.model.predict(fit.values, fit.station.conditions)
     held = ~fit.solution.free
 
-    assert np.array_equal(calibrated.predict(fit.problem.conditions), poses)
+    assert np.array_equal(calibrated.predict(fit.station.conditions), poses)
     assert held.any()
     assert not calibrated.covariance[held].any()
     assert not calibrated.covariance[:, held].any()
@@ -234,7 +236,7 @@ def test_uncertainty_of_many_poses_is_worked_out_in_pieces(calibrated: Calibrate
 
 def test_outside_names_rows_joints_and_ranges(fit: Fit, calibrated: CalibratedModel) -> None:
     """Training rows are covered, and so is a little more; beyond it each joint and the payload are named."""
-    conditions = fit.problem.conditions
+    conditions = fit.station.conditions
     assert calibrated.outside(conditions) == []
 
     lower, upper = calibrated.covered.q.T

@@ -15,15 +15,15 @@ from pincal import simulate as sim
 from pincal.calibration.calibrated import calibrated_model_of, load_model, save_model
 from pincal.calibration.run import run_calibration
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
-from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.calibrate import calibrate
+from pincal.identify.fit import Fit
+from pincal.identify.options import Options
 from pincal.identify.repeat import cross_validate
-from pincal.io.camera_file import read_lens, read_mount
+from pincal.identify.rows import some_rows
 from pincal.measure.admission import scorable_rows, unobservable_notes, usable_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.named_points import KnownDistance, NamedPoints
-from pincal.measure.rows import some_rows
-from pincal.measure.setup import Setup, read_distances, read_points
+from pincal.measure.setup import KnownDistance, NamedPoints, Setup, read_distances, read_lens, read_mount, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
@@ -123,7 +123,7 @@ def test_exact_readings_are_explained_wherever_things_stand(case: str, machine: 
     held = np.random.default_rng(1).random(len(table)) < 0.25
     fit = calibrate(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
 
-    assert np.median(np.linalg.norm(fit.problem.displacements(fit.nominal.values), axis=1)) > 2e-4
+    assert np.median(np.linalg.norm(fit.station.displacements(fit.nominal.values), axis=1)) > 2e-4
     assert fit.solution.converged
     assert largest(fit, table.select(held)) < 1e-10
 
@@ -137,7 +137,7 @@ def test_contacts_find_the_sockets_and_the_scale(machine: sim.TrueMachine, kuka:
         )
     )
     fit = calibrate(kuka, contacts(machine, kuka, each=40), Options(effects=GEOMETRIC, setup=setup))
-    found = fit.values[fit.problem.model.n_parameters :].reshape(-1, 3)
+    found = fit.values[fit.station.model.n_parameters :].reshape(-1, 3)
     true = np.array([*SOCKETS.values()])
 
     for i, j in ((0, 1), (0, 2), (1, 3)):
@@ -199,7 +199,7 @@ def test_model_file_reads_further_rows(case: str, machine: sim.TrueMachine, kuka
     save_model(tmp_path / "model.json", calibrated_model_of(fit, {}))
     back = load_model(tmp_path / "model.json")
 
-    np.testing.assert_array_equal(back.readings(table).residuals(back.values), fit.problem.residuals(fit.values))
+    np.testing.assert_array_equal(back.readings(table).residuals(back.values), fit.station.residuals(fit.values))
     if table.socket is None:
         other = table.select(np.arange(2))
         names = np.array(["new", "new"])

@@ -39,7 +39,7 @@ def test_cross_validation_predicts_every_row_once(kuka):
 
 def test_monte_carlo_spread_is_the_posterior(fit):
     """The spread of predictions over simulated readings equals that of the covariance within its own scatter."""
-    conditions = fit.problem.conditions.select(slice(0, 40))
+    conditions = fit.station.conditions.select(slice(0, 40))
     draws = monte_carlo(fit, draws=60, seed=1)
     places = np.array([fit.model.predict(values, conditions)[:, :, 3] for values in draws])
     _, J = fit.model.linearise(fit.values, conditions, free=fit.solution.free)

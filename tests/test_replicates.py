@@ -12,9 +12,9 @@ from test_cli import run
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.identify.problem import problem_of
+from pincal.identify.station import station_of
 from pincal.measure.measurements import measurements_from_arrays
-from pincal.measure.sensor import Block
+from pincal.measure.sensors import Block
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
@@ -101,7 +101,7 @@ def visits_of(model, q, offsets, *, part="test", counted=None, **columns):
         found["quaternion"] = quaternions(found["quaternion"] @ at[:, :, :3])
     rows = measurements_from_arrays(model.chain.robot.joint_names, q, **found)
     counted = np.ones(len(rows), bool) if counted is None else np.array(counted)
-    return Replicates(part, rows, problem_of(model, rows, np.zeros(3)), replicate_groups([rows])[0], counted)
+    return Replicates(part, rows, station_of(model, rows, np.zeros(3)), replicate_groups([rows])[0], counted)
 
 
 def test_poses_are_reported_one_by_one(ur10):

@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pincal.errors import BadInputError, PincalWarning, RobotFileError
-from pincal.identify.calibrate import Options, calibrate
+from pincal.identify.calibrate import calibrate
+from pincal.identify.options import Options
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.effects import ELASTIC, GEOMETRIC, JointElasticity
 from pincal.robot.robot import Robot

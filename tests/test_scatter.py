@@ -6,8 +6,9 @@ from machines import kuka as true_kuka
 
 from pincal import simulate as sim
 from pincal.discover.scatter import find_scatter, visits
-from pincal.identify.calibrate import Options, calibrate
-from pincal.identify.problem import problem_of
+from pincal.identify.calibrate import calibrate
+from pincal.identify.options import Options
+from pincal.identify.station import station_of
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC
@@ -52,7 +53,7 @@ def test_rows_of_one_pose_are_one_visit_unless_they_read_the_same_again(kuka: Ro
     """Two targets of a pose belong together; the second round of the same poses does not."""
     q = np.tile([[0.0], [0.0], [1.0]], (2, 6))
     table = measurements_from_arrays(kuka.joint_names, q, position=np.zeros((6, 3)), target=[*"aba"] * 2)
-    found = visits(problem_of(Model(Chain.of(kuka, targets=("a", "b")), ()), table, np.zeros(3)))
+    found = visits(station_of(Model(Chain.of(kuka, targets=("a", "b")), ()), table, np.zeros(3)))
 
     assert found[0] == found[1] and found[3] == found[4]
     assert len(set(found)) == 4 and found[0] != found[3] and found[2] != found[5]

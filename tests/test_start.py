@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.calibrate import calibrate
+from pincal.identify.fit import Fit
+from pincal.identify.options import Options
 from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.sensor import Sensor
-from pincal.measure.sensors.distance import DistanceSensor
-from pincal.measure.sensors.pose import PoseSensor
-from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.points import DistanceSensor
+from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
 from pincal.robot.robot import Robot
 
 PLACEMENTS = range(30)
@@ -86,7 +86,7 @@ def measure(scene: Scene, kind: str, seed: int, rng: np.random.Generator, *, pos
 
 def base_and_tools(fit: Fit, values: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the base and the tools, shape (4, 4) each, of a fit's values."""
-    model, chain = fit.problem.model, fit.problem.model.chain
+    model, chain = fit.station.model, fit.station.model.chain
     found = dict(zip(model.names, values, strict=True))
 
     def frame(element: str, reference: np.ndarray) -> np.ndarray:
@@ -120,7 +120,7 @@ def assert_found(fit: Fit, scene: Scene, kind: str, *, values: np.ndarray | None
         assert np.linalg.norm(tool[:3, 3] - scene.tools[name][:3, 3]) < WITHIN
         if kind == "pose":
             assert Rotation.from_matrix(tool[:3, :3].T @ scene.tools[name][:3, :3]).magnitude() < WITHIN
-    residuals = np.linalg.norm(fit.problem.residuals(values), axis=0)
+    residuals = np.linalg.norm(fit.station.residuals(values), axis=0)
     assert np.median(residuals) < WITHIN
 
 
@@ -178,9 +178,9 @@ def test_outliers_do_not_pull_base_and_tool(kuka: Robot, kind: str, seed: int) -
     table = measure(scene, kind, seed, rng)
     bad = np.arange(len(table)) % 20 == 7
     if table.distance is not None:
-        spoilt = table.with_readings(distance=np.where(bad, table.distance + 0.5, table.distance))
+        spoilt = replace(table, distance=np.where(bad, table.distance + 0.5, table.distance))
     else:
-        spoilt = table.with_readings(position=table.position + np.outer(bad, [0.3, -0.4, 0.0]))
+        spoilt = replace(table, position=table.position + np.outer(bad, [0.3, -0.4, 0.0]))
     fit = calibrate(kuka, spoilt, FRAMES_ONLY)
 
     assert np.all(fit.solution.weights[bad] == 0.0) and np.all(fit.solution.weights[~bad] > 0.0)

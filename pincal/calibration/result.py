@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from pincal.identify.calibrate import Fit
 from pincal.identify.explain import explain
-from pincal.identify.problem import Problem
+from pincal.identify.fit import Fit
 from pincal.identify.reasons import Reason, Status
+from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.validate.accuracy import error_table, pose_errors
@@ -97,7 +97,7 @@ class Result:
 
 def result_of(
     fit: Fit,
-    test: Problem | None,
+    test: Station | None,
     *,
     seconds: float,
     tables: tuple[Measurements, Measurements],
@@ -121,12 +121,12 @@ def result_of(
     lack = lack_of_fit(visits, fit.values, solution.sigma, spent=solution.posterior.effective)
     error: dict[str, dict[str, dict[str, float]]] = {}
     for name, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
-        error[name] = {"train": error_table(fit.problem, values)}
+        error[name] = {"train": error_table(fit.station, values)}
         if test is not None and len(test):
             error[name]["test"] = error_table(test, values)
     return Result(
         noise=_noise(fit),
-        rows={"train": len(fit.problem), "test": 0 if test is None else len(test)},
+        rows={"train": len(fit.station), "test": 0 if test is None else len(test)},
         parameters=parameters,
         rank=solution.posterior.identifiable_rank,
         condition=solution.posterior.condition,
@@ -150,10 +150,10 @@ def result_of(
     )
 
 
-def _visits(fit: Fit, test: Problem | None, tables: tuple[Measurements, Measurements]) -> list[Replicates]:
+def _visits(fit: Fit, test: Station | None, tables: tuple[Measurements, Measurements]) -> list[Replicates]:
     """Return fitted and held-out rows by the poses that they visit."""
     train_poses, test_poses = replicate_groups(tables)
-    found = [Replicates("train", tables[0], fit.problem, train_poses, fit.solution.weights > 0.0)]
+    found = [Replicates("train", tables[0], fit.station, train_poses, fit.solution.weights > 0.0)]
     if test is not None and len(test):
         found.append(Replicates("test", tables[1], test, test_poses, np.ones(len(test), bool)))
     return found
@@ -176,7 +176,7 @@ def _of_visits(lack: dict[str, Any] | None, p_value: float | None) -> list[str]:
 def _noise(fit: Fit) -> dict[str, Any]:
     noise: dict[str, Any] = {"source": "estimated" if fit.noise.declared[0] is None else "declared"}
     for block, sigma, declared, estimated in zip(
-        fit.problem.sensor.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True
+        fit.station.sensor.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True
     ):
         name = f"sigma_{block.unit}"
         noise[name] = float(sigma if declared is None else declared)
@@ -186,14 +186,14 @@ def _noise(fit: Fit) -> dict[str, Any]:
 
 def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
     """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
-    values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
+    values = fit.values + np.array([p.nominal for p in fit.station.parameters])
     for element, rotation in _references(fit).items():
-        places = [i for i, p in enumerate(fit.problem.parameters) if p.name in {f"{element}.r{a}" for a in "xyz"}]
+        places = [i for i, p in enumerate(fit.station.parameters) if p.name in {f"{element}.r{a}" for a in "xyz"}]
         if len(places) == 3:
             turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
             values[places] = rotation_vectors(turned[None, :3, :3])[0]
     rows = []
-    for i, (parameter, finding) in enumerate(zip(fit.problem.parameters, explain(fit), strict=True)):
+    for i, (parameter, finding) in enumerate(zip(fit.station.parameters, explain(fit), strict=True)):
         spread = None if finding.status == "fixed" else float(fit.estimate.sigma[i])
         rows.append(
             ParameterRow(
@@ -220,7 +220,7 @@ def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[dict[str, A
     C = fit.solution.posterior.covariance
     sd = np.sqrt(np.diag(C))
     correlation = C / np.outer(sd, sd)
-    parameters = [p for p, free in zip(fit.problem.parameters, fit.solution.free, strict=True) if free]
+    parameters = [p for p, free in zip(fit.station.parameters, fit.solution.free, strict=True) if free]
     told = {row.name for row in rows if row.status == "identified"}
     inner = np.array([np.isfinite(p.size) and p.name in told for p in parameters], bool)
     pairs = [
@@ -231,7 +231,7 @@ def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[dict[str, A
     return tuple({"parameters": [a, b], "correlation": r} for r, a, b in pairs[:_MOST_CORRELATIONS])
 
 
-def _far_off(fit: Fit, test: Problem | None, table: Measurements) -> list[str]:
+def _far_off(fit: Fit, test: Station | None, table: Measurements) -> list[str]:
     """Return a note on held-out rows far off all others: a few of them make much of a mean."""
     if test is None or not len(test):
         return []
@@ -247,7 +247,7 @@ def _far_off(fit: Fit, test: Problem | None, table: Measurements) -> list[str]:
     ]
 
 
-def _warnings(fit: Fit, p_value: float | None, outliers: tuple[int, ...], test: Problem | None) -> list[str]:
+def _warnings(fit: Fit, p_value: float | None, outliers: tuple[int, ...], test: Station | None) -> list[str]:
     found = []
     if not fit.solution.converged:
         found.append("the fit did not converge; look at the noise and at rows that don't belong to this robot")

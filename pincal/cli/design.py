@@ -16,7 +16,7 @@ from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.design.reach import Limits, SensorSetup
-    from pincal.identify.calibrate import Options
+    from pincal.identify.options import Options
     from pincal.robot.robot import Robot
 
 _EXAMPLES = """
@@ -148,7 +148,7 @@ def design(arguments: DesignArguments) -> Exit:
 
 def _options(arguments: DesignArguments) -> Options:
     from pincal.cli.inputs import EFFECTS
-    from pincal.identify.calibrate import Options
+    from pincal.identify.options import Options
 
     model = arguments.model
     return Options(

@@ -17,9 +17,11 @@ import numpy as np
 
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError
-from pincal.identify.calibrate import Options, noise_of, priors_of
-from pincal.identify.normal import Posterior, posterior
-from pincal.identify.problem import Problem, problem_of
+from pincal.identify.beliefs import noise_of, priors_of
+from pincal.identify.options import Options
+from pincal.identify.posterior import Posterior, posterior
+from pincal.identify.problem import Problem
+from pincal.identify.station import Station, station_of
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
@@ -79,7 +81,7 @@ class DesignModel:
         rivals: Sequence[Effect] = (),
         targets: tuple[str, ...] = ("tool",),
     ) -> DesignModel:
-        """Return the model of a design for poses like these.
+        """Return the foresight for poses like these.
 
         Args:
             robot: the arm.
@@ -105,9 +107,8 @@ class DesignModel:
                 model = model.with_effects([*model.effects, rival])
         values = _nominal(model, rig, rig.target(robot))
         problem = _problem(model, values, rig.sensor, conditions)
-        free = np.ones(len(values), bool)
-        free[: model.n_parameters] = model.largest_basis(conditions)[1]
-        sizes = priors_of(problem, options).sizes[free]
+        free = model.largest_basis(conditions)[1]
+        sizes = priors_of(Problem((problem,)), options).sizes[free]
         places = _places(model, free, rivals)
         for columns in places:
             sizes[columns] *= RIVAL
@@ -148,18 +149,18 @@ class DesignModel:
         G = H / np.outer(self.units, self.units)
         return posterior(G, np.zeros(self.n_free), self.sizes, np.zeros(self.n_free))
 
-    def _jacobian(self, problem: Problem) -> np.ndarray:
+    def _jacobian(self, problem: Station) -> np.ndarray:
         parts = [jacobian for _, _, jacobian in problem.linearise(self.values, self.free)]
         return np.concatenate(parts, axis=2).transpose(2, 1, 0)
 
 
-def _problem(model: Model, values: np.ndarray, sensor: str, conditions: Conditions) -> Problem:
+def _problem(model: Model, values: np.ndarray, sensor: str, conditions: Conditions) -> Station:
     """Return the problem of the readings that a nominal arm gives."""
-    poses = model.predict(values[: model.n_parameters], conditions)
+    poses = model.predict(values, conditions)
     names = np.array(model.chain.targets)[conditions.target]
     columns: dict[str, Any] = {"target": names} | READINGS[sensor](poses)
     table = measurements_from_arrays(model.chain.robot.joint_names, conditions.q, **columns)
-    return replace(problem_of(model, table, conditions.payload_centre), conditions=conditions)
+    return replace(station_of(model, table, conditions.payload_centre), conditions=conditions)
 
 
 def _nominal(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
@@ -173,8 +174,8 @@ def _nominal(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
     return values
 
 
-def _sigma(problem: Problem, options: Options) -> np.ndarray:
-    declared = noise_of(problem, options).declared
+def _sigma(problem: Station, options: Options) -> np.ndarray:
+    declared = noise_of(Problem((problem,)), options).declared
     units = [block.unit for block in problem.sensor.blocks]
     sigma = np.array([ASSUMED_NOISE[unit] if s is None else s for unit, s in zip(units, declared, strict=True)])
     if np.any(sigma < _LEAST_NOISE):

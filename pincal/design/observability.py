@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.design.design_model import DesignModel
-from pincal.identify.normal import NULL
+from pincal.identify.posterior import NULL
 
 SOURCES = {
     "O1": "Borm and Menq 1989",
@@ -35,18 +35,18 @@ class Observed:
     """The directions in which poses are compared.
 
     Attributes:
-        design_model: the parameters.
+        foresight: the parameters.
         directions: shape (H, r), orthonormal, in units of the priors of the H parameters that have one.
     """
 
-    design_model: DesignModel
+    foresight: DesignModel
     directions: np.ndarray
 
     @classmethod
-    def of(cls, design_model: DesignModel, mean: np.ndarray, n: int) -> Observed:
+    def of(cls, foresight: DesignModel, mean: np.ndarray, n: int) -> Observed:
         """Return the directions that n average candidates tell; ``mean`` is the information of one, shape (F, F)."""
-        posterior = design_model.posterior(n * mean)
-        return cls(design_model, posterior.directions[:, posterior.information > 1.0])
+        told = foresight.posterior(n * mean)
+        return cls(foresight, told.directions[:, told.information > 1.0])
 
     @property
     def rank(self) -> int:
@@ -57,9 +57,9 @@ class Observed:
         """Return O1 to O5 of n poses with information H, shape (F, F); empty where they tell nothing."""
         if not self.rank:
             return {}
-        posterior = self.design_model.posterior(H)
-        overlap = self.directions.T @ posterior.directions
-        squares = np.linalg.eigvalsh((overlap * posterior.information) @ overlap.T)
+        told = self.foresight.posterior(H)
+        seen = self.directions.T @ told.directions
+        squares = np.linalg.eigvalsh((seen * told.information) @ seen.T)
         if squares[0] <= NULL * squares[-1]:
             return dict.fromkeys(SOURCES, 0.0)
         sigma = np.sqrt(squares)

@@ -17,7 +17,7 @@ from scipy.special import chdtrc, fdtrc
 
 from pincal.discover.generic import spline_basis
 from pincal.discover.nuisance import MassError
-from pincal.identify.calibrate import Fit
+from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.model.catalogue.places import nominal_moments
 from pincal.model.chain import Chain
@@ -74,18 +74,15 @@ def levers(fit: Fit, coordinates: tuple[int, ...]) -> np.ndarray:
 
 def _linearised(fit: Fit, extra: list[Effect], free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return residuals, shape (m, N), and the Jacobian by free parameters and all of the extra effects."""
-    n = fit.model.n_parameters
-    problem = fit.problem.with_model(fit.model.with_effects([*fit.model.effects, *extra]))
-    more = problem.model.n_parameters - n
-    values = np.concatenate([fit.values[:n], np.zeros(more), fit.values[n:]])
-    mask = np.concatenate([free[:n], np.ones(more, bool), free[n:]])
-    pieces = list(problem.linearise(values, mask))
+    problem, known = fit.problem.extended(extra)
+    values, mask = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
+    values[known], mask[known] = fit.values, free
+    pieces = list(problem.station.linearise(values, mask))
     residuals = np.concatenate([r for _, r, _ in pieces], axis=1)
     jacobian = np.concatenate([J for _, _, J in pieces], axis=2)
-    # The extra ones last, behind the sensor's own.
-    k, own = int(free[:n].sum()), int(free[n:].sum())
-    order = np.concatenate([np.arange(k), k + more + np.arange(own), k + np.arange(more)])
-    return residuals, jacobian[order]
+    column = np.cumsum(mask) - 1
+    present = column[known[free]]
+    return residuals, jacobian[np.concatenate([present, np.setdiff1d(np.arange(len(jacobian)), present)])]
 
 
 @dataclass(frozen=True)
@@ -208,8 +205,8 @@ class _Rest:
         spots = _spots(fit.model.chain)
         residuals, jacobian = _linearised(fit, [*extra, Motions(tuple(spots.values()))], free)
         weights = np.empty(residuals.shape)
-        for rows, s in zip(block_rows(fit.problem), sigma, strict=True):
-            weights[rows] = fit.problem.weights * fit.solution.weights / s
+        for rows, s in zip(block_rows(fit.station), sigma, strict=True):
+            weights[rows] = fit.station.weights * fit.solution.weights / s
         jacobian *= weights
         own = len(jacobian) - len(spots)
         sizes = np.concatenate([fit.priors.sizes[free], *(_sizes(fit, effect) for effect in extra)])
@@ -226,12 +223,12 @@ class _Rest:
     @property
     def components(self) -> int:
         """Components of one row's readings."""
-        return sum(block.size for block in self.fit.problem.sensor.blocks)
+        return sum(block.size for block in self.fit.station.sensor.blocks)
 
     @property
     def readings(self) -> int:
         """Number of readings."""
-        return self.components * len(self.fit.problem)
+        return self.components * len(self.fit.station)
 
     @property
     def dof(self) -> float:
@@ -337,7 +334,7 @@ def _spots(chain: Chain) -> dict[Spot, int]:
 
 def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place, np.ndarray]]:
     """Yield places and their whitened columns, shape (k, m N), from how the readings move with each coordinate."""
-    names, conditions = fit.model.chain.robot.joint_names, fit.problem.conditions
+    names, conditions = fit.model.chain.robot.joint_names, fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if _varies(getattr(conditions, v))]
     bases = {v: _basis(_variable(fit, None, v), _SLOW_SIZE) for v in slow}
     bases |= {name: _basis(_variable(fit, name, name), _SIZE) for name in names}
@@ -357,7 +354,7 @@ def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place
 
 def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yield what a drive may follow beside positions: fine waves of its gear, direction of approach, load."""
-    conditions = fit.problem.conditions
+    conditions = fit.station.conditions
     q = _variable(fit, joint, joint)
     for size in _OWN_SIZES:
         if np.ptp(q) and size <= len(q) // _ROWS:
@@ -384,7 +381,7 @@ def _varies(column: np.ndarray | None) -> bool:
 
 def _variable(fit: Fit, joint: str | None, name: str) -> np.ndarray:
     """Return a variable at the rows of a fit, shape (N,)."""
-    conditions, names = fit.problem.conditions, fit.model.chain.robot.joint_names
+    conditions, names = fit.station.conditions, fit.model.chain.robot.joint_names
     if name in names:
         return np.asarray(conditions.q[:, names.index(name)])
     if name == "approach":
@@ -427,16 +424,16 @@ def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | No
 def _regions(rest: _Rest) -> tuple[Region, ...]:
     """Return where in the workspace, and along which direction, the excess shows more than elsewhere."""
     fit = rest.fit
-    if fit.problem.sensor.blocks[0].size != 3:
+    if fit.station.sensor.blocks[0].size != 3:
         return ()
-    n = len(fit.problem)
+    n = len(fit.station)
     left = rest.left[: n * rest.components].reshape(rest.components, n)[:3]
     # A row's part of the excess: its squares less what the noise makes of them.
     expected = 3.0 * rest.dof / rest.readings
     energy = np.sum(left**2, axis=0) - expected
     if energy.sum() <= 0.0:
         return ()
-    tip = fit.model.chain.robot.forward_kinematics(fit.problem.conditions.q)[:, :3, 3]
+    tip = fit.model.chain.robot.forward_kinematics(fit.station.conditions.q)[:, :3, 3]
     up = -fit.model.chain.gravity / np.linalg.norm(fit.model.chain.gravity)
     away = tip - fit.model.chain.robot.frames.T_base_first[:3, 3]
     height = away @ up

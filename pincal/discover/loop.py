@@ -12,7 +12,9 @@ from pincal.discover.generic import generic_candidates
 from pincal.discover.nuisance import compliances_of, score_test_beside_masses
 from pincal.discover.resolution import curves_over, refined, resolved
 from pincal.discover.score_tests import Score, ScoreTests
-from pincal.identify.calibrate import Fit, refit, without
+from pincal.identify.calibrate import refit
+from pincal.identify.fit import Fit, without
+from pincal.identify.problem import Problem
 from pincal.model.catalogue import (
     AxisWobble,
     BaseDrift,
@@ -154,7 +156,7 @@ def place_of(effect: Effect) -> tuple[str | None, str | None]:
 
 def sampled(fit: Fit) -> tuple[Fit, np.ndarray]:
     """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next, and these rows."""
-    n, most = len(fit.problem), _ENOUGH // sum(block.size for block in fit.problem.sensor.blocks)
+    n, most = len(fit.station), _ENOUGH // sum(block.size for block in fit.station.sensor.blocks)
     if n <= most:
         return fit, np.arange(n)
     rows = np.linspace(0, n - 1, most).astype(int)
@@ -182,7 +184,7 @@ def is_of_loads(effect: Effect) -> bool:
 
 def _catalogue(fit: Fit) -> Iterator[Effect]:
     """Return the catalogue's candidates, each in the variants that are worth telling apart."""
-    for effect in catalogue_candidates(fit.model.chain, fit.problem.conditions):
+    for effect in catalogue_candidates(fit.model.chain, fit.station.conditions):
         yield from _variants(fit, effect)
 
 
@@ -197,7 +199,7 @@ def _variants(fit: Fit, effect: Effect) -> Iterator[Effect]:
     elif isinstance(effect, NonlinearElasticity):
         yield effect
         i = fit.model.chain.robot.joint_names.index(effect.joint)
-        largest = float(np.abs(nominal_moments(fit.model.chain, fit.problem.conditions)[:, 3 * i + 2]).max())
+        largest = float(np.abs(nominal_moments(fit.model.chain, fit.station.conditions)[:, 3 * i + 2]).max())
         yield from (replace(effect, stiffening=part * largest) for part in _STIFF if largest > 0.0)
     elif isinstance(effect, PayloadError):
         k = tuple(compliances_of(fit.model, fit.values).tolist())
@@ -227,7 +229,7 @@ def _generics(fit: Fit, near: str | None) -> list[Effect]:
     at = names.index(near) if near in names else None
     joints = names if at is None else names[max(at - 1, 0) : at + 2]
     present = fit.model.effects
-    every = generic_candidates(fit.model.chain, fit.problem.conditions, joints)
+    every = generic_candidates(fit.model.chain, fit.station.conditions, joints)
     return [e for e in every if not _same(e, present)]
 
 
@@ -252,7 +254,7 @@ def _elasticity(fit: Fit) -> list[Effect]:
     makes up for it, so that such a compliance could take the place of a true effect of that joint's position.
     """
     names = fit.model.chain.robot.joint_names
-    felt = fit.model.with_effects([JointElasticity()]).largest_basis(fit.problem.conditions)[1]
+    felt = fit.model.with_effects([JointElasticity()]).largest_basis(fit.station.conditions)[1]
     joints = tuple(name for name, here in zip(names, felt, strict=True) if here)
     return [JointElasticity() if len(joints) == len(names) else JointElasticity(joints), BearingElasticity()]
 
@@ -358,10 +360,10 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
 
 def _finished(fit: Fit, steps: list[Step], first: Fit, groups: np.ndarray) -> tuple[Fit, list[Step]]:
     """Fit all rows of the first fit, and every curve that was found as fine as they and all the others let it be."""
-    thinned = len(fit.problem) < len(first.problem)
+    thinned = len(fit.station) < len(first.station)
     if thinned:
         solution = replace(fit.solution, weights=first.solution.weights)
-        whole = replace(fit, problem=first.problem.with_model(fit.model), solution=solution)
+        whole = replace(fit, problem=Problem((first.station.with_model(fit.model),)), solution=solution)
         wider = {curve: curves_over(whole, curve.joint, [curve.size])[0] for curve in _curves_of(steps)}
         fit, steps = refit(whole, _exchanged(fit.options.effects, wider), rough=True), _with_curves(steps, wider)
     chosen = {curve: refined(without(fit, curve), curve, groups) for curve in _curves_of(steps)}
@@ -555,7 +557,7 @@ def _is_sure(fit: Fit, step: Step) -> bool:
     """Return whether the parameters of a step are far from zero together."""
     names = {p.name for e in step.effects for p in e.parameters(fit.model.chain)}
     place = np.flatnonzero(fit.solution.free)
-    among = [j for j, i in enumerate(place) if fit.problem.parameters[i].name in names]
+    among = [j for j, i in enumerate(place) if fit.station.parameters[i].name in names]
     values = fit.values[place[among]]
     wald = values @ np.linalg.pinv(fit.solution.posterior.covariance[np.ix_(among, among)], hermitian=True) @ values
     return bool(wald > _SURE * len(among))

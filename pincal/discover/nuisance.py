@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.discover.score_tests import ScoreTests, score_test
-from pincal.identify.calibrate import Fit
+from pincal.identify.fit import Fit
 from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.effects import Compliance, Conditions, Effect, Term

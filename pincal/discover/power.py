@@ -12,7 +12,8 @@ from scipy.special import fdtri, ncfdtr
 from pincal.discover.loop import ALPHA, least_gain, place_of
 from pincal.discover.nuisance import MassError, compliances_of
 from pincal.discover.score_tests import ScoreTests, score_test
-from pincal.identify.calibrate import Fit
+from pincal.identify.fit import Fit
+from pincal.identify.problem import Problem
 from pincal.model.catalogue import PayloadError, TransmissionError
 from pincal.model.effects import Conditions, Effect
 from pincal.model.model import Model
@@ -80,7 +81,7 @@ def minimum_detectable(
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
     masses = MassError.of(fit.model, fit.values)
-    found = score_test(quiet, tested, [masses] if masses else [], np.zeros(len(fit.problem), int))
+    found = score_test(quiet, tested, [masses] if masses else [], np.zeros(len(fit.station), int))
     if found.dof < _FEWEST:
         return [Detectable(e, "", "", None, None, None, _too_few(found)) for e in effects]
     groups = len({(e.name, *place_of(e), vars(e).get("order"), vars(e).get("frame")) for e in effects})
@@ -94,7 +95,7 @@ def _too_few(found: ScoreTests) -> str:
 def _foretold(effect: Effect, fit: Fit) -> Effect:
     """Return a drive curve with few pieces, a payload's error by its mass, anything else as it is."""
     if isinstance(effect, TransmissionError):
-        q = fit.problem.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
+        q = fit.station.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
         return TransmissionError.over(effect.joint, q, _CURVE_SIZE)
     if isinstance(effect, PayloadError) and np.any(k := compliances_of(fit.model, fit.values)):
         return PayloadError(compliances=tuple(k.tolist()))
@@ -134,7 +135,7 @@ def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str,
         return "rms of the curve", unit, _unit_curves(effect, fit)
     if "N m" in unit:
         # Micro-radians say more than compliances.
-        largest, felt = Model(fit.model.chain, (effect,)).largest_basis(fit.problem.conditions)
+        largest, felt = Model(fit.model.chain, (effect,)).largest_basis(fit.station.conditions)
         return "largest rotation in these poses", "rad", np.diag(1.0 / largest[own])[:, felt[own]]
     one = len(own) == 1
     return effect.parameters(fit.model.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))
@@ -142,7 +143,7 @@ def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str,
 
 def _unit_curves(effect: TransmissionError, fit: Fit) -> np.ndarray:
     """Return coefficients, shape (size, k), of orthogonal curves whose rms about their mean over the poses is 1."""
-    q = fit.problem.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
+    q = fit.station.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
     basis = effect.basis(q)
     basis = basis - basis.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(basis @ basis.T / len(q))
@@ -220,7 +221,7 @@ def deciding_measurement(fit: Fit, found: ScoreTests, best: int, rival: Effect) 
         rival: the other one.
     """
     pair = [found.effects[best], rival]
-    here = score_test(fit, pair, [], np.zeros(len(fit.problem), int))
+    here = score_test(fit, pair, [], np.zeros(len(fit.station), int))
     value, _ = found.estimate([best])
     again = _separation(replace(here, S=2.0 * here.S), value)
     for words, conditions in _designs(fit):
@@ -232,7 +233,7 @@ def deciding_measurement(fit: Fit, found: ScoreTests, best: int, rival: Effect) 
             return words
     many = TOLD_APART / max(_separation(here, value), 1e-9)
     if many < 50:
-        return f"about {int(np.ceil(many)) * len(fit.problem)} poses of this kind"
+        return f"about {int(np.ceil(many)) * len(fit.station)} poses of this kind"
     return "no further run of this kind tells them apart; look at the joint itself, or at its drive's own encoder"
 
 
@@ -253,7 +254,7 @@ def _separation(found: ScoreTests, value: np.ndarray) -> float:
 
 def _designs(fit: Fit) -> Iterator[tuple[str, Conditions]]:
     """Return further runs that a user could make, cheapest first."""
-    c = fit.problem.conditions
+    c = fit.station.conditions
     rng = np.random.default_rng(0)
     robot = fit.model.chain.robot
     load = 0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
@@ -272,6 +273,6 @@ def _designs(fit: Fit) -> Iterator[tuple[str, Conditions]]:
 
 def _criticised_at(fit: Fit, pair: list[Effect], conditions: Conditions, here: ScoreTests) -> ScoreTests:
     """Return the tests that the present readings and those at further conditions would allow together."""
-    problem = replace(fit.problem, conditions=conditions)
+    problem = Problem((replace(fit.station, conditions=conditions),))
     there = score_test(replace(fit, problem=problem), pair, [], np.zeros(len(problem), int))
     return replace(here, S=here.S + there.S)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from pincal.calibration.run import check_count, check_gaps, check_table
 from pincal.discover.loop import ALPHA, place_of
 from pincal.discover.power import POWER, minimum_detectable
-from pincal.identify.calibrate import Fit, Options, expected_fit, refit
+from pincal.errors import PincalWarning
+from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.explain import explain
+from pincal.identify.fit import Fit
+from pincal.identify.options import Options
 from pincal.identify.reasons import Reason, Status
-from pincal.measure.admission import unobservable_notes
-from pincal.measure.admit import admit
+from pincal.measure.admission import unobservable_notes, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
@@ -21,6 +25,8 @@ from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_table
 from pincal.validate.agreement import check_agreement
 
+# Noise of a good laser tracker in a hall, or of a camera, where nothing else is known of it.
+_ASSUMED = {"m": 5e-5, "rad": 5e-5, "px": 0.1}
 # Degrees of freedom below which residuals say nothing of the noise.
 _FEWEST = 10.0
 
@@ -143,18 +149,24 @@ def precheck(robot: Robot, measurements: Measurements, options: Options) -> Data
     Raises:
         BadInputError: as a calibration would.
     """
-    admitted = admit(robot, measurements, options.setup)
-    measurements = admitted.table
+    idle = check_gaps(options.setup, [measurements])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        measurements = usable_rows(measurements, options.setup)
+        check_count(robot, measurements, options.setup)
+        check_table(robot, measurements)
     fit = expected_fit(robot, measurements, options)
     check_agreement(robot, measurements, fit)
-    notes = [*admitted.notes, *admitted.idle, *unobservable_notes(measurements, options.setup)]
+    notes = [str(w.message) for w in caught if issubclass(w.category, PincalWarning)]
+    notes += idle
+    notes += unobservable_notes(measurements, options.setup)
     posterior = fit.solution.posterior
-    sigma, unit = options.sigma, f"sigma_{fit.problem.sensor.blocks[0].unit}"
+    sigma, unit = options.sigma, f"sigma_{fit.station.sensor.blocks[0].unit}"
     return DataReport(
         kind=measurements.kind,
         rows=len(measurements),
         joints=_ranges(robot, measurements),
-        nominal=error_table(fit.problem, fit.nominal.values),
+        nominal=error_table(fit.station, fit.nominal.values),
         noise={unit: float(fit.solution.sigma[0]), "source": "declared" if sigma else "foreseen by a fit"},
         rank=posterior.identifiable_rank,
         released=int(fit.solution.free.sum()),
@@ -169,12 +181,12 @@ def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
     """Return what could be found beyond the elastic model, or the geometric one of an arm without masses."""
     base = refit(fit, GEOMETRIC if robot.massless else ELASTIC)
     declared = fit.noise.declared
-    assumed = np.array([block.noise for block in base.problem.sensor.blocks])
+    assumed = np.array([_ASSUMED[block.unit] for block in base.station.sensor.blocks])
     degrees = base.solution.degrees
     estimated = base.solution.estimated if degrees >= _FEWEST else assumed
     sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])
     source = "declared" if declared[0] is not None else ("estimated" if degrees >= _FEWEST else "assumed")
-    conditions = fit.problem.conditions
+    conditions = fit.station.conditions
     tested = candidates(base.model.chain, conditions)
     if robot.massless:
         tested = tuple(effect for effect in tested if not effect.uses_moments)
@@ -186,7 +198,7 @@ def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
         Detectability(*_which(effect), "", "", None, None, None, reason)
         for effect, reason in untestable(base.model.chain, conditions)
     ]
-    sigma_m = float(sigma[0]) * fit.problem.metres_per_reading(fit.nominal.values)
+    sigma_m = float(sigma[0]) * fit.station.metres_per_reading(fit.nominal.values)
     return DetectabilityTable("geometric" if robot.massless else "elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
 
 
@@ -213,5 +225,5 @@ def _expectations(fit: Fit) -> tuple[Expectation, ...]:
     sigma = np.where(np.isfinite(fit.estimate.sigma), fit.estimate.sigma, 0.0)
     return tuple(
         Expectation(p.name, p.unit, float(s), f.status, f.reason, p.effect)
-        for p, s, f in zip(fit.problem.parameters, sigma, explain(fit), strict=True)
+        for p, s, f in zip(fit.station.parameters, sigma, explain(fit), strict=True)
     )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pincal.discover.nuisance import score_test_beside_masses
-from pincal.identify.calibrate import Fit
+from pincal.identify.fit import Fit
 from pincal.model.catalogue import TransmissionError
 
 # Numbers of basis functions that are tried.
@@ -16,7 +16,7 @@ _SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 
 
 def curves_over(fit: Fit, joint: str, sizes: Sequence[int]) -> list[TransmissionError]:
     """Return drive curves of one joint, as fine as the number of poses allows."""
-    conditions = fit.problem.conditions
+    conditions = fit.station.conditions
     q = conditions.q[:, fit.model.chain.robot.joint_names.index(joint)]
     return [TransmissionError.over(joint, q, size) for size in sizes if size <= len(conditions) // 6]
 

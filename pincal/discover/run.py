@@ -18,8 +18,10 @@ from pincal.discover.power import deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
 from pincal.discover.shrink import PartialResidual, StageError, gap_of, gaps_of, partial_residuals, period_of
 from pincal.discover.where import elastic_entries, noise_floor, where_of
-from pincal.identify.calibrate import Fit, Options, refit
-from pincal.identify.solve import outlier_limit
+from pincal.identify.calibrate import refit
+from pincal.identify.fit import Fit
+from pincal.identify.noise import outlier_limit
+from pincal.identify.options import Options
 from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import untestable
@@ -148,7 +150,7 @@ def _other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentF
         return []
     brought = {e for step in trail.steps for e in step.effects if is_of_loads(e) or isinstance(e, Unnamed)}
     plain = [effect for effect in effects if effect not in brought]
-    rough = len(rows) < len(trail.final.problem)
+    rough = len(rows) < len(trail.final.station)
     cost = _fit_cost(refit(fit, effects, rough=rough))
     enough = least_gain(fit.solution.degrees, declared=fit.noise.declared[0] is not None)
 
@@ -162,7 +164,7 @@ def _other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentF
 
 def _misfit(fit: Fit) -> float:
     """Return -2 log likelihood, up to a constant; an outlier counts as a row at the edge of the noise."""
-    n, sizes = len(fit.problem), [block.size for block in fit.problem.sensor.blocks]
+    n, sizes = len(fit.station), [block.size for block in fit.station.sensor.blocks]
     outliers = int(np.sum(fit.solution.weights == 0.0))
     return 2.0 * n * float(np.dot(sizes, np.log(fit.solution.estimated))) + outliers * outlier_limit(n, sum(sizes))
 
@@ -175,7 +177,7 @@ def _cost(trail: History) -> float:
 
 def _fit_cost(fit: Fit) -> float:
     """Return the Bayesian information criterion of a fit."""
-    readings = len(fit.problem) * sum(block.size for block in fit.problem.sensor.blocks)
+    readings = len(fit.station) * sum(block.size for block in fit.station.sensor.blocks)
     return _misfit(fit) + fit.solution.posterior.effective * float(np.log(readings))
 
 
@@ -190,8 +192,8 @@ def discovery_report(calibration: Calibration, trail: History, traces: tuple[Par
     final = trail.final
     scatter = find_scatter(final)
     sigma = float(noise_floor(final)[0])
-    size = final.problem.sensor.blocks[0].size
-    to_mm = 1e3 * final.problem.metres_per_reading(final.values)
+    size = final.station.sensor.blocks[0].size
+    to_mm = 1e3 * final.station.metres_per_reading(final.values)
     floor = float(sigma * np.sqrt(size) * to_mm)
     after = _gap(calibration, final)
     misfit = _is_misfit(final)
@@ -268,7 +270,7 @@ def _parameters(fit: Fit, effect: Effect) -> dict[str, dict[str, Any]]:
 
 def _scatter_entry(scatter: Scatter, fit: Fit) -> dict[str, Any]:
     """Name the column that could explain a scattering joint."""
-    conditions = fit.problem.conditions
+    conditions = fit.station.conditions
     missing = f"approach_{scatter.joint}"
     if conditions.approach is not None:
         missing = "temperature" if conditions.temperature is None else "time"
@@ -278,7 +280,7 @@ def _scatter_entry(scatter: Scatter, fit: Fit) -> dict[str, Any]:
 def _not_testable(trail: History) -> list[dict[str, Any]]:
     """Return what these data can't test, with the reason."""
     final = trail.final
-    found = [_identity(e) | {"reason": reason} for e, reason in untestable(final.model.chain, final.problem.conditions)]
+    found = [_identity(e) | {"reason": reason} for e, reason in untestable(final.model.chain, final.station.conditions)]
     for i, effect in enumerate(trail.last.effects):
         if trail.last.gain([i])[1] == 0:
             found.append(_identity(effect) | {"reason": "the fitted model absorbs all of it in these poses (rank zero)"})

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.identify.calibrate import Fit
+from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
-from pincal.identify.problem import Problem
+from pincal.identify.station import Station
 from pincal.model.effects import JointOffset
 
 # Twice the log-likelihood that scatter of a joint has to gain; in sound data it stays below about 6 (DISCOVERY 3.6).
@@ -39,13 +39,13 @@ def find_scatter(fit: Fit) -> Scatter | None:
     variance component, estimated by maximum likelihood with sigma^2 profiled out. What is read in one visit, several targets
     or the points of an image, shares the joint's position.
     """
-    visit = visits(fit.problem)
+    visit = visits(fit.station)
     found = [_of_joint(fit, i, visit) for i in range(fit.model.chain.robot.n_joints)]
     best = max(found, key=lambda scatter: scatter.gain)
     return best if best.gain > _ENOUGH else None
 
 
-def visits(problem: Problem) -> np.ndarray:
+def visits(problem: Station) -> np.ndarray:
     """Return the visit that each row belongs to, shape (N,).
 
     Rows of the same joint positions are one visit, unless they read the same thing again.
@@ -61,9 +61,9 @@ def visits(problem: Problem) -> np.ndarray:
 
 
 def _of_joint(fit: Fit, i: int, visit: np.ndarray) -> Scatter:
-    rows = block_rows(fit.problem)[0]
-    residuals = fit.problem.residuals(fit.values)[rows] * fit.problem.weights
-    lever = lever_of_joint(fit, fit.model.chain.robot.joint_names[i])[rows] * fit.problem.weights
+    rows = block_rows(fit.station)[0]
+    residuals = fit.station.residuals(fit.values)[rows] * fit.station.weights
+    lever = lever_of_joint(fit, fit.model.chain.robot.joint_names[i])[rows] * fit.station.weights
     sound = fit.solution.weights > 0.0
     r, a = residuals[:, sound], lever[:, sound]
     a2 = np.bincount(visit[sound], np.sum(a**2, axis=0))
@@ -88,8 +88,8 @@ def lever_of_joint(fit: Fit, joint: str) -> np.ndarray:
     """Return how the readings move with a joint's position, shape (m, N); the model has to hold the joint offsets."""
     chain = fit.model.chain
     name = JointOffset().parameters(chain)[chain.robot.joint_names.index(joint)].name
-    free = np.array([parameter.name == name for parameter in fit.problem.parameters])
-    out = np.zeros((sum(block.size for block in fit.problem.sensor.blocks), len(fit.problem)))
-    for piece, _, jacobian in fit.problem.linearise(fit.values, free):
+    free = np.array([parameter.name == name for parameter in fit.station.parameters])
+    out = np.zeros((sum(block.size for block in fit.station.sensor.blocks), len(fit.station)))
+    for piece, _, jacobian in fit.station.linearise(fit.values, free):
         out[:, piece] = jacobian[0]
     return out

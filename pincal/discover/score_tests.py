@@ -15,14 +15,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import fdtrc
 
-from pincal.identify.calibrate import Fit, priors_of
+from pincal.identify.beliefs import priors_of
+from pincal.identify.fit import Fit
 from pincal.identify.normal import believed, block_rows
 from pincal.identify.problem import Problem
+from pincal.identify.station import Station
 from pincal.model.effects import Effect
 
 # Part of a column's square that must be left after projection for the data to see it.
@@ -230,68 +233,25 @@ def score_test(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect
         nuisance: effects that are projected out but not tested.
         groups: shape (N,), the block of each training row, for cross-validation.
     """
-    model = fit.model
-    everything = model.with_effects([*model.effects, *nuisance, *candidates])
-    problem = fit.problem.with_model(everything)
+    problem, known = fit.problem.extended([*nuisance, *candidates])
+    first = len(fit.problem.effects)
     sizes = priors_of(problem, fit.options).sizes
-    starts = np.cumsum([0, *(len(e.parameters(model.chain)) for e in everything.effects)])
     # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
-    relative = slice(int(starts[len(model.effects)]), int(starts[len(model.effects) + len(nuisance)]))
-    sizes[relative] = [parameter.size for parameter in problem.parameters[relative]]
-    first = len(model.effects) + len(nuisance)
-    columns = tuple(slice(int(a), int(b)) for a, b in zip(starts[first:-1], starts[first + 1 :], strict=True))
-    values = np.concatenate([fit.values[: model.n_parameters], np.zeros(everything.n_parameters - model.n_parameters)])
-    free = np.ones(len(values), bool)
-    free[: model.n_parameters] = fit.solution.free[: model.n_parameters]
-    values = np.concatenate([values, fit.values[model.n_parameters :]])
-    return _gram(
-        fit, problem, values, np.concatenate([free, fit.solution.free[model.n_parameters :]]), sizes, columns, groups
-    )
-
-
-def _gram(
-    fit: Fit,
-    problem: Problem,
-    values: np.ndarray,
-    free: np.ndarray,
-    sizes: np.ndarray,
-    columns: tuple[slice, ...],
-    groups: np.ndarray,
-) -> ScoreTests:
-    """Accumulate Gram matrices block of poses by block of poses."""
-    kept = np.flatnonzero(free)
-    sigma = fit.solution.estimated
-    n_blocks = int(groups.max()) + 1
-    order = np.argsort(groups, kind="stable")
-    problem, robust, groups = problem.select(order), fit.solution.weights[order], groups[order]
-    blocks_S, blocks_b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
-    squares = 0.0
-    for piece, residuals, jacobian in problem.linearise_shared(values, free):
-        whitening = np.empty_like(residuals)
-        for rows, s in zip(block_rows(problem), sigma, strict=True):
-            whitening[rows] = problem.weights[piece] * robust[piece] / s
-        residuals = residuals * whitening
-        jacobian = jacobian.weighted(whitening)
-        squares += float(np.sum(residuals**2))
-        for k in np.unique(groups[piece]):
-            here = slice(*np.searchsorted(groups[piece], [k, k + 1]))
-            jacobian.poses(here).add_gram(residuals[:, here], blocks_S[k], blocks_b[k])
-    facts = believed(problem, values, free)
-    if facts is not None:
-        blocks_S += facts[0] / n_blocks
-        blocks_b += facts[1] / n_blocks
-    # The sensor's own parameters stand last; they belong to what is projected out.
-    tested = (kept >= columns[0].start) & (kept < problem.model.n_parameters) if columns else np.zeros(len(kept), bool)
-    if np.any(np.diff(tested.astype(int)) < 0):
-        order = np.concatenate([np.flatnonzero(~tested), np.flatnonzero(tested)])
-        kept, blocks_S, blocks_b = kept[order], blocks_S[:, order[:, None], order], blocks_b[:, order]
-    n_model = int(np.sum(~tested))
-    shift = n_model - (columns[0].start if columns else 0)
+    for k in range(len(nuisance)):
+        places = problem.places_of(first + k)
+        sizes[places] = [problem.parameters[i].size for i in places]
+    values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
+    values[known], free[known] = fit.values, fit.solution.free
+    tested = [problem.places_of(first + len(nuisance) + k) for k in range(len(candidates))]
+    blocks_S, blocks_b, squares, kept = _gram(fit, problem, values, free, tested, groups)
+    n_model = len(kept) - sum(len(places) for places in tested)
+    ends = n_model + np.cumsum([0, *(len(places) for places in tested)])
     at, priors = values[kept], sizes[kept]
     precision = priors[:n_model] ** -2.0
+    counts = [int(np.sum(fit.solution.weights[rows] > 0)) for rows in problem.rows]
     return ScoreTests(
-        effects=tuple(problem.model.effects[-len(columns) :]) if columns else (),
-        columns=tuple(slice(c.start + shift, c.stop + shift) for c in columns),
+        effects=tuple(candidates),
+        columns=tuple(slice(int(a), int(b)) for a, b in pairwise(ends)),
         n_model=n_model,
         S=blocks_S.sum(axis=0),
         b=blocks_b.sum(axis=0),
@@ -301,6 +261,71 @@ def _gram(
         blocks_S=blocks_S,
         blocks_b=blocks_b,
         squares=squares,
-        readings=int(np.sum(fit.solution.weights > 0) * sum(b.size for b in problem.sensor.blocks)),
+        readings=int(np.dot(counts, [problem.block_sizes[span].sum() for span in problem.block_spans])),
         spent=fit.solution.posterior.effective,
     )
+
+
+def _gram(
+    fit: Fit, problem: Problem, values: np.ndarray, free: np.ndarray, tested: Sequence[np.ndarray], groups: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Accumulate Gram matrices block of poses by block of poses, over all stations.
+
+    Returns:
+        G, shape (B, F, F), and g, shape (B, F), of the free parameters, those to be tested last; the sum of squares; and
+        the places of these parameters, shape (F,).
+    """
+    last = np.zeros(len(values), bool)
+    for places in tested:
+        last[places] = True
+    kept = np.concatenate([np.flatnonzero(free & ~last), *tested]).astype(int)
+    column = np.full(len(values), -1)
+    column[kept] = np.arange(len(kept))
+    n_blocks, squares = int(groups.max()) + 1, 0.0
+    whole_S, whole_b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
+    for i, station in enumerate(problem.stations):
+        order = np.argsort(groups[problem.rows[i]], kind="stable")
+        local = values[problem.places[i]], free[problem.places[i]]
+        weights = fit.solution.weights[problem.rows[i]][order]
+        sigma = fit.solution.estimated[problem.block_spans[i]]
+        S, b, found = _station_gram(
+            station.select(order), *local, weights=weights, sigma=sigma, groups=groups[problem.rows[i]][order], n=n_blocks
+        )
+        mine = column[problem.places[i][local[1]]]
+        squares += found
+        if len(problem.stations) == 1 and np.array_equal(mine, np.arange(len(kept))):
+            whole_S, whole_b = S, b
+        else:
+            whole_S[:, mine[:, None], mine] += S
+            whole_b[:, mine] += b
+    return whole_S, whole_b, squares, kept
+
+
+def _station_gram(
+    station: Station,
+    values: np.ndarray,
+    free: np.ndarray,
+    *,
+    weights: np.ndarray,
+    sigma: np.ndarray,
+    groups: np.ndarray,
+    n: int,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the same of one station, its rows sorted by their groups, in the order of its free parameters."""
+    size = int(free.sum())
+    blocks_S, blocks_b, squares = np.zeros((n, size, size)), np.zeros((n, size)), 0.0
+    for piece, residuals, jacobian in station.linearise_shared(values, free):
+        whitening = np.empty_like(residuals)
+        for rows, s in zip(block_rows(station), sigma, strict=True):
+            whitening[rows] = station.weights[piece] * weights[piece] / s
+        residuals = residuals * whitening
+        jacobian = jacobian.weighted(whitening)
+        squares += float(np.sum(residuals**2))
+        for k in np.unique(groups[piece]):
+            here = slice(*np.searchsorted(groups[piece], [k, k + 1]))
+            jacobian.poses(here).add_gram(residuals[:, here], blocks_S[k], blocks_b[k])
+    facts = believed(station, values, free)
+    if facts is not None:
+        blocks_S += facts[0] / n
+        blocks_b += facts[1] / n
+    return blocks_S, blocks_b, squares

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.discover.locate import levers
 from pincal.discover.loop import History, place_of
-from pincal.identify.calibrate import Fit
+from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import Backlash, GravityCompensator
@@ -39,7 +39,7 @@ class StageError:
 
 def gap_of(fit: Fit, held: Measurements, effects: tuple[Effect, ...] = ()) -> StageError:
     """Return the errors of a fit on held-out rows, ``effects`` what entered it last."""
-    problem = fit.readings(held) if len(held) else fit.problem
+    problem = fit.readings(held) if len(held) else fit.station
     errors = error_table(problem, fit.values)
     return StageError(effects, *(errors[name] for name in ("mean_mm", "rms_mm", "max_mm")))
 
@@ -106,14 +106,14 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
     idle[[fit.model.index(name) for name in names]] = 0.0
     rows = fit.solution.weights > 0.0
     scale = _scale(fit)[:, rows]
-    without, left = (fit.problem.residuals(values)[:, rows] * scale for values in (idle, fit.values))
+    without, left = (fit.station.residuals(values)[:, rows] * scale for values in (idle, fit.values))
     change = without - left
     coordinate = _coordinate(fit, effect, joint)
     if coordinate is None:
         length = np.linalg.norm(change, axis=0)
         direction = change / np.maximum(length, 1e-300)
         sigma = float(fit.solution.estimated[0])
-        sigma *= fit.problem.metres_per_reading(fit.values)
+        sigma *= fit.station.metres_per_reading(fit.values)
         parts = [np.sum(direction * r, axis=0) * sigma for r in (without, left)]
         fitted, weights, unit = length * sigma, np.full(int(rows.sum()), sigma**-2.0), "m"
     else:
@@ -128,9 +128,9 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
 
 def _scale(fit: Fit) -> np.ndarray:
     """Return 1 / standard deviation of each component of each reading, shape (m, N)."""
-    out = np.empty((sum(block.size for block in fit.problem.sensor.blocks), len(fit.problem)))
-    for rows, sigma in zip(block_rows(fit.problem), fit.solution.estimated, strict=True):
-        out[rows] = fit.problem.weights / sigma
+    out = np.empty((sum(block.size for block in fit.station.sensor.blocks), len(fit.station)))
+    for rows, sigma in zip(block_rows(fit.station), fit.solution.estimated, strict=True):
+        out[rows] = fit.station.weights / sigma
     return out
 
 
@@ -152,14 +152,14 @@ def _coordinate(fit: Fit, effect: Effect, joint: str | None) -> int | None:
         assert joint is not None
         return chain.joint(chain.robot.joint_names.index(joint), "gamma_z")
     first = np.zeros(1, int)
-    moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], fit.problem.conditions.select(first))
-    moved = {term.coordinate for term in effect.terms(chain, fit.problem.conditions.select(first), moments)}
+    moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], fit.station.conditions.select(first))
+    moved = {term.coordinate for term in effect.terms(chain, fit.station.conditions.select(first), moments)}
     return moved.pop() if len(moved) == 1 else None
 
 
 def _explaining(fit: Fit, effect: Effect, joint: str | None) -> tuple[str, str, np.ndarray]:
     """Return the name, the unit and the values of the variable that an effect follows, shape (N,)."""
-    conditions, names = fit.problem.conditions, fit.model.chain.robot.joint_names
+    conditions, names = fit.station.conditions, fit.model.chain.robot.joint_names
     depends = vars(effect).get("depends_on") or vars(effect).get("source")
     if isinstance(effect, Backlash) and conditions.approach is not None:
         return "approach", "", conditions.approach[:, names.index(effect.joint)]

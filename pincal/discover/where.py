@@ -11,7 +11,7 @@ from pincal.discover.locate import levers, locate
 from pincal.discover.loop import History
 from pincal.discover.scatter import Scatter
 from pincal.discover.words import location_words, region_words
-from pincal.identify.calibrate import Fit
+from pincal.identify.fit import Fit
 from pincal.model.effects import Compliance, JointElasticity
 
 # Standard deviations that a compliance has to be away from zero to be named by itself.
@@ -62,7 +62,7 @@ def _excess(fit: Fit, sigma: np.ndarray) -> float:
     """Return what the noise does not make of a fit's squared residuals, in units of its variance."""
     solution = fit.solution
     counted = int(np.sum(solution.weights > 0.0))
-    sizes = np.array([block.size for block in fit.problem.sensor.blocks])
+    sizes = np.array([block.size for block in fit.station.sensor.blocks])
     degrees = counted * sizes - solution.posterior.effective * sizes / sizes.sum()
     return float(np.sum(degrees * ((solution.estimated / sigma) ** 2 - 1.0)))
 
@@ -81,7 +81,7 @@ def _scattered(fit: Fit, scatter: Scatter, sigma: np.ndarray) -> dict[str, Any]:
     chain = fit.model.chain
     lever = levers(fit, (int(chain.drives[chain.robot.joint_names.index(scatter.joint)]),))[0]
     rows = fit.solution.weights > 0.0
-    made = scatter.sigma**2 * float(np.sum(lever[: fit.problem.sensor.blocks[0].size, rows] ** 2)) / float(sigma[0]) ** 2
+    made = scatter.sigma**2 * float(np.sum(lever[: fit.station.sensor.blocks[0].size, rows] ** 2)) / float(sigma[0]) ** 2
     share = made / max(_excess(fit, sigma), made)
     statement = f"{scatter.joint} is somewhere else about its own axis each time, whatever pose and recorded columns are"
     return {"joint": scatter.joint, "statement": statement, "share": share}

@@ -30,7 +30,7 @@ MOST_EXACT = 2_000_000
 
 def rounding(problem: Problem) -> np.ndarray:
     """Return the rounding of predictions, shape (blocks,); noise is never taken to be less."""
-    return np.array([block.rounding for block in problem.sensor.blocks])
+    return np.array([block.rounding for block in problem.blocks])
 
 
 def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
@@ -40,7 +40,7 @@ def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
 
 
 def polish(
-    problem: Problem, values: np.ndarray, free: np.ndarray, sizes: np.ndarray, bounds: np.ndarray, weights: np.ndarray
+    problem: Problem, values: np.ndarray, free: np.ndarray, sizes: np.ndarray, bounds: np.ndarray, weights: list[np.ndarray]
 ) -> tuple[np.ndarray, int]:
     """Go on from a fit that is nearly there.
 
@@ -54,14 +54,16 @@ def polish(
         free: shape (P,), which of them may move.
         sizes: shape (P,), of the priors, by which parameters are compared; inf for frames.
         bounds: shape (P,), largest deviations.
-        weights: shape (m, N), of the readings, in units of their noise.
+        weights: for each station, shape (m, N), of its readings, in units of their noise.
 
     Returns:
         The values, shape (P,), and the steps taken.
     """
     sizes, bounds = sizes[free], bounds[free]
     known = np.isfinite(sizes)
-    floor = _EXACT * np.repeat(rounding(problem), [block.size for block in problem.sensor.blocks])[:, None] * weights
+    each = np.repeat(_EXACT * rounding(problem), problem.block_sizes)
+    ends = np.cumsum([len(part) for part in weights])
+    floor = [np.sum((e[:, None] * w) ** 2) for e, w in zip(np.split(each, ends[:-1]), weights, strict=True)]
     J, r = _whitened(problem, values, free, weights)
     for k in range(1, _POLISHING + 1):
         norms = np.maximum(np.linalg.norm(J, axis=1), 1e-300)
@@ -85,15 +87,24 @@ def polish(
             return values, k
         values = trial
         J, r = _whitened(problem, values, free, weights)
-        if r @ r < np.sum(floor**2):
+        if r @ r < sum(floor):
             return values, k
     return values, _POLISHING
 
 
-def _whitened(problem: Problem, values: np.ndarray, free: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _whitened(
+    problem: Problem, values: np.ndarray, free: np.ndarray, weights: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return Jacobian, shape (F, M), and residuals, shape (M,), in units of the noise, constraints among them."""
-    parts = list(problem.linearise(values, free))
-    r = (np.concatenate([part[1] for part in parts], axis=1) * weights).ravel()
-    J = np.concatenate([part[2] for part in parts], axis=2) * weights
-    more, known = belief_rows(problem, values, free)
-    return np.hstack([J.reshape(len(J), -1), more]), np.concatenate([r, known])
+    rank = np.cumsum(free) - 1
+    columns, residuals = [], []
+    for station, places, weight in zip(problem.stations, problem.places, weights, strict=True):
+        at, moved = values[places], free[places]
+        parts = list(station.linearise(at, moved))
+        more, known = belief_rows(station, at, moved)
+        J = np.concatenate([part[2] for part in parts], axis=2) * weight
+        whole = np.zeros((int(free.sum()), weight.size + len(known)))
+        whole[rank[places[moved]]] = np.hstack([J.reshape(len(J), weight.size), more])
+        columns.append(whole)
+        residuals += [(np.concatenate([part[1] for part in parts], axis=1) * weight).ravel(), known]
+    return np.hstack(columns), np.concatenate(residuals)

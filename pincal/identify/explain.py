@@ -11,10 +11,13 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.identify.calibrate import EXTRINSICS, Fit, known_frames
-from pincal.identify.normal import NULL, accumulate, posterior
+from pincal.identify.beliefs import EXTRINSICS
+from pincal.identify.fit import Fit
+from pincal.identify.normal import accumulate
+from pincal.identify.options import known_frames
+from pincal.identify.posterior import NULL, posterior
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
-from pincal.measure.rows import some_rows
+from pincal.identify.rows import some_rows
 from pincal.parameters import Parameter
 
 # Ratio of posterior to prior standard deviation below which a parameter counts as identified: at 0.5 the data hold three
@@ -80,14 +83,14 @@ def _told_of_frames(fit: Fit) -> dict[int, float]:
 
 def _frame_finding(fit: Fit, i: int, told: float, variance: float) -> Finding:
     """Frames of base and tool are known as well as the parameters that they absorb."""
-    parameter = fit.problem.parameters[i]
+    parameter = fit.station.parameters[i]
     if told > (1.0 - _IDENTIFIED**2) * variance:
         return Finding(parameter.name, Status.IDENTIFIED)
     return Finding(parameter.name, Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(told)), unit=parameter.unit))
 
 
 def _finding(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> Finding:
-    parameter, size = fit.problem.parameters[i], float(fit.priors.sizes[i])
+    parameter, size = fit.station.parameters[i], float(fit.priors.sizes[i])
     if fit.solution.at_bound[i]:
         reason = Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
         return Finding(parameter.name, Status.AT_BOUND, reason)
@@ -121,8 +124,8 @@ def _largest_moment(fit: Fit, parameter: Parameter) -> float | None:
     joint, symbol = parameter.name.rsplit(".", 1)
     if not parameter.unit.endswith("/(N m)") or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
         return None
-    rows = some_rows(len(fit.problem), _ROWS)
-    moments = fit.model.static_moments(np.zeros(fit.model.n_parameters), fit.problem.conditions.select(rows))
+    rows = some_rows(len(fit.station), _ROWS)
+    moments = fit.model.static_moments(np.zeros(fit.model.n_parameters), fit.station.conditions.select(rows))
     return float(np.abs(moments[:, 3 * joints.index(joint) + "xyz".index(symbol[-1])]).max())
 
 
@@ -146,7 +149,7 @@ class _Nominal:
 
     @classmethod
     def of(cls, fit: Fit) -> _Nominal:
-        problem = fit.problem
+        problem = fit.station
         rows = some_rows(len(problem), _ROWS)
         everything = np.ones(len(fit.values), bool)
         normal = accumulate(problem.select(rows), fit.nominal.values, everything, np.ones(len(rows)))

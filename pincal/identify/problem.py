@@ -1,183 +1,177 @@
-"""A problem: a model and readings, evaluated in pieces so that memory does not grow with their number."""
+"""A problem: the sum of stations over one table of named parameters.
+
+The robot's parameters are the same at every station; where an instrument stands, its targets and whatever the instrument
+itself has to be asked for belong to one station. With one station the table is that station's own, in its order; with
+several the robot's parameters stand first, then those of each station under its name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.jacobian import Jacobian, SharedColumns, split_by_density
-from pincal.measure.measurements import Measurements
-from pincal.measure.sensing import sensor_of
-from pincal.measure.sensor import Sensor
-from pincal.measure.setup import Setup
-from pincal.model.effects import Conditions
-from pincal.model.model import Model
-from pincal.parameters import Parameter
-
-# Rows worked on at once: with 60 parameters a piece is about 6 MB.
-_PIECE = 4096
+from pincal.identify.station import Station
+from pincal.measure.sensors import Block
+from pincal.model.chain import MomentFrame
+from pincal.model.effects import BaseFrame, Effect, ToolFrame
+from pincal.parameters import Parameter, carried_over
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A model, the conditions of N poses and what the sensor read there.
+    """One station or several.
 
     Attributes:
-        model: the model.
-        conditions: the poses.
-        sensor: the readings.
-        weights: shape (N,), each row's inverse standard deviation relative to the others (mean about 1).
+        stations: the stations; several have names of their own.
     """
 
-    model: Model
-    conditions: Conditions
-    sensor: Sensor
-    weights: np.ndarray
+    stations: tuple[Station, ...]
 
-    def own(self, values: np.ndarray) -> np.ndarray:
-        """Return the values of the sensor's own parameters."""
-        return values[self.model.n_parameters :]
+    def __post_init__(self) -> None:
+        names = [station.name for station in self.stations]
+        if not names:
+            raise BadInputError("a problem without stations; expected one or more")
+        if len(names) > 1 and (len(set(names)) < len(names) or not all(names)):
+            raise BadInputError(f"stations are called {', '.join(map(repr, names))}; expected a name of its own for each")
+
+    def __len__(self) -> int:
+        return sum(len(station) for station in self.stations)
+
+    @property
+    def station(self) -> Station:
+        """The only station.
+
+        Raises:
+            BadInputError: if there are several.
+        """
+        if len(self.stations) > 1:
+            names = ", ".join(station.name for station in self.stations)
+            raise BadInputError(f"this is asked of one station, and there are {len(self.stations)}: {names}; choose one")
+        return self.stations[0]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The model's parameters, then the sensor's own."""
-        return self.model.parameters + self.sensor.parameters
+        """All P parameters."""
+        return self._table[0]
 
-    def __len__(self) -> int:
-        return len(self.conditions)
+    @cached_property
+    def places(self) -> tuple[np.ndarray, ...]:
+        """For each station, where its parameters stand in the table."""
+        return self._table[1]
+
+    @cached_property
+    def _table(self) -> tuple[tuple[Parameter, ...], tuple[np.ndarray, ...]]:
+        if len(self.stations) == 1:
+            return self.station.parameters, (np.arange(len(self.station.parameters)),)
+        # Of all stations the robot's parameters are the same, in the same order.
+        first = self.stations[0]
+        table = [p for p, own in zip(first.parameters, first.is_own, strict=True) if not own]
+        n_shared, places = len(table), []
+        for station in self.stations:
+            own = station.is_own
+            local = np.empty(len(own), int)
+            local[~own] = np.arange(n_shared)
+            local[own] = len(table) + np.arange(int(own.sum()))
+            table += [p.at(station.name) for p, is_own in zip(station.parameters, own, strict=True) if is_own]
+            places.append(local)
+        return tuple(table), tuple(places)
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """The place of each parameter by its name."""
+        return {parameter.name: i for i, parameter in enumerate(self.parameters)}
+
+    @cached_property
+    def eliminated(self) -> tuple[np.ndarray, ...]:
+        """For each station, which parameters are eliminated before stations are added: its own, if there are others."""
+        alone = len(self.stations) == 1
+        return tuple(np.zeros(len(s.parameters), bool) if alone else s.is_own for s in self.stations)
+
+    @cached_property
+    def is_shared(self) -> np.ndarray:
+        """Which parameters are left when these are eliminated, shape (P,)."""
+        found = np.ones(len(self.parameters), bool)
+        for places, own in zip(self.places, self.eliminated, strict=True):
+            found[places[own]] = False
+        return found
+
+    @cached_property
+    def rows(self) -> tuple[slice, ...]:
+        """For each station, where its rows stand among all rows."""
+        return _spans(len(station) for station in self.stations)
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """The blocks of readings of all stations, one station after the other."""
+        return tuple(block for station in self.stations for block in station.sensor.blocks)
+
+    @cached_property
+    def block_sizes(self) -> np.ndarray:
+        """Components of each block of readings, shape (blocks,)."""
+        return np.array([block.size for block in self.blocks])
+
+    @cached_property
+    def block_spans(self) -> tuple[slice, ...]:
+        """For each station, where its blocks stand among all blocks."""
+        return _spans(len(station.sensor.blocks) for station in self.stations)
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What may deviate, beside base and tool."""
+        return tuple(e for e in self.stations[0].model.effects if not isinstance(e, BaseFrame | ToolFrame))
+
+    def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
+        """Return the same readings with other effects beside base and tool.
+
+        Args:
+            effects: what may deviate.
+            moment_frame: where moments are taken and bend the arm; as it is unless given.
+        """
+        stations = []
+        for station in self.stations:
+            frames = [effect for effect in station.model.effects if isinstance(effect, BaseFrame | ToolFrame)]
+            model = station.model.with_effects([*frames, *effects])
+            if moment_frame is not None:
+                model = model.with_chain(replace(model.chain, moment_frame=moment_frame))
+            stations.append(station.with_model(model))
+        return Problem(tuple(stations))
 
     def select(self, rows: np.ndarray) -> Problem:
-        """Return the problem of some rows (mask or indices)."""
-        return replace(
-            self,
-            conditions=self.conditions.select(rows),
-            sensor=self.sensor.select(rows),
-            weights=self.weights[rows],
-        )
+        """Return the problem of some rows (a mask over all rows, or indices)."""
+        if len(self.stations) == 1:
+            return Problem((self.station.select(rows),))
+        chosen = np.flatnonzero(rows) if rows.dtype == bool else rows
+        parts = [chosen[(chosen >= span.start) & (chosen < span.stop)] - span.start for span in self.rows]
+        return Problem(tuple(station.select(part) for station, part in zip(self.stations, parts, strict=True)))
 
-    def with_model(self, model: Model) -> Problem:
-        """Return the same readings under another model."""
-        return replace(self, model=model)
+    def extended(self, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
+        """Return the problem with further effects, and where its parameters stand in the new table, shape (P,)."""
+        wider = self.with_effects([*self.effects, *effects])
+        known = np.empty(len(self.parameters), int)
+        for i, (station, other) in enumerate(zip(self.stations, wider.stations, strict=True)):
+            (of_model, of_sensor), (model, sensor) = station.split(self.places[i]), other.split(wider.places[i])
+            known[of_model], known[of_sensor] = model[: len(of_model)], sensor
+        return wider, known
 
-    def residuals(self, values: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction at all rows, shape (m, N), not weighted [m, rad]."""
-        m = sum(block.size for block in self.sensor.blocks)
-        out = np.empty((m, len(self)))
-        for piece in self._pieces():
-            part = self._part(piece)
-            poses = part.model.predict(values[: part.model.n_parameters], part.conditions)
-            out[:, piece] = part.sensor.residuals(poses, values[part.model.n_parameters :])
-        return out
+    def places_of(self, effect: int) -> np.ndarray:
+        """Return where the parameters of an effect stand, given its number among ``effects``: those of all stations."""
+        found: dict[int, None] = {}
+        for station, places in zip(self.stations, self.places, strict=True):
+            spans = station.model.spans
+            span = spans[len(spans) - len(self.effects) + effect]
+            found |= dict.fromkeys(places[span].tolist())
+        return np.array(list(found), int)
 
-    def displacements(self, values: np.ndarray) -> np.ndarray:
-        """Return which way and how far each row's target is off, as far as its reading tells, shape (N, 3) [m]."""
-        out = np.empty((len(self), 3))
-        for piece in self._pieces():
-            part = self._part(piece)
-            poses = part.model.predict(values[: part.model.n_parameters], part.conditions)
-            own = part.own(values)
-            out[piece] = part.sensor.displacement(part.sensor.residuals(poses, own), poses, own)
-        return out
-
-    def metres_per_reading(self, values: np.ndarray) -> float:
-        """Return how far the target is off for one unit of the first block of readings: 1, but for images."""
-        if self.sensor.blocks[0].unit == "m":
-            return 1.0
-        sizes = np.linalg.norm(self.residuals(values)[: self.sensor.blocks[0].size], axis=0)
-        return float(np.median(np.linalg.norm(self.displacements(values), axis=1) / np.maximum(sizes, 1e-300)))
-
-    def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield, piece by piece, the rows, the residuals, shape (m, n), and the Jacobian, shape (free, m, n)."""
-        own = values[self.model.n_parameters :]
-        own_free = free[self.model.n_parameters :]
-        for piece in self._pieces():
-            part = self._part(piece)
-            poses, motion = part.model.linearise(
-                values[: self.model.n_parameters],
-                part.conditions,
-                free=free[: self.model.n_parameters],
-                rows=self.sensor.twist_rows,
-            )
-            motion = motion.transpose(2, 1, 0)
-            jacobian = part.sensor.jacobian(poses, motion, own)
-            if not own_free.all():
-                jacobian = jacobian[np.concatenate([np.ones(len(motion), bool), own_free])]
-            yield piece, part.sensor.residuals(poses, own), jacobian
-
-    def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
-        """Yield what :meth:`linearise` does, with the structure of curves kept, for Gram matrices."""
-        n = self.model.n_parameters
-        own_free = free[n:]
-        for piece in self._pieces():
-            part = self._part(piece)
-            poses, motion, shared = part.model.linearise_shared(
-                values[:n], part.conditions, free=free[:n], rows=self.sensor.twist_rows
-            )
-            apart = free.copy()
-            for group in shared:
-                apart[group.parameters] = False
-            columns = part.sensor.jacobian(poses, motion, values[n:])
-            n_apart = int(apart[:n].sum())
-            own = columns[len(motion) :][own_free]
-            dense = columns[:n_apart] if not shared and not len(own) else np.concatenate([columns[:n_apart], own])
-            column_of = np.cumsum(free) - 1
-            families = (
-                SharedColumns(column_of[group.parameters[rows]], basis, columns[n_apart + i])
-                for i, group in enumerate(shared)
-                for rows, basis in split_by_density(group.basis)
-            )
-            jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
-            yield piece, part.sensor.residuals(poses, values[n:]), jacobian
-
-    def _pieces(self) -> Iterator[slice]:
-        size = max(len(self), 1) if self.sensor.is_whole else _PIECE
-        for start in range(0, len(self), size):
-            yield slice(start, min(start + size, len(self)))
-
-    def _part(self, piece: slice) -> Problem:
-        if piece == slice(0, len(self)):
-            return self
-        return replace(self, conditions=self.conditions.select(piece), sensor=self.sensor.select(piece))
+    def carried_over(self, vector: np.ndarray, other: Problem) -> np.ndarray:
+        """Return what a vector over this table says of another problem's, by name; zero (or False) where it says nothing."""
+        return carried_over(vector, self.index, other.parameters)
 
 
-def problem_of(model: Model, measurements: Measurements, payload_centre: np.ndarray, setup: Setup | None = None) -> Problem:
-    """Return the problem of a table of measurements under a model.
-
-    Args:
-        model: the model; its chain's targets are those of the table.
-        measurements: the table.
-        payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
-        setup: the named points and the camera; as :func:`pincal.measure.sensing.sensor_of` has them unless given.
-    """
-    sigma = measurements.sigma
-    weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
-    return Problem(model, conditions_of(model, measurements, payload_centre), sensor_of(measurements, setup), weights)
-
-
-def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:
-    """Return the conditions of a table's rows; rows without a payload carry none.
-
-    Raises:
-        BadInputError: for a target that a model of several targets does not have.
-    """
-    targets = model.chain.targets
-    unknown = sorted(set(map(str, measurements.target)) - set(targets))
-    if unknown and len(targets) > 1:
-        raise BadInputError(
-            f"{measurements.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(targets)}"
-        )
-    n = len(measurements)
-    index = np.zeros(n, int) if len(targets) == 1 else np.array([targets.index(t) for t in measurements.target], int)
-    return Conditions(
-        q=measurements.q,
-        target=index,
-        payload=np.zeros(n) if measurements.payload is None else measurements.payload,
-        payload_centre=np.asarray(payload_centre, float),
-        temperature=measurements.temperature,
-        time=measurements.time,
-        approach=measurements.approach,
-    )
+def _spans(lengths: Iterable[int]) -> tuple[slice, ...]:
+    ends = np.cumsum([0, *lengths]).tolist()
+    return tuple(slice(a, b) for a, b in pairwise(ends))

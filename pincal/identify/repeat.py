@@ -12,12 +12,14 @@ from functools import partial
 
 import numpy as np
 
-from pincal.identify.calibrate import Fit, Options, calibrate
+from pincal.identify.calibrate import calibrate
+from pincal.identify.fit import Fit
+from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Solution, solve
 from pincal.identify.split import Split, row_groups
-from pincal.measure.admission import scorable
 from pincal.measure.measurements import Measurements
+from pincal.measure.setup import point_names
 from pincal.robot.robot import Robot
 
 
@@ -69,8 +71,11 @@ def cross_validate(
 def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
     fit = calibrate(robot, table.select(fold != k), options)
     held = table.select(fold == k)
-    told = scorable(held, fit.options.setup)
-    residuals = np.full((sum(block.size for block in fit.problem.sensor.blocks), len(held)), np.nan)
+    names = point_names(held)
+    told = (
+        np.ones(len(held), bool) if names is None or held.socket is not None else np.isin(names, [*fit.options.setup.points])
+    )
+    residuals = np.full((sum(block.size for block in fit.station.sensor.blocks), len(held)), np.nan)
     residuals[:, told] = fit.readings(held.select(told)).residuals(fit.values)
     return residuals
 
@@ -105,10 +110,13 @@ def monte_carlo(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | Non
 
 def _refit_simulated(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    sigma = np.concatenate([np.full(b.size, s) for b, s in zip(fit.problem.sensor.blocks, fit.solution.sigma, strict=True)])
-    noise = rng.normal(size=(len(sigma), len(fit.problem))) * sigma[:, None] / fit.problem.weights
-    sensor = fit.problem.sensor.shifted(noise - fit.problem.residuals(fit.values))
-    return _refit(fit, replace(fit.problem, sensor=sensor)).values
+    problem, stations = fit.problem, []
+    for station, places, span in zip(problem.stations, problem.places, problem.block_spans, strict=True):
+        sigma = np.repeat(fit.solution.sigma[span], problem.block_sizes[span])
+        noise = rng.normal(size=(len(sigma), len(station))) * sigma[:, None] / station.weights
+        sensor = station.sensor.shifted(noise - station.residuals(fit.values[places]))
+        stations.append(replace(station, sensor=sensor))
+    return _refit(fit, Problem(tuple(stations))).values
 
 
 def _refit(fit: Fit, problem: Problem) -> Solution:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import logging
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Literal
+from enum import Enum
 
 import numpy as np
-from scipy.special import chdtri
 
+from pincal.identify.equations import Linearised
 from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
-from pincal.identify.normal import Normal, Posterior, accumulate, posterior, posterior_step
+from pincal.identify.noise import Judge, Judgement, Loss, Noise
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.units import readable_unit
 
 log = logging.getLogger(__name__)
-
-Loss = Literal["screen", "huber", "none"]
 
 MAX_ITERATIONS = 40
 # A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still. So
@@ -35,10 +35,21 @@ _STEADY = 0.05
 _HALVINGS = 10
 # Robust weights that change by less are settled.
 _SETTLED = 1e-3
-# Probability that screening takes any sound row of a table for an outlier.
-_FALSE_OUTLIER = 0.01
-# Declared noise is replaced by the residuals' own when these exceed it by this many standard deviations of chi-square.
-_MISFIT = 4.0
+
+
+class Exit(Enum):
+    """How a fit ended."""
+
+    SETTLED = "the last step moved predictions by far less than the noise"
+    ROUGH = "it came close enough for the fit that follows it"
+    EXACT = "the readings are exact, and the model was fitted to rounding"
+    STUCK = "no step made things better although a long one was still called for"
+    BUDGET = f"it was not done after {MAX_ITERATIONS} steps"
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the fit ended well."""
+        return self in (Exit.SETTLED, Exit.ROUGH, Exit.EXACT)
 
 
 @dataclass(frozen=True)
@@ -55,26 +66,19 @@ class Priors:
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Standard deviations of one component of each block of readings, None where they are to be estimated."""
-
-    declared: tuple[float | None, ...]
-
-
-@dataclass(frozen=True)
 class Solution:
     """A fit.
 
     Attributes:
         values: shape (P,).
         posterior: what data and priors say about the free parameters at ``values``.
-        sigma: shape (blocks,), standard deviations that the fit used.
+        sigma: shape (blocks,), standard deviations that the fit used, one station's blocks after the other's.
         estimated: shape (blocks,), those of its residuals.
         weights: shape (N,), robust weights: 0 for an outlier.
         chi2: weighted sum of squares over the declared variances (the estimated, where none are declared).
         degrees: its degrees of freedom.
         iterations: Gauss-Newton steps taken.
-        converged: whether the last step was small enough.
+        exit: how it ended.
         at_bound: shape (P,), parameters held at their bound.
         free: shape (P,), parameters that were fitted.
     """
@@ -87,9 +91,14 @@ class Solution:
     chi2: float
     degrees: float
     iterations: int
-    converged: bool
+    exit: Exit
     at_bound: np.ndarray
     free: np.ndarray
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit ended well."""
+        return self.exit.is_good
 
     @property
     def cost(self) -> float:
@@ -108,6 +117,7 @@ def solve(
     rough: bool = False,
     label: str = "",
     robust: np.ndarray | None = None,
+    executor: Executor | None = None,
 ) -> Solution:
     """Find the most probable values of the free parameters.
 
@@ -122,52 +132,26 @@ def solve(
         rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
         label: what this fit is called in the log; it is not logged without a name.
         robust: shape (N,), robust weights of an earlier fit to begin with; its outliers are then known.
+        executor: computes what stations contribute, where there are several; one after the other here unless given.
 
     Returns:
-        The fit; ``converged`` tells whether it ended well.
+        The fit; ``exit`` tells how it ended.
     """
-    fit = _Fit(problem, free, priors, noise, loss)
-    values, hard, converged = start.astype(float).copy(), robust is not None, False
-    robust = np.ones(len(problem)) if robust is None else robust
-    held, memory = np.zeros(int(free.sum()), bool), _Memory()
-    normal = accumulate(problem, values, free, robust)
-    state = fit.judge(normal, robust, hard=hard)
+    fit = _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough, executor)
+    state, memory, ended = fit.begin(start.astype(float), robust), _Memory(), None
     for iteration in range(1, MAX_ITERATIONS + 1):
-        step, held = fit.step(normal, values, state)
-        longer = memory.accelerate(values[free], step, fit.metric(normal, state))
-        moved = fit.length(step, normal, state)
-        stood = values
-        values, normal = fit.move(normal, values, [longer, step], state, robust)
-        before, state = state, fit.judge(normal, robust, hard=hard)
-        refused = longer is not step and not np.array_equal(values[free], stood[free] + longer)
-        if refused or np.max(np.abs(state.sigma / before.sigma - 1.0)) > _STEADY:
-            memory = _Memory()
+        state, step = fit.advance(state, memory)
         if label:
-            log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, fit.readable(state), moved)
-        taken = min(moved, fit.length(values[free] - stood[free], normal, state))
-        settled = taken < (_STEP if np.any(state.sigma > rounding(problem)) else _ROUNDED)
-        if (rough and (settled or moved < _ROUGH)) or fit.is_beyond_normal_equations(normal, state):
-            converged = moved < _ROUGH
+            told = fit.readable(state.judged)
+            log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, told, step.wanted)
+        ended = fit.exit_of(state, step)
+        if ended is not None:
             break
-        if settled and np.max(np.abs(state.robust - robust)) < _SETTLED:
-            if hard or loss != "screen" or np.all(robust == 1.0):
-                converged = moved < _ROUGH
-                break
-            hard = True
-            state = fit.judge(normal, robust, hard=hard)
-        if not np.array_equal(state.robust, robust):
-            robust = state.robust
-            normal = accumulate(problem, values, free, robust)
-    if not rough and fit.is_beyond_normal_equations(normal, state):
-        weights = problem.weights * robust / np.repeat(state.sigma, fit.sizes)[:, None]
-        values, extra = polish(problem, values, free, priors.sizes, priors.bounds, weights)
-        normal, iteration, converged = accumulate(problem, values, free, robust), iteration + extra, True
-    return fit.finish(normal, values, robust, iteration, converged, held)
-
-
-def outlier_limit(rows: int, size: int) -> float:
-    """Return the sum of squares, in units of the noise, beyond which a row of ``size`` readings is screened."""
-    return float(chdtri(size, _FALSE_OUTLIER / rows))
+        state = fit.weighed_anew(state, step)
+    if not rough and fit.is_beyond_normal_equations(state):
+        state, extra = fit.polished(state)
+        return fit.finish(state, step, iteration + extra, Exit.EXACT)
+    return fit.finish(state, step, iteration, ended or Exit.BUDGET)
 
 
 class _Memory:
@@ -178,6 +162,10 @@ class _Memory:
     """
 
     def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
         self._points: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
 
@@ -193,12 +181,42 @@ class _Memory:
 
 
 @dataclass(frozen=True)
-class _Judgement:
-    """Noise and robust weights at one point of a fit."""
+class _State:
+    """A point of a fit.
 
-    sigma: np.ndarray
-    estimated: np.ndarray
-    robust: np.ndarray
+    Attributes:
+        point: the problem at its values, rows weighted by robust weights of an earlier point.
+        judged: noise and robust weights by the residuals here.
+        hard: whether outliers are left out rather than weighed down.
+    """
+
+    point: Linearised
+    judged: Judgement
+    hard: bool
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the robust weights are those that the residuals call for."""
+        return bool(np.max(np.abs(self.judged.robust - self.point.robust)) < _SETTLED)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The step that led to a point.
+
+    Attributes:
+        wanted: how far Gauss-Newton wanted to move predictions, root mean square, in units of the noise.
+        is_short: whether what was taken of it is too short to matter.
+        held: shape (F,), free parameters that a bound stopped.
+    """
+
+    wanted: float
+    is_short: bool
+    held: np.ndarray
+
+    def end(self, done: Exit) -> Exit:
+        """Return how a fit ended that can go no further: ``done``, unless it still had far to go."""
+        return done if self.wanted < _ROUGH else Exit.STUCK
 
 
 @dataclass(frozen=True)
@@ -208,145 +226,123 @@ class _Fit:
     problem: Problem
     free: np.ndarray
     priors: Priors
-    noise: Noise
-    loss: Loss
+    judge: Judge
+    rough: bool
+    executor: Executor | None
 
-    @property
-    def sizes(self) -> np.ndarray:
-        """Components of each block of readings."""
-        return np.array([block.size for block in self.problem.sensor.blocks])
+    def begin(self, values: np.ndarray, robust: np.ndarray | None) -> _State:
+        """Return the first point; outliers are known if robust weights are."""
+        hard = robust is not None
+        point = self._linearised(values, np.ones(len(self.problem)) if robust is None else robust)
+        return _State(point, self.judge.at(point, hard=hard), hard)
 
-    def judge(self, normal: Normal, robust: np.ndarray, *, hard: bool) -> _Judgement:
-        """Estimate the noise from the rows that count, and weigh the rows by it."""
-        counted = np.maximum(np.sum(robust > 0.0), 1) * self.sizes
-        if self.loss == "none" or (hard and self.loss == "screen"):
-            spent = self._spent(counted)
-            estimated = np.sqrt(normal.squares / np.maximum(counted - spent * counted / counted.sum(), 1.0))
-        else:
-            middle = np.array([chdtri(size, 0.5) for size in self.sizes])
-            estimated = np.sqrt(np.median(normal.row_squares, axis=1) / middle)
-        estimated = np.maximum(estimated, rounding(self.problem))
-        declared = np.array([np.nan if d is None else d for d in self.noise.declared])
-        misfit = declared * (1.0 + _MISFIT / np.sqrt(2.0 * counted))
-        sigma = np.where(np.isnan(declared) | (estimated > misfit), estimated, declared)
-        return _Judgement(sigma, estimated, self._weigh(normal, sigma, hard=hard))
+    def advance(self, state: _State, memory: _Memory) -> tuple[_State, _Step]:
+        """Return the next point and the step to it."""
+        free, values = self.free, state.point.values
+        equations = state.point.equations(state.judged.sigma)
+        step, held = equations.step(self.priors.bounds[free])
+        longer = memory.accelerate(values[free], step, equations.metric)
+        wanted = self._length(equations.square(step), state.judged.robust)
+        point = self._moved(state, [longer, step])
+        judged = self.judge.at(point, hard=state.hard)
+        refused = longer is not step and not np.array_equal(point.values[free], values[free] + longer)
+        if refused or np.max(np.abs(judged.sigma / state.judged.sigma - 1.0)) > _STEADY:
+            memory.forget()
+        taken = point.equations(judged.sigma).square(point.values[free] - values[free])
+        shortest = _STEP if np.any(judged.sigma > rounding(self.problem)) else _ROUNDED
+        is_short = min(wanted, self._length(taken, judged.robust)) < shortest
+        return _State(point, judged, state.hard), _Step(wanted, is_short, held)
 
-    def _spent(self, counted: np.ndarray) -> float:
-        """Parameters that the data pay for; at most as many as leave one reading in ten free."""
-        return float(min(self.free.sum(), 0.9 * counted.sum()))
+    def exit_of(self, state: _State, step: _Step) -> Exit | None:
+        """Return how the fit has ended, None if it goes on."""
+        if self.rough and (step.is_short or step.wanted < _ROUGH):
+            return step.end(Exit.ROUGH)
+        if self.is_beyond_normal_equations(state):
+            return step.end(Exit.ROUGH if self.rough else Exit.EXACT)
+        screened = self.judge.loss == "screen" and not state.hard and np.any(state.point.robust != 1.0)
+        if step.is_short and state.is_steady and not screened:
+            return step.end(Exit.SETTLED)
+        return None
 
-    def _weigh(self, normal: Normal, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
-        n = len(self.problem)
-        if self.loss == "none":
-            return np.ones(n)
-        distance2 = np.einsum("b,bn->n", sigma**-2.0, normal.row_squares)
-        limit2 = outlier_limit(n, int(self.sizes.sum()))
-        outside = distance2 > limit2
-        if hard and self.loss == "screen":
-            return np.where(outside, 0.0, 1.0)
-        return np.where(outside, (limit2 / np.maximum(distance2, limit2)) ** 0.25, 1.0)
+    def weighed_anew(self, state: _State, step: _Step) -> _State:
+        """Return the same point with the robust weights that its residuals call for, hard ones once nothing else moves."""
+        judged, hard = state.judged, state.hard
+        if step.is_short and state.is_steady:
+            hard = True
+            judged = self.judge.at(state.point, hard=hard)
+        if np.array_equal(judged.robust, state.point.robust):
+            return _State(state.point, judged, hard)
+        return _State(self._linearised(state.point.values, judged.robust), judged, hard)
 
-    def step(self, normal: Normal, values: np.ndarray, state: _Judgement) -> tuple[np.ndarray, np.ndarray]:
-        """Return the step of the free parameters, and which of them a bound holds."""
-        G, g = normal.at(state.sigma)
-        sizes, bounds, at = self.priors.sizes[self.free], self.priors.bounds[self.free], values[self.free]
-        step = posterior_step(G, g, sizes, at)
-        held = np.zeros(len(step), bool)
-        for _ in range(3):
-            over = ~held & (np.abs(at + step) > bounds)
-            if not over.any():
-                break
-            held |= over
-            step = np.where(held, np.copysign(bounds, at + step) - at, step)
-            loose = ~held
-            step[loose] = posterior_step(
-                G[np.ix_(loose, loose)], (g - G[:, held] @ step[held])[loose], sizes[loose], at[loose]
-            )
-        return step, held
-
-    def metric(self, normal: Normal, state: _Judgement) -> np.ndarray:
-        """Return how much each free parameter matters to data and prior, shape (F,)."""
-        G, _ = normal.at(state.sigma)
-        return np.asarray(np.sqrt(np.diag(G) + self.priors.sizes[self.free] ** -2.0))
-
-    def readable(self, state: _Judgement) -> str:
-        """Return the size of the residuals for the log."""
-        units = [readable_unit(block.unit) for block in self.problem.sensor.blocks]
-        return ", ".join(
-            f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(state.estimated, units, strict=True)
-        )
-
-    def length(self, step: np.ndarray, normal: Normal, state: _Judgement) -> float:
-        """Return how far a step moves the predictions, root mean square, in units of the noise."""
-        G, _ = normal.at(state.sigma)
-        readings = max(float(np.sum(state.robust > 0.0) * self.sizes.sum()), 1.0)
-        return float(np.sqrt(max(step @ G @ step, 0.0) / readings))
-
-    def move(
-        self,
-        normal: Normal,
-        values: np.ndarray,
-        steps: list[np.ndarray],
-        state: _Judgement,
-        robust: np.ndarray,
-    ) -> tuple[np.ndarray, Normal]:
-        """Take the first of the steps, or of the halves of the last, that does not make things worse."""
-        before = self._objective(normal, values, state.sigma)
-        readings = max(float(np.sum(robust > 0.0) * self.sizes.sum()), 1.0)
-        plain = steps[-1]
-        tried = steps[:-1] if steps[0] is not plain else []
-        for step in [*tried, *(plain * 0.5**k for k in range(_HALVINGS))]:
-            trial = values.copy()
-            trial[self.free] += step
-            found = accumulate(self.problem, trial, self.free, robust)
-            after = self._objective(found, trial, state.sigma)
-            if after <= before * (1.0 + 1e-9) + 1e-6 * readings:
-                return trial, found
-        return values, normal
-
-    def is_beyond_normal_equations(self, normal: Normal, state: _Judgement) -> bool:
+    def is_beyond_normal_equations(self, state: _State) -> bool:
         """Return whether readings are so exact that J^T J can't hold what they say, and few enough for J itself."""
-        G, _ = normal.at(state.sigma)
-        return is_exact(np.diag(G), self.priors.sizes[self.free]) and len(self.problem) * len(G) <= MOST_EXACT
+        diagonal = state.point.equations(state.judged.sigma).diagonal
+        return is_exact(diagonal, self.priors.sizes[self.free]) and len(self.problem) * len(diagonal) <= MOST_EXACT
 
-    def _objective(self, normal: Normal, values: np.ndarray, sigma: np.ndarray) -> float:
-        known = self.free & np.isfinite(self.priors.sizes)
-        prior = float(np.sum((values[known] / self.priors.sizes[known]) ** 2))
-        return normal.chi2(sigma) + normal.disbelief() + prior
+    def polished(self, state: _State) -> tuple[_State, int]:
+        """Return the point that exact readings lead to, and the steps taken."""
+        point, problem = state.point, self.problem
+        noise = [np.repeat(state.judged.sigma[span], problem.block_sizes[span]) for span in problem.block_spans]
+        weights = [
+            station.weights * point.robust[rows] / sigma[:, None]
+            for station, rows, sigma in zip(problem.stations, problem.rows, noise, strict=True)
+        ]
+        values, steps = polish(problem, point.values, self.free, self.priors.sizes, self.priors.bounds, weights)
+        return _State(self._linearised(values, point.robust), state.judged, state.hard), steps
 
-    def finish(
-        self,
-        normal: Normal,
-        values: np.ndarray,
-        robust: np.ndarray,
-        iterations: int,
-        converged: bool,
-        held: np.ndarray,
-    ) -> Solution:
+    def finish(self, state: _State, step: _Step, iterations: int, ended: Exit) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
-        state = self.judge(normal, robust, hard=True)
-        G, g = normal.at(state.sigma)
-        result = posterior(G, g, self.priors.sizes[self.free], values[self.free])
-        counted = np.maximum(np.sum(robust > 0.0), 1) * self.sizes
-        degrees = np.maximum(counted - result.effective * counted / counted.sum(), 1.0)
-        estimated = np.maximum(np.sqrt(normal.squares / degrees), rounding(self.problem))
-        declared = np.array([np.nan if d is None else d for d in self.noise.declared])
-        misfit = declared * (1.0 + _MISFIT / np.sqrt(2.0 * degrees))
-        sigma = np.where(np.isnan(declared) | (estimated > misfit), estimated, declared)
-        G, g = normal.at(sigma)
-        reference = np.where(np.isnan(declared), estimated, declared)
-        at_bound = np.zeros(len(values), bool)
-        at_bound[self.free] = held
+        point, noise = state.point, self.judge.noise
+        found = point.equations(self.judge.at(point, hard=True).sigma).posterior()
+        degrees = self.judge.degrees(point.robust, found)
+        estimated = np.maximum(np.sqrt(point.squares / degrees), rounding(self.problem))
+        sigma = noise.resolved(estimated, degrees)
+        at_bound = np.zeros(len(point.values), bool)
+        at_bound[self.free] = step.held
         return Solution(
-            values=values,
-            posterior=posterior(G, g, self.priors.sizes[self.free], values[self.free]),
+            values=point.values,
+            posterior=point.equations(sigma).posterior(),
             sigma=sigma,
             estimated=estimated,
-            weights=robust,
-            chi2=normal.chi2(reference),
+            weights=point.robust,
+            chi2=point.chi2(np.where(np.isnan(noise.known), estimated, noise.known)),
             degrees=float(degrees.sum()),
             iterations=iterations,
-            converged=converged,
+            exit=ended,
             at_bound=at_bound,
             free=self.free,
         )
+
+    def readable(self, judged: Judgement) -> str:
+        """Return the size of the residuals for the log."""
+        units = [readable_unit(block.unit) for block in self.problem.blocks]
+        return ", ".join(
+            f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(judged.estimated, units, strict=True)
+        )
+
+    def _linearised(self, values: np.ndarray, robust: np.ndarray) -> Linearised:
+        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor)
+
+    def _length(self, square: float, robust: np.ndarray) -> float:
+        """Return how far a step of this square moves the predictions, root mean square, in units of the noise."""
+        return float(np.sqrt(max(square, 0.0) / self._readings(robust)))
+
+    def _readings(self, robust: np.ndarray) -> float:
+        """Return the number of readings that count, 1 if none does."""
+        sizes = [self.problem.block_sizes[span].sum() for span in self.problem.block_spans]
+        counts = [np.sum(robust[rows] > 0.0) for rows in self.problem.rows]
+        return max(float(np.dot(sizes, counts)), 1.0)
+
+    def _moved(self, state: _State, steps: list[np.ndarray]) -> Linearised:
+        """Take the first of the steps, or of the halves of the last, that does not make things worse."""
+        here, sigma = state.point, state.judged.sigma
+        limit = here.objective(sigma) * (1.0 + 1e-9) + 1e-6 * self._readings(here.robust)
+        plain = steps[-1]
+        tried = steps[:-1] if steps[0] is not plain else []
+        for step in [*tried, *(plain * 0.5**k for k in range(_HALVINGS))]:
+            values = here.values.copy()
+            values[self.free] += step
+            there = self._linearised(values, here.robust)
+            if there.objective(sigma) <= limit:
+                return there
+        return here

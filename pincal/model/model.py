@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term, ToolFrame
+from pincal.model.effects import Conditions, Effect, Term
 from pincal.model.kernels import Compliances, Payload, Terms, Values
 from pincal.parameters import Parameter
 
@@ -68,15 +69,15 @@ class Model:
         sizes = [len(effect.parameters(self.chain)) for effect in self.effects]
         return tuple(int(start) for start in np.cumsum([0, *sizes]))
 
+    @property
+    def spans(self) -> tuple[slice, ...]:
+        """For each effect, where its parameters stand."""
+        return tuple(slice(a, b) for a, b in pairwise(self._starts))
+
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, effect by effect."""
         return tuple(p for effect in self.effects for p in effect.parameters(self.chain))
-
-    @property
-    def has_tool_orientation(self) -> bool:
-        """Whether the model knows how the target is oriented on the tool, not only where it is."""
-        return any(isinstance(effect, ToolFrame) and len(effect.symbols) > 3 for effect in self.effects)
 
     @property
     def n_parameters(self) -> int:

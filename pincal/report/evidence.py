@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.calibration.run import Calibration
-from pincal.identify.problem import Problem
+from pincal.identify.station import Station
 from pincal.units import readable_unit
 
 
@@ -60,7 +60,7 @@ def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
     """Return the errors of a calibration, one :class:`Evidence` a kind of reading, that of places first."""
     fit, robot = calibration.fit, calibration.robot
     tables = [table for table in (calibration.train, calibration.test) if len(table)]
-    problems = [fit.problem, *filter(None, [calibration.test_problem()])]
+    problems = [fit.station, *filter(None, [calibration.test_problem()])]
     before = np.hstack([problem.residuals(fit.nominal.values) for problem in problems])
     after = np.hstack([problem.residuals(fit.values) for problem in problems])
     lengths = [len(problem) for problem in problems]
@@ -70,9 +70,9 @@ def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
     gravity = fit.model.chain.gravity
     up = np.array([0.0, 0.0, 1.0]) if not np.any(gravity) else -gravity / np.linalg.norm(gravity)
     place = robot.forward_kinematics(q)[:, :3, 3]
-    ends = np.cumsum([0, *(block.size for block in fit.problem.sensor.blocks)])
+    ends = np.cumsum([0, *(block.size for block in fit.station.sensor.blocks)])
     found = []
-    for k, block in enumerate(fit.problem.sensor.blocks):
+    for k, block in enumerate(fit.station.sensor.blocks):
         factor, unit = readable_unit(block.unit)
         declared = fit.noise.declared[k]
         found.append(
@@ -96,6 +96,6 @@ def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
     return tuple(found)
 
 
-def _times(problems: list[Problem]) -> np.ndarray | None:
+def _times(problems: list[Station]) -> np.ndarray | None:
     times = [problem.conditions.time for problem in problems]
     return None if any(time is None for time in times) else np.concatenate([t for t in times if t is not None])

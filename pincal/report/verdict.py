@@ -187,6 +187,6 @@ def _after_discovery(discovery: Discovery) -> list[NextStep]:
 
 def _unrecorded(calibration: Calibration) -> list[str]:
     """Return the columns that effects of the catalogue need and the table lacks."""
-    problem, names = calibration.fit.problem, {"approach": "approach_<joint>"}
+    problem, names = calibration.fit.station, {"approach": "approach_<joint>"}
     needed = {column for effect, _ in untestable(problem.model.chain, problem.conditions) for column in effect.needs}
     return sorted(names.get(column, column) for column in needed if getattr(calibration.train, column) is None)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from pincal.identify.problem import Problem
+from pincal.identify.station import Station
 from pincal.units import readable_unit
 
 
@@ -54,7 +54,7 @@ class Errors:
         return {f"{name}_{self.unit}": values[name] for name in ("mean", "median", "rms", "p95", "max")}
 
 
-def pose_errors(problem: Problem, values: np.ndarray) -> dict[str, np.ndarray]:
+def pose_errors(problem: Station, values: np.ndarray) -> dict[str, np.ndarray]:
     """Return the size of the error at each row, in mm for what is measured in metres, in mrad for angles, in px for images.
 
     Args:
@@ -76,7 +76,7 @@ def pose_errors(problem: Problem, values: np.ndarray) -> dict[str, np.ndarray]:
     return {"position": np.linalg.norm(problem.displacements(values), axis=1) * readable_unit("m").factor} | found
 
 
-def statistics(problem: Problem, values: np.ndarray) -> list[Errors]:
+def statistics(problem: Station, values: np.ndarray) -> list[Errors]:
     """Return the statistics of the errors as :func:`pose_errors` has them, those in mm first; empty without rows."""
     if len(problem) == 0:
         return []
@@ -84,6 +84,6 @@ def statistics(problem: Problem, values: np.ndarray) -> list[Errors]:
     return [Errors.of(errors, units.get(name, "mm")) for name, errors in pose_errors(problem, values).items()]
 
 
-def error_table(problem: Problem, values: np.ndarray) -> dict[str, float]:
+def error_table(problem: Station, values: np.ndarray) -> dict[str, float]:
     """Return the statistics of all blocks in one dictionary: ``mean_mm``, ..., and ``mean_mrad``, ... for poses."""
     return {name: value for errors in statistics(problem, values) for name, value in errors.named().items()}

@@ -7,11 +7,14 @@ from itertools import combinations
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.identify.calibrate import Fit, Options, frames_of, place, priors_of, released_of
+from pincal.identify.beliefs import frames_of, priors_of, released_of
+from pincal.identify.fit import Fit
+from pincal.identify.initial import fit_frames, place
+from pincal.identify.options import Options
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Noise, Priors, solve
+from pincal.identify.rows import some_rows
+from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.measure.rows import some_rows
 from pincal.robot.robot import Robot
 
 # Nominal errors above this part of the reach make one look for a mix-up; real ones are a fifth of it and less.
@@ -34,10 +37,10 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
     Raises:
         MeasurementError: naming the columns that seem swapped or turned round.
     """
-    error = _typical(fit.problem, fit.nominal.values)
+    error = _typical(fit.station, fit.nominal.values)
     if error < _SUSPICIOUS * robot.reach:
         return
-    rows = some_rows(len(measurements), _ROWS, fit.problem.sensor.groups)
+    rows = some_rows(len(measurements), _ROWS, fit.station.sensor.groups)
     sample = measurements.select(rows)
     n = robot.n_joints
     names = robot.joint_names
@@ -61,9 +64,9 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
         )
 
 
-def _typical(problem: Problem, values: np.ndarray) -> float:
+def _typical(station: Station, values: np.ndarray) -> float:
     """Return the robust size of the errors of position [m]: outliers have no say."""
-    return float(np.median(np.linalg.norm(problem.displacements(values), axis=1)))
+    return float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
 
 
 def _swapped(n: int, i: int, j: int) -> np.ndarray:
@@ -85,9 +88,7 @@ def _mixed(measurements: Measurements, order: np.ndarray, sign: np.ndarray) -> M
 
 
 def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
-    problem, values = place(robot, measurements, options)
+    station, values = place(robot, measurements, options)
+    problem = Problem((station,))
     frames = frames_of(problem) & released_of(problem, options)
-    flat = Priors(np.full(len(values), np.inf), priors_of(problem, options).bounds)
-    noise = Noise((None,) * len(problem.sensor.blocks))
-    fitted = solve(problem, values, frames, flat, noise, loss="huber", rough=True)
-    return _typical(problem, fitted.values)
+    return _typical(station, fit_frames(problem, values, frames, bounds=priors_of(problem, options).bounds).values)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from pincal.identify.normal import accumulate, block_rows
-from pincal.identify.problem import Problem
+from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.units import format_readable
 from pincal.validate.replicates import Replicates, groups, iso9283, replicate_groups
@@ -179,14 +179,14 @@ def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarra
     return float((root.T @ g) @ np.linalg.solve(inner, root.T @ g))
 
 
-def _is_enough(parts: Sequence[Squares], problem: Problem) -> bool:
+def _is_enough(parts: Sequence[Squares], problem: Station) -> bool:
     """Return whether visits differ by more than rounding."""
     pure = np.sum([part.by_block for part in parts], axis=0)
     sizes = [np.sqrt(squares / degrees) if degrees else 0.0 for squares, degrees in pure]
     return any(size > 10.0 * block.rounding for size, block in zip(sizes, problem.sensor.blocks, strict=True))
 
 
-def _f_test(parts: Sequence[Squares], problem: Problem, misfit: float, degrees: float) -> dict[str, Any] | None:
+def _f_test(parts: Sequence[Squares], problem: Station, misfit: float, degrees: float) -> dict[str, Any] | None:
     if not _is_enough(parts, problem) or degrees < 1.0:
         return None
     free = sum(part.degrees for part in parts)
@@ -232,7 +232,7 @@ def pure_words(found: Mapping[str, Any]) -> str:
 
 
 def replicate_statistics(
-    problem: Problem, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
+    problem: Station, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
 ) -> dict[str, Any]:
     """Return what rows that a calibrated model has not seen tell of it, as far as poses were visited more than once.
 

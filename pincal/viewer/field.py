@@ -10,11 +10,12 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
-from pincal.identify.calibrate import EXTRINSICS
-from pincal.identify.problem import Problem, conditions_of
-from pincal.identify.solve import Noise, Priors, solve
+from pincal.identify.beliefs import EXTRINSICS
+from pincal.identify.initial import fit_frames
+from pincal.identify.problem import Problem
+from pincal.identify.station import Station, conditions_of
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensing import ideal_readings
+from pincal.measure.sensors import PoseSensor, PositionSensor
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
 from pincal.report.words import effect_words
@@ -22,6 +23,13 @@ from pincal.viewer.workspace import workspace_poses
 
 # Poses over which nominal base and tool are laid onto the calibrated robot where there are no measurements.
 _ENOUGH = 400
+# What an arrow ends at, where the instrument does not see the whole position.
+_SEEN = {
+    "distance": "the part along the line of sight",
+    "socket": "the socket",
+    "camera_point": "where the camera would have to be for its reading",
+    "camera_pixel": "the part across the view that the image tells",
+}
 
 
 @dataclass(frozen=True)
@@ -142,10 +150,10 @@ def _measured_layers(
 ) -> Iterator[Layer]:
     model, values = calibrated.model, calibrated.values
     problem = calibrated.readings(measurements)
+    kind = _SEEN.get(measurements.kind, "measured")
     for name, of, words in (("before", nominal, "nominal, base and tool fitted"), ("after", values, "calibrated")):
         tails = _positions(model, of[: model.n_parameters], conditions)
-        meaning = f"from {words} to {problem.sensor.deviation_end}"
-        yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), meaning)
+        yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), f"from {words} to {kind}")
     own = values[: model.n_parameters]
     yield from _explained("deviations", "measured", model, own, conditions, _positions(model, own, conditions))
 
@@ -211,25 +219,24 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
     rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
     sample = over.select(rows)
     poses = calibrated.predict(sample)
-    sensor = ideal_readings(poses, with_orientation=calibrated.model.has_tool_orientation)
-    return _frames_fitted(calibrated, Problem(calibrated.model, sample, sensor, np.ones(len(rows))))
+    turns = any(isinstance(e, ToolFrame) and len(e.symbols) > 3 for e in calibrated.model.effects)
+    sensor = PoseSensor(poses[:, :, 3], poses[:, :, :3]) if turns else PositionSensor(poses[:, :, 3])
+    return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
 
 
-def _frames_fitted(calibrated: CalibratedModel, problem: Problem) -> np.ndarray:
+def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
     """Fit base and tool alone; a frame that the calibration took as known stays where it is."""
-    n = len(problem.parameters)
+    n = len(station.parameters)
     frames = _is_frame(calibrated)[:n]
     fitted = np.diag(calibrated.covariance)[:n] > 0.0
     free = frames & (fitted if np.any(fitted & frames) else frames)
     start = np.where(frames, calibrated.values[:n], 0.0)
-    start[problem.model.n_parameters :] = calibrated.values[problem.model.n_parameters : n]
+    station.split(start)[1][:] = station.split(calibrated.values[:n])[1]
     if not free.any():
         return start
     # Other targets than those of these rows are not seen: they stay.
-    free[: problem.model.n_parameters] &= problem.model.largest_basis(problem.conditions)[1]
-    priors = Priors(np.full(n, np.inf), np.full(n, np.inf))
-    blocks = tuple(None for _ in problem.sensor.blocks)
-    return solve(problem, start, free, priors, Noise(blocks), loss="huber", rough=True).values
+    station.split(free)[0][:] &= station.model.largest_basis(station.conditions)[1]
+    return fit_frames(Problem((station,)), start, free).values
 
 
 def _workspace(

@@ -1,0 +1,72 @@
+"""What is believed of a problem's parameters before anything is fitted: which may move, how far, and how large noise is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.identify.noise import Noise
+from pincal.identify.options import Options, known_frames
+from pincal.identify.problem import Problem
+from pincal.identify.rows import some_rows
+from pincal.identify.solve import Priors
+from pincal.identify.station import Station
+from pincal.model.effects import Conditions
+
+# A point that seems farther away than this [m] was seen from too much the same side.
+_FARTHEST = 50.0
+# Effects of what stands around the robot; a lens's distortion would only hide the robot's own.
+EXTRINSICS = ("base_frame", "tool_frame", "named_point", "lens")
+
+
+def frames_of(problem: Problem) -> np.ndarray:
+    """Return which parameters say where things are: base and tool, named points, a camera's pinhole, shape (P,)."""
+    return np.array([p.effect in EXTRINSICS for p in problem.parameters], bool)
+
+
+def released_of(problem: Problem, options: Options) -> np.ndarray:
+    """Return which parameters a fit may move: all but a known base, known tools and what sensors know of themselves."""
+    free = np.zeros(len(problem.parameters), bool)
+    for station, places in zip(problem.stations, problem.places, strict=True):
+        known = known_frames(options.at(station.name))
+        local = np.array([p.name not in known for p in station.parameters], bool)
+        station.split(local)[1][:] = ~station.sensor.fixed
+        free[places] |= local
+    return free
+
+
+def excited_of(problem: Problem) -> np.ndarray:
+    """Return which parameters act at all at the nominal geometry: not the compliance about a vertical axis."""
+    excited = np.zeros(len(problem.parameters), bool)
+    for station, places in zip(problem.stations, problem.places, strict=True):
+        local = np.ones(len(places), bool)
+        station.split(local)[0][:] = station.model.largest_basis(_sample(station))[1]
+        excited[places] |= local
+    return excited
+
+
+def priors_of(problem: Problem, options: Options) -> Priors:
+    """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
+    largest = np.zeros(len(problem.parameters))
+    for station, places in zip(problem.stations, problem.places, strict=True):
+        local = np.ones(len(places))
+        station.split(local)[0][:] = station.model.largest_basis(_sample(station))[0]
+        largest[places] = np.maximum(largest[places], local)
+    typical = np.array([parameter.size for parameter in problem.parameters]) / largest
+    lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.parameters])
+    bounds = np.where(lengths, options.length_bound, np.inf)
+    bounds[[p.effect == "named_point" for p in problem.parameters]] = _FARTHEST
+    return Priors(typical, bounds)
+
+
+def noise_of(problem: Problem, options: Options) -> Noise:
+    """Return the declared noise of each block of readings."""
+    declared: list[float | None] = []
+    for station in problem.stations:
+        own = options.at(station.name)
+        declared += [own.sigma_orientation if b.unit == "rad" else own.sigma for b in station.sensor.blocks]
+    return Noise(tuple(declared))
+
+
+def _sample(station: Station) -> Conditions:
+    """Return rows spread over the table, enough to judge sizes by."""
+    return station.conditions.select(some_rows(len(station), 1000))

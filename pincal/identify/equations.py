@@ -1,0 +1,275 @@
+"""All stations of a problem linearised at one point: squares of residuals, and normal equations for one noise.
+
+What a station contributes is computed by functions of this module on arguments that can be pickled, so that the sum can be
+mapped by any ``concurrent.futures`` executor. Contributions are added in the order of the stations, so that the result does
+not depend on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pincal.identify.normal import Normal, accumulate, beliefs_squared, block_rows
+from pincal.identify.posterior import Contribution, Eliminated, Posterior, eliminate, posterior, posterior_step
+from pincal.identify.problem import Problem
+from pincal.identify.station import Station
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Squares of a station's residuals.
+
+    Attributes:
+        blocks: shape (blocks,), weighted sums.
+        rows: shape (blocks, N), each row's weighted squared residual, robust weights left out.
+        beliefs: of what the sensor knows beside its readings, in units of the variances.
+    """
+
+    blocks: np.ndarray
+    rows: np.ndarray
+    beliefs: float
+
+
+def squares(station: Station, values: np.ndarray, robust: np.ndarray) -> Squares:
+    """Return the squares of a station's residuals at values of its parameters; ``robust`` as in :func:`contribution`."""
+    residuals = station.residuals(values)
+    parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in block_rows(station)]
+    rows = np.array(parts) * station.weights**2
+    return Squares(rows @ robust**2, rows, beliefs_squared(station, values))
+
+
+def contribution(
+    station: Station,
+    values: np.ndarray,
+    free: np.ndarray,
+    robust: np.ndarray,
+    sigma: np.ndarray,
+    own: np.ndarray,
+    sizes: np.ndarray,
+) -> Contribution:
+    """Return what a station says of the free parameters that it shares with others.
+
+    Args:
+        station: the station.
+        values: shape (P,), of its parameters, as are the others.
+        free: shape (P,), which of them may move.
+        robust: shape (N,), factor on each row's weight: 0 leaves a row out.
+        sigma: shape (blocks,), standard deviation of one component of each block of its readings.
+        own: shape (P,), which of them belong to the station alone.
+        sizes: shape (P,), standard deviations of the priors; inf for none.
+    """
+    G, g = accumulate(station, values, free, robust).at(sigma)
+    return eliminate(G, g, own[free], sizes[free], values[free])
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of the F free parameters for one noise, C of them left after stations' own were eliminated.
+
+    Attributes:
+        G: shape (C, C).
+        g: shape (C,).
+        shared: shape (F,), which parameters these are; with one station all.
+        diagonal: shape (F,), of the normal equations before anything was eliminated.
+        own: the parameters that were eliminated; with one station none.
+        sizes: shape (F,), standard deviations of the priors; inf for none.
+        values: shape (F,), present values.
+    """
+
+    G: np.ndarray
+    g: np.ndarray
+    shared: np.ndarray
+    diagonal: np.ndarray
+    own: tuple[Eliminated, ...]
+    sizes: np.ndarray
+    values: np.ndarray
+
+    def step(self, bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the step that the posterior wants within bounds of the values, shape (F,), and which ones a bound stops."""
+        step, held = self._bounded(bounds[self.shared])
+        if not self.own:
+            return step, held
+        whole, stopped = np.empty(len(self.values)), np.zeros(len(self.values), bool)
+        whole[self.shared], stopped[self.shared] = step, held
+        for part in self.own:
+            at, most = self.values[part.places], bounds[part.places]
+            wanted = at + part.step(step)
+            whole[part.places] = np.clip(wanted, -most, most) - at
+            stopped[part.places] = np.abs(wanted) > most
+        return whole, stopped
+
+    def _bounded(self, bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at, sizes, diagonal = self.values[self.shared], self.sizes[self.shared], self.diagonal[self.shared]
+        step = posterior_step(self.G, self.g, sizes, at, diagonal=diagonal)
+        held = np.zeros(len(step), bool)
+        for _ in range(3):
+            over = ~held & (np.abs(at + step) > bounds)
+            if not over.any():
+                break
+            held |= over
+            step = np.where(held, np.copysign(bounds, at + step) - at, step)
+            loose = ~held
+            left = (self.g - self.G[:, held] @ step[held])[loose]
+            inner = self.G[np.ix_(loose, loose)]
+            step[loose] = posterior_step(inner, left, sizes[loose], at[loose], diagonal=diagonal[loose])
+        return step, held
+
+    def square(self, step: np.ndarray) -> float:
+        """Return the square of a step, shape (F,), in units of the noise: how far it moves the readings altogether."""
+        across = step[self.shared]
+        return float(across @ self.G @ across) + sum(part.square(step[part.places], across) for part in self.own)
+
+    @property
+    def metric(self) -> np.ndarray:
+        """How much each parameter matters to readings and prior, shape (F,)."""
+        return np.asarray(np.sqrt(self.diagonal + self.sizes**-2.0))
+
+    def posterior(self) -> Posterior:
+        """Return what data and priors say together."""
+        at, sizes, diagonal = self.values[self.shared], self.sizes[self.shared], self.diagonal[self.shared]
+        return replace(posterior(self.G, self.g, sizes, at, diagonal=diagonal), own=self.own)
+
+    @property
+    def gain(self) -> float:
+        """How much the step would take off the sum of squares, what eliminated parameters do by themselves left out."""
+        at, sizes = self.values[self.shared], self.sizes[self.shared]
+        slope = self.g - at / sizes**2
+        return float(slope @ posterior_step(self.G, self.g, sizes, at, diagonal=self.diagonal[self.shared]))
+
+    def of(self, kept: np.ndarray) -> Equations:
+        """Return the equations of some of the shared parameters alone, and of all own ones; ``kept``, shape (F,)."""
+        inner = kept[self.shared]
+        rank = np.cumsum(kept) - 1
+        slot = np.where(inner, np.cumsum(inner) - 1, -1)
+        own = []
+        for part in self.own:
+            mine = inner[part.shared]
+            own.append(
+                replace(part, places=rank[part.places], shared=slot[part.shared[mine]], carried=part.carried[:, mine])
+            )
+        return Equations(
+            G=self.G[np.ix_(inner, inner)],
+            g=self.g[inner],
+            shared=self.shared[kept],
+            diagonal=self.diagonal[kept],
+            own=tuple(own),
+            sizes=self.sizes[kept],
+            values=self.values[kept],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A problem at one set of values.
+
+    With one station the Gram matrices are kept block by block of its readings, since another noise only weighs them anew.
+    Of several nothing is kept but squares: their normal equations are summed when the noise is known.
+
+    Attributes:
+        problem: the stations.
+        values: shape (P,).
+        free: shape (P,), the F parameters that may move.
+        robust: shape (N,), factor on each row's weight: 0 leaves a row out.
+        sizes: shape (P,), standard deviations of the priors; inf for none.
+        executor: computes what stations contribute; one after the other here unless given.
+    """
+
+    problem: Problem
+    values: np.ndarray
+    free: np.ndarray
+    robust: np.ndarray
+    sizes: np.ndarray
+    executor: Executor | None = None
+
+    @cached_property
+    def _normal(self) -> Normal:
+        return accumulate(self.problem.station, self.values, self.free, self.robust)
+
+    @cached_property
+    def _squares(self) -> list[Squares]:
+        if len(self.problem.stations) == 1:
+            normal = self._normal
+            return [Squares(normal.squares, normal.row_squares, normal.disbelief())]
+        stations = self.problem.stations
+        return list(self._map(squares, stations, self._local(self.values), self._by_rows(self.robust)))
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Weighted sums of squared residuals of all blocks of readings, shape (blocks,)."""
+        return np.concatenate([found.blocks for found in self._squares])
+
+    @property
+    def row_squares(self) -> list[np.ndarray]:
+        """For each station, each row's weighted squared residual, shape (its blocks, its rows), robust weights left out."""
+        return [found.rows for found in self._squares]
+
+    def chi2(self, sigma: np.ndarray) -> float:
+        """Return the sum of squares in units of the variances, for standard deviations of all blocks."""
+        return float(np.sum(self.squares / sigma**2))
+
+    def objective(self, sigma: np.ndarray) -> float:
+        """Return the sum of squares of readings, of what sensors know beside them and of priors, in units of variances."""
+        known = self.free & np.isfinite(self.sizes)
+        prior = float(np.sum((self.values[known] / self.sizes[known]) ** 2))
+        return self.chi2(sigma) + sum(found.beliefs for found in self._squares) + prior
+
+    @cached_property
+    def _equations(self) -> dict[bytes, Equations]:
+        return {}
+
+    def equations(self, sigma: np.ndarray) -> Equations:
+        """Return the normal equations for standard deviations of all blocks of readings, shape (blocks,)."""
+        key = sigma.tobytes()
+        if key not in self._equations:
+            self._equations.clear()
+            self._equations[key] = self._alone(sigma) if len(self.problem.stations) == 1 else self._sum(sigma)
+        return self._equations[key]
+
+    def _alone(self, sigma: np.ndarray) -> Equations:
+        G, g = self._normal.at(sigma)
+        free = self.free
+        return Equations(G, g, np.ones(len(g), bool), np.diag(G), (), self.sizes[free], self.values[free])
+
+    def _sum(self, sigma: np.ndarray) -> Equations:
+        problem, free = self.problem, self.free
+        rank = np.cumsum(free) - 1
+        shared = problem.is_shared[free]
+        slot = np.cumsum(shared) - 1
+        n = int(shared.sum())
+        G, g, diagonal = np.zeros((n, n)), np.zeros(n), np.zeros(int(free.sum()))
+        own = []
+        parts = self._map(
+            contribution,
+            problem.stations,
+            self._local(self.values),
+            self._local(free),
+            self._by_rows(self.robust),
+            [sigma[span] for span in problem.block_spans],
+            problem.eliminated,
+            self._local(self.sizes),
+        )
+        for part, places, is_own in zip(parts, problem.places, problem.eliminated, strict=True):
+            moved = free[places]
+            mine, ours = rank[places[moved & is_own]], slot[rank[places[moved & ~is_own]]]
+            G[np.ix_(ours, ours)] += part.G
+            g[ours] += part.g
+            diagonal[rank[places[moved]]] += part.diagonal
+            own.append(part.eliminated(mine, ours))
+        return Equations(G, g, shared, diagonal, tuple(own), self.sizes[free], self.values[free])
+
+    def _map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterable[Any]:
+        return map(function, *arguments) if self.executor is None else self.executor.map(function, *arguments)
+
+    def _local(self, vector: np.ndarray) -> list[np.ndarray]:
+        """Return each station's part of a vector over all parameters."""
+        return [vector[places] for places in self.problem.places]
+
+    def _by_rows(self, vector: np.ndarray) -> list[np.ndarray]:
+        """Return each station's part of a vector over all rows."""
+        return [vector[rows] for rows in self.problem.rows]

@@ -1,0 +1,113 @@
+"""What a calibration comes to, and the same fit with other effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pincal.identify.noise import Noise
+from pincal.identify.options import Options
+from pincal.identify.problem import Problem
+from pincal.identify.solve import Priors, Solution
+from pincal.identify.station import Station, station_of
+from pincal.measure.measurements import Measurements
+from pincal.model.effects import Effect
+from pincal.model.model import Model
+from pincal.parameters import Estimate
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of an identification: its name and what it came to."""
+
+    name: str
+    iterations: int
+    rms: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A calibrated model.
+
+    Attributes:
+        problem: model and training rows of all stations.
+        nominal: the fit of base and tool alone.
+        solution: the fit of everything.
+        priors: what was believed before.
+        noise: what was declared of it.
+        stages: the stages it went through.
+        options: how it was made.
+    """
+
+    problem: Problem
+    nominal: Solution
+    solution: Solution
+    priors: Priors
+    noise: Noise
+    stages: tuple[Stage, ...]
+    options: Options
+
+    @property
+    def station(self) -> Station:
+        """The only station, model and training rows.
+
+        Raises:
+            BadInputError: if there are several.
+        """
+        return self.problem.station
+
+    @property
+    def model(self) -> Model:
+        """The model of the only station, its chain's reference orientations those of base and tool."""
+        return self.station.model
+
+    @property
+    def values(self) -> np.ndarray:
+        """Calibrated values, shape (P,)."""
+        return self.solution.values
+
+    @property
+    def model_values(self) -> np.ndarray:
+        """Those of the model's parameters, in its order; the sensor's own left out."""
+        return self.station.split(self.values)[0]
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The calibrated values by name, with what is known of each."""
+        covariance = self.solution.posterior.joint_covariance
+        return Estimate(self.problem.parameters, self.values, self.solution.free, covariance, self.priors.sizes)
+
+    @property
+    def iterations(self) -> int:
+        """Gauss-Newton steps of all stages together, those for base and tool included."""
+        return self.nominal.iterations + sum(stage.iterations for stage in self.stages)
+
+    def readings(self, measurements: Measurements) -> Station:
+        """Return the calibrated model of the only station over other measurements."""
+        return station_of(self.model, measurements, np.array(self.options.payload_centre), self.options.setup)
+
+
+def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
+    """Return a solution's values by name over another problem's parameters; its posterior stays that of before."""
+    return replace(
+        solution,
+        values=before.carried_over(solution.values, after),
+        free=before.carried_over(solution.free, after),
+        at_bound=before.carried_over(solution.at_bound, after),
+    )
+
+
+def without(fit: Fit, effect: Effect) -> Fit:
+    """Return a fit as it stands with one effect taken out, nothing fitted again: the place to test the effect from."""
+    problem = fit.problem.with_effects([e for e in fit.problem.effects if e is not effect])
+    sizes, bounds = (fit.problem.carried_over(of, problem) for of in (fit.priors.sizes, fit.priors.bounds))
+    return replace(
+        fit,
+        problem=problem,
+        nominal=carried(fit.nominal, fit.problem, problem),
+        solution=carried(fit.solution, fit.problem, problem),
+        priors=Priors(sizes, bounds),
+        options=replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect)),
+    )

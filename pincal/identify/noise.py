@@ -1,0 +1,138 @@
+"""How large the noise is, and which rows are outliers, judged by the residuals of a fit, station by station."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import chdtri
+
+from pincal.identify.equations import Linearised
+from pincal.identify.exact import rounding
+from pincal.identify.posterior import Posterior
+from pincal.identify.problem import Problem
+
+Loss = Literal["screen", "huber", "none"]
+
+# Probability that screening takes any sound row of a table for an outlier.
+_FALSE_OUTLIER = 0.01
+# Declared noise is replaced by the residuals' own when these exceed it by this many standard deviations of chi-square.
+_MISFIT = 4.0
+# Part of the readings that parameters spend at most, while a fit has not yet told how many it does spend.
+_MOST_SPENT = 0.9
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of one component of each block of readings, None where they are to be estimated."""
+
+    declared: tuple[float | None, ...]
+
+    @property
+    def known(self) -> np.ndarray:
+        """The declared standard deviations, shape (blocks,), nan where none are."""
+        return np.array([np.nan if sigma is None else sigma for sigma in self.declared], float)
+
+    def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+        """Return what to use, shape (blocks,): the declared unless residuals with these degrees of freedom are too large."""
+        misfit = self.known * (1.0 + _MISFIT / np.sqrt(2.0 * degrees))
+        return np.where(np.isnan(self.known) | (estimated > misfit), estimated, self.known)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Noise and robust weights at one point of a fit.
+
+    Attributes:
+        sigma: shape (blocks,), standard deviations to use.
+        estimated: shape (blocks,), those of the residuals.
+        robust: shape (N,), factor on each row's weight: 0 leaves it out.
+    """
+
+    sigma: np.ndarray
+    estimated: np.ndarray
+    robust: np.ndarray
+
+
+def outlier_limit(rows: int, size: int) -> float:
+    """Return the sum of squares, in units of the noise, beyond which a row of ``size`` readings is screened."""
+    return float(chdtri(size, _FALSE_OUTLIER / rows))
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Estimates the noise of each station and weighs its rows.
+
+    Attributes:
+        problem: the stations.
+        free: shape (P,), parameters that are fitted.
+        noise: what was declared.
+        loss: what to do with outliers, as in :func:`pincal.identify.solve.solve`.
+    """
+
+    problem: Problem
+    free: np.ndarray
+    noise: Noise
+    loss: Loss
+
+    def at(self, point: Linearised, *, hard: bool) -> Judgement:
+        """Return the noise, estimated from the rows that count, and the rows' weights by it.
+
+        Args:
+            point: the stations linearised.
+            hard: whether outliers, if they are screened, are known well enough to be left out.
+        """
+        robust = point.robust
+        counted = self.counted(robust)
+        if self.loss == "none" or (hard and self.loss == "screen"):
+            shared = int(np.sum(self.free & self.problem.is_shared))
+            own = [
+                int(np.sum(self.free[places[own]]))
+                for places, own in zip(self.problem.places, self.problem.eliminated, strict=True)
+            ]
+            spent = self._spread(counted, shared, own, most=_MOST_SPENT)
+            estimated = np.sqrt(point.squares / np.maximum(counted - spent, 1.0))
+        else:
+            middle = np.array([chdtri(size, 0.5) for size in self.problem.block_sizes])
+            medians = np.concatenate([np.median(rows, axis=1) for rows in point.row_squares])
+            estimated = np.sqrt(medians / middle)
+        estimated = np.maximum(estimated, rounding(self.problem))
+        sigma = self.noise.resolved(estimated, counted)
+        return Judgement(sigma, estimated, self._weigh(point, sigma, hard=hard))
+
+    def counted(self, robust: np.ndarray) -> np.ndarray:
+        """Return the number of readings that count in each block, shape (blocks,)."""
+        counts = [
+            np.full(span.stop - span.start, max(int(np.sum(robust[rows] > 0.0)), 1))
+            for span, rows in zip(self.problem.block_spans, self.problem.rows, strict=True)
+        ]
+        return np.asarray(np.concatenate(counts) * self.problem.block_sizes)
+
+    def degrees(self, robust: np.ndarray, found: Posterior) -> np.ndarray:
+        """Return the degrees of freedom that a fit leaves to each block, shape (blocks,)."""
+        counted = self.counted(robust)
+        spent = self._spread(counted, found.shared_effective, found.own_effective)
+        return np.asarray(np.maximum(counted - spent, 1.0))
+
+    def _spread(
+        self, counted: np.ndarray, shared: float, own: list[int] | tuple[float, ...], *, most: float = np.inf
+    ) -> np.ndarray:
+        """Return how many parameters each block pays for: its part of the shared ones and of those of its station."""
+        spent = min(shared, most * counted.sum()) * counted / counted.sum()
+        for number, span in zip(own, self.problem.block_spans, strict=False):
+            whole = counted[span].sum()
+            spent[span] += min(number, most * whole) * counted[span] / whole
+        return np.asarray(spent)
+
+    def _weigh(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
+        if self.loss == "none":
+            return np.ones(len(self.problem))
+        weights = []
+        for rows, span in zip(point.row_squares, self.problem.block_spans, strict=True):
+            distance2 = np.einsum("b,bn->n", sigma[span] ** -2.0, rows)
+            limit2 = outlier_limit(len(distance2), int(self.problem.block_sizes[span].sum()))
+            outside = distance2 > limit2
+            lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
+            weights.append(np.where(outside, lighter, 1.0))
+        return np.concatenate(weights)

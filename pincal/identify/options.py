@@ -1,0 +1,94 @@
+"""How to calibrate, and what is known beforehand of each station."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal
+
+import numpy as np
+
+from pincal.identify.noise import Loss
+from pincal.measure.setup import Setup
+from pincal.model.chain import MomentFrame
+from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
+from pincal.parameters import FRAME_SYMBOLS
+
+Stages = Literal["joint", "paper"]
+Tools = dict[str, tuple[float, float, float] | np.ndarray]
+
+# Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real deviations.
+LENGTH_BOUND = 0.01
+
+
+@dataclass(frozen=True)
+class StationOptions:
+    """What one station has different from the others; None for what it has in common with them.
+
+    Attributes are those of :class:`Options` by the same names.
+    """
+
+    sigma: float | None = None
+    sigma_orientation: float | None = None
+    payload_centre: tuple[float, float, float] | None = None
+    base: np.ndarray | None = None
+    tools: Tools | None = None
+    setup: Setup | None = None
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to calibrate.
+
+    Attributes:
+        effects: what may deviate, beside base and tool.
+        sigma: standard deviation of one component of a position, or of a distance [m], of an image [px]; estimated where
+            None.
+        sigma_orientation: likewise of one component of an orientation [rad].
+        moment_frame: where moments are taken and bend the arm.
+        equilibrium: moments on the bent arm instead of the straight one.
+        gravity: shape (3,), in the robot's base frame [m/s^2]; along -z of the URDF's root unless given.
+        payload_centre: centre of mass of the payload in the tip frame [m].
+        base: shape (4, 4), robot base in the instrument's frame, where it is known.
+        tools: target name -> (x, y, z) in the tip frame [m], or shape (4, 4), target to tip frame, where they are known.
+        stages: "joint" fits everything at once, "paper" goes through the paper's sequence.
+        loss: what to do with outliers: "screen", "huber" or "none".
+        length_bound: largest deviation of a length [m].
+        setup: named points and the camera, as far as they are known.
+        stations: station name -> what it has different, where there are several.
+    """
+
+    effects: tuple[Effect, ...] = ELASTIC
+    sigma: float | None = None
+    sigma_orientation: float | None = None
+    moment_frame: MomentFrame = "paper"
+    equilibrium: bool = False
+    gravity: tuple[float, float, float] | None = None
+    payload_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base: np.ndarray | None = None
+    tools: Tools | None = None
+    stages: Stages = "joint"
+    loss: Loss = "screen"
+    length_bound: float = LENGTH_BOUND
+    setup: Setup = field(default_factory=Setup)
+    stations: Mapping[str, StationOptions] = field(default_factory=dict)
+
+    def at(self, station: str) -> Options:
+        """Return the options of one station."""
+        if station not in self.stations:
+            return self
+        own = self.stations[station]
+        given = {f.name: getattr(own, f.name) for f in fields(own) if getattr(own, f.name) is not None}
+        return replace(self, **given, stations={})
+
+
+def geometric(options: Options) -> Options:
+    """Return the same options for the geometric model alone."""
+    return replace(options, effects=GEOMETRIC)
+
+
+def known_frames(options: Options) -> set[str]:
+    """Return the names of the coordinates of base and tools that the user gave."""
+    given: dict[str, tuple[str, ...]] = {} if options.base is None else {"base": FRAME_SYMBOLS}
+    given |= {n: FRAME_SYMBOLS[: 6 if np.shape(at) == (4, 4) else 3] for n, at in (options.tools or {}).items()}
+    return {f"{element}.{symbol}" for element, symbols in given.items() for symbol in symbols}

@@ -1,0 +1,200 @@
+"""A station: one table of readings under a model, evaluated in pieces so that memory does not grow with their number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.identify.jacobian import Jacobian, SharedColumns, split_by_density
+from pincal.measure.measurements import Measurements
+from pincal.measure.sensing import sensor_of
+from pincal.measure.sensors import Sensor
+from pincal.measure.setup import Setup
+from pincal.model.effects import Conditions
+from pincal.model.model import Model
+from pincal.parameters import Parameter
+
+# Rows worked on at once: with 60 parameters a piece is about 6 MB.
+_PIECE = 4096
+
+
+@dataclass(frozen=True)
+class Station:
+    """One set-up of instrument and targets: a model, the conditions of N poses and what the sensor read there.
+
+    Vectors of values here have the model's parameters first, then the sensor's.
+
+    Attributes:
+        model: the model, its chain's reference orientations those of this station.
+        conditions: the poses.
+        sensor: the readings.
+        weights: shape (N,), each row's inverse standard deviation relative to the others (mean about 1).
+        name: tells it from the other stations of a problem; "" where there is no other.
+    """
+
+    model: Model
+    conditions: Conditions
+    sensor: Sensor
+    weights: np.ndarray
+    name: str = ""
+
+    def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
+        n = self.model.n_parameters
+        return vector[:n], vector[n:]
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The model's parameters, then the sensor's."""
+        return self.model.parameters + self.sensor.parameters
+
+    @cached_property
+    def is_own(self) -> np.ndarray:
+        """Which parameters are the station's own, shape (P,); the others are the robot's."""
+        chain = self.model.chain
+        own = [effect.scope == "station" for effect in self.model.effects for _ in effect.parameters(chain)]
+        return np.array(own + [True] * len(self.sensor.parameters), bool)
+
+    def __len__(self) -> int:
+        return len(self.conditions)
+
+    def select(self, rows: np.ndarray) -> Station:
+        """Return the station with some of its rows (mask or indices)."""
+        return replace(
+            self,
+            conditions=self.conditions.select(rows),
+            sensor=self.sensor.select(rows),
+            weights=self.weights[rows],
+        )
+
+    def with_model(self, model: Model) -> Station:
+        """Return the same readings under another model."""
+        return replace(self, model=model)
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction at all rows, shape (m, N), not weighted [m, rad]."""
+        m = sum(block.size for block in self.sensor.blocks)
+        out = np.empty((m, len(self)))
+        of_model, own = self.split(values)
+        for piece in self._pieces():
+            part = self._part(piece)
+            out[:, piece] = part.sensor.residuals(part.model.predict(of_model, part.conditions), own)
+        return out
+
+    def displacements(self, values: np.ndarray) -> np.ndarray:
+        """Return which way and how far each row's target is off, as far as its reading tells, shape (N, 3) [m]."""
+        out = np.empty((len(self), 3))
+        of_model, own = self.split(values)
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses = part.model.predict(of_model, part.conditions)
+            out[piece] = part.sensor.displacement(part.sensor.residuals(poses, own), poses, own)
+        return out
+
+    def metres_per_reading(self, values: np.ndarray) -> float:
+        """Return how far the target is off for one unit of the first block of readings: 1, but for images."""
+        if self.sensor.blocks[0].unit == "m":
+            return 1.0
+        sizes = np.linalg.norm(self.residuals(values)[: self.sensor.blocks[0].size], axis=0)
+        return float(np.median(np.linalg.norm(self.displacements(values), axis=1) / np.maximum(sizes, 1e-300)))
+
+    def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Yield, piece by piece, the rows, the residuals, shape (m, n), and the Jacobian, shape (free, m, n)."""
+        of_model, own = self.split(values)
+        model_free, own_free = self.split(free)
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses, motion = part.model.linearise(of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows)
+            motion = motion.transpose(2, 1, 0)
+            jacobian = part.sensor.jacobian(poses, motion, own)
+            if not own_free.all():
+                jacobian = jacobian[np.concatenate([np.ones(len(motion), bool), own_free])]
+            yield piece, part.sensor.residuals(poses, own), jacobian
+
+    def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
+        """Yield what :meth:`linearise` does, with the structure of curves kept, for Gram matrices."""
+        of_model, own = self.split(values)
+        model_free, own_free = self.split(free)
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses, motion, shared = part.model.linearise_shared(
+                of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
+            )
+            apart = free.copy()
+            for group in shared:
+                apart[group.parameters] = False
+            columns = part.sensor.jacobian(poses, motion, own)
+            n_apart = int(self.split(apart)[0].sum())
+            of_sensor = columns[len(motion) :][own_free]
+            plain = not shared and not len(of_sensor)
+            dense = columns[:n_apart] if plain else np.concatenate([columns[:n_apart], of_sensor])
+            column_of = np.cumsum(free) - 1
+            families = (
+                SharedColumns(column_of[group.parameters[rows]], basis, columns[n_apart + i])
+                for i, group in enumerate(shared)
+                for rows, basis in split_by_density(group.basis)
+            )
+            jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
+            yield piece, part.sensor.residuals(poses, own), jacobian
+
+    def _pieces(self) -> Iterator[slice]:
+        size = max(len(self), 1) if self.sensor.is_whole else _PIECE
+        for start in range(0, len(self), size):
+            yield slice(start, min(start + size, len(self)))
+
+    def _part(self, piece: slice) -> Station:
+        if piece == slice(0, len(self)):
+            return self
+        return replace(self, conditions=self.conditions.select(piece), sensor=self.sensor.select(piece))
+
+
+def station_of(
+    model: Model,
+    measurements: Measurements,
+    payload_centre: np.ndarray,
+    setup: Setup | None = None,
+    *,
+    name: str = "",
+) -> Station:
+    """Return the station of a table of measurements under a model.
+
+    Args:
+        model: the model; its chain's targets are those of the table.
+        measurements: the table.
+        payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
+        setup: the named points and the camera; as :func:`pincal.measure.sensing.sensor_of` has them unless given.
+        name: of the station, where there are several.
+    """
+    sigma = measurements.sigma
+    weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
+    conditions = conditions_of(model, measurements, payload_centre)
+    return Station(model, conditions, sensor_of(measurements, setup), weights, name)
+
+
+def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:
+    """Return the conditions of a table's rows; rows without a payload carry none.
+
+    Raises:
+        BadInputError: for a target that a model of several targets does not have.
+    """
+    targets = model.chain.targets
+    unknown = sorted(set(map(str, measurements.target)) - set(targets))
+    if unknown and len(targets) > 1:
+        raise BadInputError(
+            f"{measurements.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(targets)}"
+        )
+    n = len(measurements)
+    index = np.zeros(n, int) if len(targets) == 1 else np.array([targets.index(t) for t in measurements.target], int)
+    return Conditions(
+        q=measurements.q,
+        target=index,
+        payload=np.zeros(n) if measurements.payload is None else measurements.payload,
+        payload_centre=np.asarray(payload_centre, float),
+        temperature=measurements.temperature,
+        time=measurements.time,
+        approach=measurements.approach,
+    )

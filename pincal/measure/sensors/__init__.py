@@ -1,1 +1,0 @@
-"""The sensors of pincal, one to a file, each with everything that is special about it."""
