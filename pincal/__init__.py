@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements_from_arrays
-    from pincal.measure.setup import KnownDistance, Setup
+    from pincal.measure.named_points import KnownDistance
+    from pincal.measure.setup import Setup
     from pincal.measure.table import read_measurements
     from pincal.model.augmented import augmented_model, calibrated_model
     from pincal.model.chain import Chain
@@ -57,7 +58,8 @@ _HOMES = {
     "pincal.io.urdf_export": ("calibrated_urdf",),
     "pincal.measure.lens": ("Lens",),
     "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
-    "pincal.measure.setup": ("KnownDistance", "Setup"),
+    "pincal.measure.named_points": ("KnownDistance",),
+    "pincal.measure.setup": ("Setup",),
     "pincal.measure.table": ("read_measurements",),
     "pincal.model.augmented": ("augmented_model", "calibrated_model"),
     "pincal.model.chain": ("Chain",),

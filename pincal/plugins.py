@@ -72,6 +72,10 @@ class Registry(Generic[T]):
         self._classes[name] = cls
         return cls
 
+    def registered(self) -> Mapping[str, type[T]]:
+        """Return the classes that were registered so far, without a look at installed packages."""
+        return dict(self._classes)
+
     def known(self) -> Mapping[str, type[T]]:
         """Return all classes by name, those of installed packages among them."""
         if not self._is_complete:

@@ -84,7 +84,7 @@ def test_noisy_paper_machine_has_chi_square_one_and_intervals_that_cover(kuka):
     rng = np.random.default_rng(7)
     chi2, inside_prediction, inside_direction = [], [], []
     for _ in range(200):
-        noisy = replace(exact, position=exact.position + 5e-5 * rng.normal(size=exact.position.shape))
+        noisy = exact.with_readings(position=exact.position + 5e-5 * rng.normal(size=exact.position.shape))
         fit = calibrate(kuka, noisy, options)
         chi2.append(fit.solution.cost)
         problem = fit.readings(others)
@@ -124,7 +124,7 @@ def test_place_of_instrument_means_nothing(kuka, noisy, seed):
     table, fit = noisy
     turn = Rotation.from_euler("x", np.pi) if seed == 0 else Rotation.random(random_state=seed)
     shift = np.array([5.0, -3.0, 2.0])
-    moved = calibrate(kuka, replace(table, position=turn.apply(np.array(table.position)) + shift), OPTIONS)
+    moved = calibrate(kuka, table.with_readings(position=turn.apply(np.array(table.position)) + shift), OPTIONS)
     inner = [i for i, p in enumerate(fit.station.parameters) if np.isfinite(p.size)]
     np.testing.assert_allclose(moved.values[inner], fit.values[inner], atol=1e-8)
 
@@ -161,7 +161,7 @@ def test_outliers_at_five_per_cent_are_found_and_cost_nothing(kuka, noisy, size)
     position = table.position.copy()
     direction = rng.normal(size=(6, 3))
     position[bad] += size * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    screened = calibrate(kuka, replace(table, position=position), OPTIONS)
+    screened = calibrate(kuka, table.with_readings(position=position), OPTIONS)
     others = paper_table(kuka, 300, 9)
 
     assert set(np.flatnonzero(screened.solution.weights == 0.0)) == set(bad)
@@ -182,8 +182,8 @@ def test_rows_of_other_weight_count_by_their_sigma(kuka):
     sigma = np.where(np.arange(240) < 120, 5e-5, 5e-4)
     rng = np.random.default_rng(5)
     position = table.position + np.where(sigma > 1e-4, 5e-4, 0.0)[:, None] * rng.normal(size=(240, 3))
-    weighted = calibrate(kuka, replace(table, position=position, sigma=sigma), OPTIONS)
-    equal = calibrate(kuka, replace(table, position=position), OPTIONS)
+    weighted = calibrate(kuka, replace(table.with_readings(position=position), sigma=sigma), OPTIONS)
+    equal = calibrate(kuka, table.with_readings(position=position), OPTIONS)
     others = paper_table(kuka, 300, 9)
     assert errors(weighted, others).mean() < 0.5 * errors(equal, others).mean()
 
@@ -359,7 +359,7 @@ def test_held_out_rows_that_are_far_off_are_told(kuka):
     wrong[[7, 31]] += 0.004
 
     sound, found = (
-        run_calibration(kuka, table, OPTIONS, holdout=rows).result for rows in (held, replace(held, position=wrong))
+        run_calibration(kuka, table, OPTIONS, holdout=rows).result for rows in (held, held.with_readings(position=wrong))
     )
 
     assert not any("held-out rows are off" in note for note in sound.warnings)

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
-from pincal.io.json_section import Section
-from pincal.io.model_json import known_effects, model_from_json, model_to_json
+from pincal.io.effect_entry import known_effects
+from pincal.io.model_file import ModelEntry, restored
+from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.model import catalogue
 from pincal.model.catalogue import (
     AxisWobble,
@@ -116,6 +117,12 @@ def surrounded(effect: Effect, chain: Chain, *, equilibrium: bool = False) -> Mo
     return Model(chain, (effect, *ELASTIC, BaseFrame(), ToolFrame(FRAME_SYMBOLS)), equilibrium=equilibrium)
 
 
+def written_and_read(model: Model) -> Model:
+    """Return a model written as JSON and read again."""
+    text = json.dumps(ModelEntry.of(model).contents())
+    return decode(text.encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restored).model()
+
+
 def units_of(model: Model, conditions: Conditions) -> np.ndarray:
     """Return how far a unit of each parameter moves its coordinate at most; moments are those of the nominal arm."""
     moments, start = model.static_moments(np.zeros(model.n_parameters), conditions), 0
@@ -213,7 +220,7 @@ def test_a_saved_model_is_the_same_model(robot: Robot, name: str, rng: np.random
     """Written as JSON and read again, effects are equal and predict the same."""
     model, conditions = surrounded(EFFECTS[name](robot.joint_names), chain_of(robot)), conditions_of(robot, 4, rng)
     values = 1e-3 * rng.uniform(-1.0, 1.0, model.n_parameters) / units_of(model, conditions)
-    again = model_from_json(Section("model.json", "", json.loads(json.dumps(model_to_json(model)))))
+    again = written_and_read(model)
 
     assert again.effects == model.effects
     np.testing.assert_array_equal(again.predict(values, conditions), model.predict(values, conditions))
@@ -558,7 +565,7 @@ def test_terms_without_a_name_are_effects_like_others(robot: Robot, name: str, r
     terms = effect.terms(chain, conditions, None)
     model = surrounded(effect, chain)
     values = 1e-3 * rng.uniform(-1.0, 1.0, model.n_parameters) / units_of(model, conditions)
-    again = model_from_json(Section("model.json", "", json.loads(json.dumps(model_to_json(model)))))
+    again = written_and_read(model)
     few = conditions.select(np.arange(3))
     units = units_of(model, few)
     numeric = central_differences(model, values, few, 2e-5 / units)

@@ -323,28 +323,28 @@ def test_foresight_is_the_derivative_of_the_readings(kuka, rng, sensor):
     """Central differences of the readings, in units of noise and priors, whatever the sensor is."""
     conditions = Conditions.at(kuka.random_configurations(5, rng), payload=50.0)
     rig = SensorSetup(sensor=sensor, tool=TARGET, instrument=(3.0, 1.0, 0.5))
-    foresight = DesignModel.of(kuka, conditions, Options(sigma=2e-5, sigma_orientation=3e-4), rig)
-    A = foresight.readings(conditions)
+    design_model = DesignModel.of(kuka, conditions, Options(sigma=2e-5, sigma_orientation=3e-4), rig)
+    A = design_model.readings(conditions)
     noise = {"position": [2e-5] * 3, "pose": [2e-5] * 3 + [3e-4] * 3, "distance": [2e-5]}[sensor]
-    for k in rng.choice(foresight.n_free, 12, replace=False):
-        step = np.zeros(len(foresight.values))
-        step[np.flatnonzero(foresight.free)[k]] = foresight.units[k] * 1e-4
-        ahead, behind = (readings(foresight, foresight.values + sign * step, conditions, sensor) for sign in (1, -1))
+    for k in rng.choice(design_model.n_free, 12, replace=False):
+        step = np.zeros(len(design_model.values))
+        step[np.flatnonzero(design_model.free)[k]] = design_model.units[k] * 1e-4
+        ahead, behind = (readings(design_model, design_model.values + sign * step, conditions, sensor) for sign in (1, -1))
         slope = (ahead - behind) / 2e-4 / np.array(noise)
 
         np.testing.assert_allclose(A[:, :, k], slope, rtol=1e-4, atol=1e-5 * np.abs(A[:, :, k]).max() + 1e-5)
 
 
-def readings(foresight, values, conditions, sensor):
+def readings(design_model, values, conditions, sensor):
     """Return what a sensor reads, shape (N, m), by nothing but the model's prediction."""
-    poses = foresight.model.predict(values, conditions)
+    poses = design_model.model.predict(values, conditions)
     if sensor == "distance":
         return np.linalg.norm(poses[:, :, 3], axis=1)[:, None]
     if sensor == "position":
         return poses[:, :, 3]
     from scipy.spatial.transform import Rotation
 
-    still = foresight.model.predict(foresight.values, conditions)[:, :, :3]
+    still = design_model.model.predict(design_model.values, conditions)[:, :, :3]
     turns = Rotation.from_matrix(poses[:, :, :3] @ still.transpose(0, 2, 1)).as_rotvec()
     return np.hstack([poses[:, :, 3], turns])
 
@@ -361,7 +361,7 @@ def test_a_fit_knows_its_predictions_as_well_as_was_foreseen(kuka, options):
     table = measurements_from_arrays(
         kuka.joint_names,
         found.q,
-        position=found.foresight.model.predict(found.foresight.values, conditions)[:, :, 3],
+        position=found.design_model.model.predict(found.design_model.values, conditions)[:, :, 3],
     )
     fit = calibrate(kuka, table, options)
     _, J = fit.model.linearise(fit.values, Conditions.at(q), free=fit.solution.free)
@@ -379,9 +379,9 @@ def test_what_was_measured_counts(kuka):
     columns = first.columns()
     measured = measurements_from_arrays(kuka.joint_names, first.q, payload=columns["payload"])
     more = design_poses(kuka, 10, options, payloads=[0.0, 100.0], measured=measured, seed=1, **SMALL)
-    known, new = (more.foresight.readings(conditions).reshape(-1, more.foresight.n_free)
+    known, new = (more.design_model.readings(conditions).reshape(-1, more.design_model.n_free)
                   for conditions in (first.conditions, more.conditions))  # fmt: skip
-    H = np.eye(more.foresight.n_free) + known.T @ known
+    H = np.eye(more.design_model.n_free) + known.T @ known
     study_error = more.found.designed.error
 
     assert set(columns["payload"]) == {0.0, 100.0}
@@ -395,7 +395,7 @@ def test_two_targets_measured_before_each_keep_their_place(kuka):
     measured = measurements_from_arrays(kuka.joint_names, np.tile(q, (2, 1)), target=np.repeat(["left", "right"], 12))
     found = design_poses(kuka, 5, Options(effects=GEOMETRIC), measured=measured, **SMALL)
 
-    assert {"left.x", "right.x"} <= set(found.foresight.names)
+    assert {"left.x", "right.x"} <= set(found.design_model.names)
     assert set(found.columns()["target"]) == {"left"}
 
 
@@ -403,10 +403,10 @@ def test_rivals_are_told_apart_by_what_a_refit_leaves(kuka):
     """The non-centrality is the signal of one effect that a least-squares fit of everything else can't take up."""
     pair = ("gear_ratio:joint_4", "backlash:joint_4")
     found = design_poses(kuka, 30, Options(effects=GEOMETRIC, sigma=5e-5), tell_apart=pair, **SMALL)
-    foresight = found.foresight
-    A = foresight.readings(found.conditions).reshape(-1, foresight.n_free)
-    for mine, told in zip(foresight.rivals, found.found.designed.apart, strict=True):
-        others = np.setdiff1d(np.arange(foresight.n_free), mine)
+    design_model = found.design_model
+    A = design_model.readings(found.conditions).reshape(-1, design_model.n_free)
+    for mine, told in zip(design_model.rivals, found.found.designed.apart, strict=True):
+        others = np.setdiff1d(np.arange(design_model.n_free), mine)
         # Priors are readings of zero.
         rest = np.vstack([A[:, others], np.eye(len(others))])
         signal = np.append(A[:, mine[0]], np.zeros(len(others))) / 10.0
@@ -422,12 +422,12 @@ def test_rivals_are_found_by_name(kuka, rng):
     chain, conditions = Chain.of(kuka), Conditions.at(kuka.random_configurations(30, rng), payload=80.0)
     wobble = find_rival("axis_wobble:joint_4:order=2,frame=after", chain, conditions)
     elastic = find_rival("joint_elasticity:joint_3", chain, conditions)
-    foresight = DesignModel.of(kuka, conditions, Options(), SensorSetup(tool=TARGET), rivals=[wobble, elastic])
+    design_model = DesignModel.of(kuka, conditions, Options(), SensorSetup(tool=TARGET), rivals=[wobble, elastic])
 
     assert (wobble.joint, wobble.order, wobble.frame) == ("joint_4", 2, "after")
-    assert [foresight.names[i] for i in foresight.rivals[1]] == ["joint_3.k_z"]
-    assert foresight.core.sum() == foresight.n_free - len(foresight.rivals[0])
-    assert all(value > 0.0 for value in noncentrality(0.5 * np.eye(foresight.n_free), foresight.rivals))
+    assert [design_model.names[i] for i in design_model.rivals[1]] == ["joint_3.k_z"]
+    assert design_model.core.sum() == design_model.n_free - len(design_model.rivals[0])
+    assert all(value > 0.0 for value in noncentrality(0.5 * np.eye(design_model.n_free), design_model.rivals))
 
 
 def test_the_smallest_number_of_poses_reaches_the_accuracy(kuka):
@@ -483,11 +483,11 @@ def test_observability_indices_are_those_of_the_literature(kuka, rng):
     """Of singular values 6, 3 and 2 at 4 poses, by their formulas."""
     conditions = Conditions.at(kuka.random_configurations(5, rng))
     options = Options(effects=GEOMETRIC)
-    foresight = DesignModel.of(kuka, conditions, options, SensorSetup(tool=TARGET))
-    inner = np.flatnonzero(np.isfinite(foresight.sizes))[:3]
-    H = np.zeros((foresight.n_free, foresight.n_free))
+    design_model = DesignModel.of(kuka, conditions, options, SensorSetup(tool=TARGET))
+    inner = np.flatnonzero(np.isfinite(design_model.sizes))[:3]
+    H = np.zeros((design_model.n_free, design_model.n_free))
     H[inner, inner] = 36.0, 9.0, 4.0
-    indices = Observed.of(foresight, H, 1).indices(H, 4)
+    indices = Observed.of(design_model, H, 1).indices(H, 4)
 
     expected = {"O1": 36 ** (1 / 3) / 2, "O2": 1 / 3, "O3": 2.0, "O4": 2 / 3, "O5": 1.0}
     assert indices == pytest.approx(expected)
@@ -512,7 +512,7 @@ def test_poses_are_measured_load_by_load(kuka):
     found = design_poses(kuka, 30, Options(sigma=5e-5), payloads=[0.0, 100.0], **SMALL)
 
     assert np.all(np.diff(found.conditions.payload) >= 0.0)
-    assert found.way < 0.8 * found.way_unordered
+    assert found.path_length < 0.8 * found.path_length_unordered
 
 
 def test_the_command_writes_poses_that_simulate_takes(tmp_path, capsys):

@@ -225,7 +225,7 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
         beta = rng.standard_normal(len(sight.effect.parameters(fit.model.chain)))
         values = np.concatenate([fit.values, sight.size * beta / np.linalg.norm(beta)])
         position = model.predict(values, conditions)[:, :, 3] + SIGMA * rng.standard_normal((len(conditions), 3))
-        again = calibrate(case.robot, replace(case.rows, position=position), fit.options)
+        again = calibrate(case.robot, case.rows.with_readings(position=position), fit.options)
         tested = score_test(again, [sight.effect], [], np.zeros(len(conditions), int))
         score = tested.score([0], len(effects))
         hits.append(score.p_value < ALPHA / groups)

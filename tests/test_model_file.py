@@ -18,7 +18,7 @@ from pincal.errors import ModelFileError, OutputError
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
 from pincal.identify.options import Options
-from pincal.io.model_json import known_effects
+from pincal.io.effect_entry import known_effects
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain

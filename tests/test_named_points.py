@@ -19,11 +19,13 @@ from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
 from pincal.identify.options import Options
 from pincal.identify.repeat import cross_validate
-from pincal.identify.rows import some_rows
+from pincal.io.camera_file import read_lens, read_mount
 from pincal.measure.admission import scorable_rows, unobservable_notes, usable_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.setup import KnownDistance, NamedPoints, Setup, read_distances, read_lens, read_mount, read_points
+from pincal.measure.named_points import KnownDistance, NamedPoints
+from pincal.measure.rows import some_rows
+from pincal.measure.setup import Setup, read_distances, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot

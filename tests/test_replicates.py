@@ -14,7 +14,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.station import station_of
 from pincal.measure.measurements import measurements_from_arrays
-from pincal.measure.sensors import Block
+from pincal.measure.sensor import Block
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model

@@ -10,13 +10,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.measure.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import measurements_from_arrays
-from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, DistanceSensor
+from pincal.measure.named_points import NamedPoints
 from pincal.measure.sensing import sensor_of
-from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
-from pincal.measure.setup import NamedPoints, Setup
+from pincal.measure.sensor import Sensor
+from pincal.measure.sensors.camera_pixel import CameraPixelSensor
+from pincal.measure.sensors.camera_point import CameraPointSensor
+from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
+from pincal.measure.sensors.pose import PoseSensor
+from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.sensors.socket import ContactSensor
+from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import rotation_matrices, rotation_vectors
 

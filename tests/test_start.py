@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -18,8 +18,10 @@ from pincal.identify.fit import Fit
 from pincal.identify.options import Options
 from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.points import DistanceSensor
-from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
+from pincal.measure.sensor import Sensor
+from pincal.measure.sensors.distance import DistanceSensor
+from pincal.measure.sensors.pose import PoseSensor
+from pincal.measure.sensors.position import PositionSensor
 from pincal.robot.robot import Robot
 
 PLACEMENTS = range(30)
@@ -178,9 +180,9 @@ def test_outliers_do_not_pull_base_and_tool(kuka: Robot, kind: str, seed: int) -
     table = measure(scene, kind, seed, rng)
     bad = np.arange(len(table)) % 20 == 7
     if table.distance is not None:
-        spoilt = replace(table, distance=np.where(bad, table.distance + 0.5, table.distance))
+        spoilt = table.with_readings(distance=np.where(bad, table.distance + 0.5, table.distance))
     else:
-        spoilt = replace(table, position=table.position + np.outer(bad, [0.3, -0.4, 0.0]))
+        spoilt = table.with_readings(position=table.position + np.outer(bad, [0.3, -0.4, 0.0]))
     fit = calibrate(kuka, spoilt, FRAMES_ONLY)
 
     assert np.all(fit.solution.weights[bad] == 0.0) and np.all(fit.solution.weights[~bad] > 0.0)

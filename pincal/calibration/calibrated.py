@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pincal.atomic import write_whole
-from pincal.errors import BadInputError, MeasurementError, ModelFileError, OutputError
+from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station, conditions_of, station_of
-from pincal.io.json_section import Section
-from pincal.io.model_json import model_from_json, model_to_json, parameters_from_json, parameters_to_json
-from pincal.io.setup_json import setup_from_json, setup_to_json
+from pincal.io.model_file import (
+    FORMAT_VERSION,
+    CoveredEntry,
+    ModelEntry,
+    ModelFile,
+    ParameterEntry,
+    SetupEntry,
+    read_model_file,
+    write_model_file,
+)
+from pincal.io.strict_json import Fault
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.model.catalogue import TransmissionError
@@ -25,7 +31,6 @@ from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import placed
 
-FORMAT_VERSION = 1
 # What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
 _MARGIN_PART, _MARGIN = 0.02, 1e-3
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
@@ -137,7 +142,7 @@ class CalibratedModel:
         return conditions_of(self.model, measurements, np.array(self.payload_centre))
 
     def camera(self) -> dict[str, Any]:
-        """Return the camera, as :func:`pincal.measure.setup.read_lens` and ``read_mount`` read it from JSON.
+        """Return the camera, as :func:`pincal.io.camera_file.read_camera` reads it from JSON.
 
         Raises:
             BadInputError: if the model was not calibrated with images.
@@ -235,64 +240,47 @@ def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> Non
     Raises:
         OutputError: if the place can't be written to, or a number is not finite.
     """
-    content = {
-        "format_version": FORMAT_VERSION,
-        "provenance": calibrated.provenance,
-        "sensor_kind": calibrated.sensor_kind,
-        "sigma": calibrated.sigma.tolist(),
-        "payload_centre": calibrated.payload_centre.tolist(),
-        "covered": {"q": calibrated.covered.q.tolist(), "payload": calibrated.covered.payload.tolist()},
-        "parameters": parameters_to_json(calibrated.parameters),
-        "values": calibrated.values.tolist(),
-        "covariance": calibrated.covariance.tolist(),
-        "model": model_to_json(calibrated.model),
-        "setup": setup_to_json(calibrated.setup),
-    }
     try:
-        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in content.items()]
-    except ValueError as error:
-        raise OutputError(
-            f"{os.fspath(path)}: the model has a number that is not finite ({error}); calibrate again"
-        ) from None
-    write_whole(path, "{\n" + ",\n".join(lines) + "\n}\n")
+        file = _file_of(calibrated)
+    except Fault as fault:
+        place = fault.key.removeprefix(".")
+        raise OutputError(f"{os.fspath(path)}: not finite or not whole: {place} {fault}; calibrate again") from None
+    write_model_file(path, file)
 
 
 def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     """Read ``model.json``.
 
     Raises:
-        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value can't be right.
+        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    whole = Section.read(path)
-    _check_version(whole)
-    model = model_from_json(whole.at("model"))
-    parameters = parameters_from_json(whole.at("parameters"))
-    names = tuple(p.name for p in parameters)
-    if names[: model.n_parameters] != model.names:
-        raise whole.at("parameters").error("are not those of the effects", f"{', '.join(model.names[:3])} and so on")
-    covered, provenance = whole.at("covered"), whole.at("provenance")
-    if not isinstance(provenance.value, dict):
-        raise provenance.error("is no object", "an object")
+    file = read_model_file(path)
     return CalibratedModel(
-        model=model,
-        values=whole.at("values").numbers(len(names)),
-        covariance=whole.at("covariance").numbers(len(names), len(names)),
-        parameters=parameters,
-        sensor_kind=whole.at("sensor_kind").text(),
-        payload_centre=whole.at("payload_centre").numbers(3),
-        covered=Covered(covered.at("q").numbers(model.chain.robot.n_joints, 2), covered.at("payload").numbers(2)),
-        sigma=whole.at("sigma").numbers(-1),
-        provenance=provenance.value,
-        setup=setup_from_json(whole.at("setup")),
+        model=file.model.model(),
+        values=file.values,
+        covariance=file.covariance,
+        parameters=tuple(entry.parameter() for entry in file.parameters),
+        sensor_kind=file.sensor_kind,
+        payload_centre=file.payload_centre,
+        covered=Covered(file.covered.q, file.covered.payload),
+        sigma=file.sigma,
+        provenance=file.provenance,
+        setup=file.setup.setup(),
     )
 
 
-def _check_version(whole: Section) -> None:
-    found = whole.at("format_version")
-    if not isinstance(found.value, int) or isinstance(found.value, bool) or found.value < 1:
-        raise found.error(f"is {found.value!r}", f"a whole number up to {FORMAT_VERSION}")
-    if found.value > FORMAT_VERSION:
-        raise ModelFileError(
-            f"{found.file}: format_version is {found.value}, written by a newer pincal; "
-            f"expected at most {FORMAT_VERSION}: update pincal"
-        )
+def _file_of(calibrated: CalibratedModel) -> ModelFile:
+    c = calibrated
+    return ModelFile(
+        format_version=FORMAT_VERSION,
+        provenance=c.provenance,
+        sensor_kind=c.sensor_kind,
+        sigma=c.sigma,
+        payload_centre=c.payload_centre,
+        covered=CoveredEntry(q=c.covered.q, payload=c.covered.payload),
+        parameters=tuple(ParameterEntry.of(parameter) for parameter in c.parameters),
+        values=c.values,
+        covariance=c.covariance,
+        model=ModelEntry.of(c.model),
+        setup=SetupEntry.of(c.setup),
+    )

@@ -6,10 +6,9 @@ the third the robot is told where to go so that it arrives.
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -17,6 +16,16 @@ import numpy as np
 from pincal.cli import show_progress
 from pincal.cli.common import output_options
 from pincal.cli.outputs import output_folder, print_json, provenance
+from pincal.cli.simulate_output import write_json
+
+if TYPE_CHECKING:
+    from pincal.discover.run import Discovery
+    from pincal.measure.measurements import Measurements
+    from pincal.model.effects import Conditions
+    from pincal.robot.robot import Robot
+    from pincal.simulate.campaign import Campaign
+    from pincal.simulate.paper_machine import PaperMachine
+    from pincal.simulate.setup import SensorSetup
 
 # As in the paper's section V: a tool point off the flange, and a tracker that knows nothing of the robot's base.
 _TOOL = (0.05, 0.03, 0.12)
@@ -40,18 +49,20 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     from pincal.builtin import kuka_urdf_path
     from pincal.calibration.run import run_calibration
     from pincal.cli.fitting import write_results
+    from pincal.discover.run import run_discovery
     from pincal.identify.options import Options
-    from pincal.measure.table import read_measurements
-    from pincal.model.effects import ELASTIC, GEOMETRIC
+    from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions
     from pincal.report.plots import deviation_figure
     from pincal.robot.robot import Robot
-    from pincal.simulate.paper_machine import PAYLOAD_COM
+    from pincal.simulate.hidden import hidden_effect
+    from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS, PaperMachine
 
     robot = Robot.from_urdf(kuka_urdf_path())
+    sound, bad = PaperMachine(), PaperMachine(effects=(hidden_effect("gear_eccentricity", **_HIDDEN),))
     with output_folder(out) as draft, output_folder(out / _HIDDEN_FOLDER) as second:
         (draft / "kuka_kr125_2.urdf").write_bytes(kuka_urdf_path().read_bytes())
-        _measure(draft / "measurements.csv", robot, np.random.default_rng(seed))
-        table = read_measurements(draft / "measurements.csv", robot.joint_names)
+        rng = np.random.default_rng(seed)
+        table = _measure(draft / "measurements.csv", sound, _campaign(robot, rng), rng=rng)
         runs = {}
         for name, effects in (("DH,s", GEOMETRIC), ("DH,s,e", ELASTIC)):
             options = Options(effects=effects, payload_centre=PAYLOAD_COM, sigma=_NOISE)
@@ -59,8 +70,15 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
         origin = provenance([draft / "measurements.csv", draft / "kuka_kr125_2.urdf"], seed=seed)
         write_results(draft, runs["DH,s,e"], origin, view=True)
         deviation_figure(_deviations(runs)).savefig(draft / "deviations.png", dpi=120)
-        found, cell = _hide_and_discover(second, robot, options, seed)
-        missed = _compensate(second, cell, robot, found, np.random.default_rng([seed, 3]))
+        rng = np.random.default_rng([seed, 2])
+        campaign = _campaign(robot, rng)
+        table = _measure(second / "measurements.csv", bad, campaign, rng=rng)
+        found = run_discovery(robot, table, options, seed=seed)
+        write_results(second, found.calibration, provenance([second / "measurements.csv"], seed=seed), found, view=True)
+        write_json(second / "discovery.json", contents=found.report)
+        q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
+        program = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
+        missed = _compensate(second, found, machine=bad, setup=campaign.setup, program=program)
     if as_json:
         results = {name: run.result.to_dict() for name, run in runs.items()}
         print_json(results | {"discovery": found.report, "program_error_mm": missed})
@@ -71,92 +89,50 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     return 0
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """The true machine of Table I and a tracker in the hall.
-
-    Attributes:
-        place: shape (4, 4), robot base in the tracker's frame.
-        is_bad: whether a gear is.
-    """
-
-    place: np.ndarray
-    is_bad: bool
-
-    def see(self, q: np.ndarray) -> np.ndarray:
-        """Return where the tracker sees the target, without noise, shape (N, 3) [m]."""
-        from pincal.simulate import paper_positions
-
-        turned = q + _gear_error(q) if self.is_bad else q
-        return np.asarray(paper_positions(turned, tool_offset=_TOOL) @ self.place[:3, :3].T + self.place[:3, 3])
-
-
-def _hide_and_discover(folder: Path, robot: Any, options: Any, seed: int) -> tuple[Any, _Cell]:
-    """Measure the robot with a bad gear, discover that, write everything, and return the discovery and the machine."""
-    from pincal.cli.fitting import write_results
-    from pincal.discover.run import run_discovery
-    from pincal.measure.table import read_measurements
-
-    cell = _measure(folder / "measurements.csv", robot, np.random.default_rng([seed, 2]), hidden=True)
-    table = read_measurements(folder / "measurements.csv", robot.joint_names)
-    found = run_discovery(robot, table, options, seed=seed)
-    write_results(folder, found.calibration, provenance([folder / "measurements.csv"], seed=seed), found, view=True)
-    (folder / "discovery.json").write_text(json.dumps(found.report, indent=1, allow_nan=False))
-    return found, cell
-
-
-def _measure(path: Path, robot: Any, rng: np.random.Generator, *, hidden: bool = False) -> _Cell:
-    """Write what a tracker in the hall reads of the paper's true machine (Table I), with noise; return the machine."""
+def _campaign(robot: Robot, rng: np.random.Generator) -> Campaign:
+    """Return random poses and a tracker that stands anywhere in the hall."""
     from scipy.spatial.transform import Rotation
 
-    q = robot.random_configurations(_ROWS, rng)
-    place = np.eye(4)
-    place[:3, :3], place[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
-    cell = _Cell(place, hidden)
-    position = cell.see(q)
-    _write(path, robot, q, position + rng.normal(0.0, _NOISE, position.shape))
-    return cell
-
-
-def _write(path: Path, robot: Any, q: np.ndarray, position: np.ndarray) -> None:
-    from pincal.measure.table import write_table
+    from pincal.simulate.campaign import Campaign
+    from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PAYLOAD_MASS
 
-    columns = {name: q[:, i] for i, name in enumerate(robot.joint_names)}
-    columns |= {axis: position[:, i] for i, axis in enumerate("xyz")}
-    write_table(path, columns | {"payload": np.full(len(q), PAYLOAD_MASS)})
+    q, pose = robot.random_configurations(_ROWS, rng), np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
+    tracker = Instrument(pose=pose, targets=_TOOL, sigma=_NOISE)
+    return Campaign(q=q, conditions={"payload": PAYLOAD_MASS}, setup=tracker)
 
 
-def _compensate(folder: Path, cell: _Cell, robot: Any, found: Any, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+def _measure(path: Path, machine: PaperMachine, campaign: Campaign, *, rng: np.random.Generator) -> Measurements:
+    """Write what the tracker reads of the paper's true machine (Table I), with noise, and read it again."""
+    from pincal.measure.table import read_measurements, write_table
+
+    write_table(path, campaign.measure(machine, rng))
+    return read_measurements(path, machine.names)
+
+
+def _compensate(
+    folder: Path, found: Discovery, *, machine: PaperMachine, setup: SensorSetup, program: Conditions
+) -> dict[str, dict[str, float]]:
     """Correct a program made with the nominal robot, run both on the machine, and return by how far they miss [mm]."""
     from pincal.calibration.calibrated import load_model
     from pincal.compensate.compensation import compensate_poses
-    from pincal.model.effects import Conditions
-    from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
+    from pincal.measure.table import write_table
 
-    fit, model = found.calibration.fit, load_model(folder / "model.json")
-    program = Conditions.at(robot.random_configurations(_PROGRAM, rng), payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
     # The program was made with the nominal robot, its base and tool measured in.
+    fit = found.calibration.fit
     wanted = fit.model.predict(fit.nominal.values[: fit.model.n_parameters], program)
-    corrected = compensate_poses(model, wanted, program)
-    _write(folder / "program.csv", robot, program.q, wanted[:, :, 3])
-    _write(folder / "corrected.csv", robot, corrected.q, wanted[:, :, 3])
-    errors = {
-        name: 1e3 * np.linalg.norm(cell.see(q) - wanted[:, :, 3], axis=1)
-        for name, q in (("as programmed", program.q), ("corrected", corrected.q))
-    }
-    misses = {name: {"mean": float(size.mean()), "max": float(size.max())} for name, size in errors.items()}
+    corrected = compensate_poses(load_model(folder / "model.json"), wanted, program)
+    exact, position = replace(setup, sigma=0.0), dict(zip("xyz", wanted[:, :, 3].T, strict=True))
+    misses: dict[str, dict[str, float]] = {}
+    for name, file, q in (("as programmed", "program.csv", program.q), ("corrected", "corrected.csv", corrected.q)):
+        joints = dict(zip(machine.names, q.T, strict=True))
+        write_table(folder / file, joints | position | {"payload": program.payload})
+        reached = exact.measure(machine, q, payload=program.payload)
+        missed = 1e3 * np.linalg.norm([reached[axis] - position[axis] for axis in "xyz"], axis=0)
+        misses[name] = {"mean": float(missed.mean()), "max": float(missed.max())}
     misses["corrected"]["out_of_reach"] = int(np.sum(corrected.status != "ok"))
     return misses
-
-
-def _gear_error(q: np.ndarray) -> np.ndarray:
-    """Return what the joints turn further than recorded [rad], shape (N, n)."""
-    from pincal.builtin import kuka_urdf_path
-    from pincal.simulate import TrueMachine, hidden_effect
-
-    machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0", effects=(hidden_effect("gear_eccentricity", **_HIDDEN),))
-    return machine.equilibrium(machine.poses(q)).deformation.joint
 
 
 def _deviations(runs: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -171,10 +171,8 @@ def _write_residuals(path: Path, calibration: Calibration) -> None:
         found = {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
         for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
             residuals = problem.residuals(values)
-            names = [(b, axis) for b in problem.sensor.blocks for axis in {3: "xyz", 2: "uv"}.get(b.size, "1")]
-            for (block, axis), row in zip(names, residuals, strict=True):
-                suffix = f"_{axis}" if block.size > 1 else ""
-                found[f"{model}_{block.name}{suffix} [{block.unit}]"] = row
+            names = [f"{component} [{block.unit}]" for block in problem.sensor.blocks for component in block.components]
+            found |= {f"{model}_{name}": row for name, row in zip(names, residuals, strict=True)}
         for name, column in found.items():
             columns.setdefault(name, []).append(column)
     write_table(path, {name: np.concatenate(parts) for name, parts in columns.items()})

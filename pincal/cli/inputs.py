@@ -11,12 +11,15 @@ import numpy as np
 from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
+from pincal.io.camera_file import read_lens, read_mount
 from pincal.measure.measurements import Measurements
-from pincal.measure.setup import KnownDistance, Setup, read_distances, read_lens, read_mount, read_points
+from pincal.measure.named_points import KnownDistance
+from pincal.measure.setup import Setup, read_distances, read_points
 from pincal.measure.table import column_names, read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot, find_file
 from pincal.robot.urdf import read_urdf
+from pincal.units import readable_unit
 
 EFFECTS = {"geometric": GEOMETRIC, "elastic": ELASTIC}
 
@@ -95,7 +98,7 @@ def options_of(chosen: CalibrationOptions, table: Measurements) -> Options:
 
 
 def _tools(given: SetupOptions, table: Measurements) -> dict[str, tuple[float, float, float] | np.ndarray] | None:
-    if given.camera and not table.kind.startswith("camera"):
+    if given.camera and not (table.sensor and table.sensor.has_camera):
         raise BadInputError(f"--camera is for camera readings, but {table.source} holds {table.kind}; leave it out")
     mount = read_mount(given.camera) if given.camera else None
     known: tuple[float, float, float] | np.ndarray | None = given.tool if mount is None else mount
@@ -106,8 +109,10 @@ def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None
     if noise is None:
         return None
     sigma, unit = noise
-    expected, example = ("px", "0.1px") if table.kind == "camera_pixel" else ("m", "0.05mm")
-    if unit != expected:
+    block = None if table.sensor is None else table.sensor.blocks[0]
+    if block is not None and unit != block.unit:
+        factor, name = readable_unit(block.unit)
+        example = f"{block.noise * factor:g}{name}"
         raise BadInputError(f"--noise in {unit}, but {table.source} holds {table.kind}; expected a value such as {example}")
     return sigma
 

@@ -42,7 +42,7 @@ def predict(arguments: PredictArguments) -> Exit:
     if len(chain.targets) > 1:
         columns["target"] = table.target
     columns |= zip("xyz", found[:, :, 3].T, strict=True)
-    if calibrated.sensor_kind in ("pose", "camera_point", "camera_pixel"):
+    if calibrated.model.has_tool_orientation:
         columns |= zip(("qx", "qy", "qz", "qw"), quaternions(found[:, :, :3]).T, strict=True)
     columns |= zip(("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True)
     write_table(arguments.out, columns)

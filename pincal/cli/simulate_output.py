@@ -102,6 +102,6 @@ def _check_places(paths: dict[str, Path]) -> None:
             raise OutputError(f"{path}: named by {named}; expected {'two' if len(paths) == 2 else 'different'} files")
 
 
-def write_json(path: Path, contents: dict[str, Any]) -> None:
+def write_json(path: Path, *, contents: dict[str, Any]) -> None:
     """Write contents as JSON."""
     path.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")

@@ -145,8 +145,8 @@ def print_discovery(report: Mapping[str, Any], out: Console, stages: tuple[Stage
 def print_design(found: Design, out: Console) -> None:
     """Print what was asked, what the constraints removed, what the poses will tell, and what other numbers would."""
     n, robot = found.found.poses, found.robot
-    noise = ", ".join(f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}" for i, s in enumerate(found.foresight.sigma))
-    rig = f"{robot.base} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.foresight.n_free} parameters"
+    noise = ", ".join(f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}" for i, s in enumerate(found.design_model.sigma))
+    rig = f"{robot.base} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.design_model.n_free} parameters"
     out.print(hanging(f"{n} poses", f"of {robot.name}, {rig}"))
     for mark, text in [*_candidates(found), *_promises(found), *_observability(found)]:
         out.print(hanging(f"{mark + ':':13s}", text))
@@ -157,7 +157,10 @@ def print_design(found: Design, out: Console) -> None:
 
 def _candidates(found: Design) -> Iterator[tuple[str, str]]:
     yield "candidates", found.drawn.in_words()
-    yield "path length", f"{found.way:.1f} joint ranges from first to last pose, {found.way_unordered:.1f} before ordering"
+    yield (
+        "path length",
+        f"{found.path_length:.1f} joint ranges from first to last pose, {found.path_length_unordered:.1f} before ordering",
+    )
 
 
 def _promises(found: Design) -> Iterator[tuple[str, str]]:

@@ -30,10 +30,10 @@ class ValidateArguments:
 def validate(arguments: ValidateArguments) -> Exit:
     """Report the accuracy of a calibrated model on measurements that it was not fitted to."""
     from pincal.calibration.calibrated import load_model
-    from pincal.calibration.run import check_table
     from pincal.cli.inputs import load_table
     from pincal.cli.model_use import Extrapolation
     from pincal.measure.admission import scorable_rows
+    from pincal.measure.admit import check_table
     from pincal.validate.accuracy import error_table
     from pincal.validate.lack_of_fit import replicate_statistics
 

@@ -11,19 +11,18 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import MeasurementError
-from pincal.measure.columns import converted, match_columns, quantities_of
-from pincal.measure.fields import CONDITIONS, FIELDS
+from pincal.measure.fields import CONDITIONS
 from pincal.measure.joint_values import check_joint_values
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.sheet import Column, open_sheet, read_cells
-from pincal.measure.table import column_names
+from pincal.measure.reader import Schema, read_table
+from pincal.measure.registry import known_fields
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
 
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 # What the command writes beside joints, conditions and wanted poses; left unread, so that its output can be its input.
 _WRITTEN = ("status", "error_mm", "error_mrad", "sigma_mm", "change_max", *(f"false_{name}" for name in POSE_COLUMNS))
-_FIELDS = {name: FIELDS[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point"}
+_FIELDS = tuple(known_fields()[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point")
 # A wanted position this many reaches away from the base is in another unit.
 _OTHER_UNIT = 50.0
 
@@ -72,19 +71,21 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, ignore: Sequence
             unit or value that can't be right.
     """
     path = Path(path)
-    has_joints = bool(set(column_names(path)) & set(robot.joint_names))
-    quantities = quantities_of(robot.joint_names, robot.joint_types, _FIELDS, source=path.name)
-    names = robot.joint_names if has_joints else ()
-    known = {k: v for k, v in quantities.items() if has_joints or k not in robot.joint_names}
-    columns = match_columns(open_sheet(path), names, known, ignore=(*_WRITTEN, *ignore))
-    values, lines = _read_values(path, columns)
-    if not has_joints and not {"x", "y", "z"} & set(values):
+    schema = Schema(
+        _FIELDS,
+        joint_names=robot.joint_names,
+        joint_types=robot.joint_types,
+        may_lack_joints=True,
+        ignore=(*_WRITTEN, *ignore),
+    )
+    cells = read_table(path, schema)
+    has_joints = "q" in cells.arrays
+    if not has_joints and "position" not in cells.arrays:
         raise MeasurementError(
             f"{path.name}: neither wanted positions nor joints; expected columns x y z, or {' '.join(robot.joint_names)}"
         )
-    arrays = _fields(values, robot.joint_names, len(lines), source=path.name)
-    units = {column.name: column.unit for column in columns if column.unit}
-    rows = measurements_from_arrays(robot.joint_names, **arrays, rows=lines, source=path.name, units=units)
+    arrays = {"q": np.zeros((len(cells.rows), robot.n_joints))} | cells.arrays
+    rows = measurements_from_arrays(robot.joint_names, **arrays, rows=cells.rows, source=path.name, units=cells.units)
     if has_joints:
         check_joint_values(rows, robot.lower, robot.upper, robot.joint_types)
     return Targets(rows, has_joints)
@@ -107,33 +108,3 @@ def check_positions(targets: Targets, robot: Robot, *, positions: np.ndarray) ->
             f"{targets.rows.source}: wanted positions lie {away:.4g} m from the robot's base, whose reach is "
             f"{robot.reach:.3g} m; this looks like millimetres: write `x [mm]` in the header, or `x [m]` if it is correct"
         )
-
-
-def _read_values(path: Path, columns: list[Column]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return the columns in SI units and the line of each row."""
-    import polars as pl
-
-    try:
-        cells, lines = read_cells(open_sheet(path), columns)
-    except MeasurementError:
-        raise
-    except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        reason = str(error).strip().split("\n")[0]
-        raise MeasurementError(f"{path}: can't be read ({reason}); expected a CSV or .parquet table") from error
-    return {column.name: converted(cells[column.name], column) for column in columns}, lines
-
-
-def _fields(values: dict[str, np.ndarray], names: tuple[str, ...], count: int, *, source: str) -> dict[str, np.ndarray]:
-    """Return the columns put together: joints (0 where there are none), approach, positions, quaternions and so on."""
-    none = np.zeros(count)
-    arrays = {"q": np.column_stack([values.get(name, none) for name in names])}
-    if any(f"approach_{name}" in values for name in names):
-        arrays["approach"] = np.column_stack([values.get(f"approach_{name}", none) for name in names])
-    for field, (_, parts) in _FIELDS.items():
-        missing = [part for part in parts if part not in values]
-        if not missing:
-            arrays[field] = np.column_stack([values[part] for part in parts]) if len(parts) > 1 else values[parts[0]]
-        elif len(missing) < len(parts):
-            given = " ".join(part for part in parts if part in values)
-            raise MeasurementError(f"{source}: {given} without {' '.join(missing)}; add what is missing")
-    return arrays

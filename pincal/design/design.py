@@ -14,15 +14,15 @@ from pincal.design.design_model import DesignModel
 from pincal.design.observability import Observed
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.refine import Refinement
+from pincal.design.request import Criterion, DesignRequest
 from pincal.design.route import length, short_route, travel
-from pincal.design.study import Criterion, CurvePoint, DesignRequest, Quality, Study, total
-from pincal.errors import BadInputError, PincalWarning
+from pincal.design.study import CurvePoint, Quality, Study, total
+from pincal.errors import PincalWarning
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
 
-CANDIDATES = 1500
 # Readings beyond the directions that they could tell, below which little is left to judge a fit by.
 _COMFORTABLE = 1.5
 
@@ -37,7 +37,7 @@ class Design:
         rig: with what they are measured.
         criterion: "task", "determinant" or "tell apart".
         rivals: the effects to be told apart, as they were named; none with the other criteria.
-        foresight: the parameters and their priors.
+        design_model: the parameters and their priors.
         drawn: the candidates, and what the constraints removed.
         found: the design beside random poses.
         before: the poses measured before alone; None without any.
@@ -47,8 +47,8 @@ class Design:
         observability: indices O1 to O5 of the poses, those measured before among them.
         observability_random: their medians of random poses.
         rank: directions that such poses tell better than the priors do, base and tool among them.
-        way: length of the way through the poses, in ranges of the joint that moves farthest.
-        way_unordered: in the order in which they were found.
+        path_length: length of the way through the poses, in ranges of the joint that moves farthest.
+        path_length_unordered: in the order in which they were found.
         settings: columns beside the joints that belong to the poses: "payload", "approach", "target".
         notes: what the user should know, in words.
         seconds: that it took.
@@ -59,7 +59,7 @@ class Design:
     rig: SensorSetup
     criterion: str
     rivals: tuple[str, ...]
-    foresight: DesignModel
+    design_model: DesignModel
     drawn: Draw
     found: CurvePoint
     before: Quality | None
@@ -69,8 +69,8 @@ class Design:
     observability: dict[str, float]
     observability_random: dict[str, float]
     rank: int
-    way: float
-    way_unordered: float
+    path_length: float
+    path_length_unordered: float
     settings: tuple[str, ...]
     notes: tuple[str, ...]
     seconds: float
@@ -84,7 +84,7 @@ class Design:
         """Return the table to be filled in: joints, and target, payload and approach where they belong to the poses."""
         columns: dict[str, np.ndarray] = dict(zip(self.robot.joint_names, self.q.T, strict=True))
         if "target" in self.settings:
-            columns["target"] = np.array(self.foresight.model.chain.targets)[self.conditions.target]
+            columns["target"] = np.array(self.design_model.model.chain.targets)[self.conditions.target]
         if "payload" in self.settings:
             columns["payload"] = self.conditions.payload
         if "approach" in self.settings and self.conditions.approach is not None:
@@ -103,8 +103,8 @@ class Design:
             "instrument": None if self.rig.instrument is None else list(self.rig.instrument),
             "criterion": self.criterion,
             "rivals": list(self.rivals),
-            "noise": self.foresight.sigma.tolist(),
-            "parameters": self.foresight.n_free,
+            "noise": self.design_model.sigma.tolist(),
+            "parameters": self.design_model.n_free,
             "rank": self.rank,
             "candidates": {"found": len(self.drawn.q), "drawn": self.drawn.drawn, "removed": self.drawn.removed},
             **_plain_point(self.found),
@@ -113,7 +113,7 @@ class Design:
             "needed": self.needed,
             "curve": [_plain_point(point) for point in self.curve],
             "observability": {"designed": self.observability, "random_median": self.observability_random},
-            "way": {"ordered": self.way, "unordered": self.way_unordered},
+            "way": {"ordered": self.path_length, "unordered": self.path_length_unordered},
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -150,29 +150,28 @@ def design_poses(
 
     Args:
         robot: the arm.
-        poses: how many; unless given, as many as ``accuracy`` needs.
+        poses: number of poses; default: as many as ``accuracy`` needs.
         options: as for the calibration: effects, noise, moment frame, centre of mass of the payload. Base and tool are
             taken as unknown.
-        rig: with what and from where the poses are measured.
+        rig: sensor, and from where it measures.
         limits: where the arm may go.
-        criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the priors of the fit),
-            "determinant" for the smallest volume of the parameters' uncertainty (D-optimal, with priors).
-        tell_apart: two rival effects, as in :func:`pincal.design.rivals.find_rival`, to be told apart instead.
-        accuracy: predicted error over the task to reach [m]; the smallest number of poses for it is found.
-        task: joint positions that the user cares for, with payloads where they matter; over the reach unless given.
-        measured: poses measured already, with their payloads; their information counts, and new poses are added.
-        payloads: masses at the tip [kg] to choose from, pose by pose; none unless given.
-        candidates: how many random poses to choose from; 1500, or twice ``poses``, unless given.
+        criterion: "task" or "determinant"; this and the following as in :class:`pincal.design.request.DesignRequest`.
+        tell_apart: two rival effects to be told apart instead.
+        accuracy: predicted error over the task to reach [m].
+        task: joint positions that the user cares for.
+        measured: poses measured already.
+        payloads: masses at the tip [kg] to choose from.
+        candidates: number of random poses to choose from.
         refine: whether to move the chosen poses joint by joint to where they tell more.
-        curve: whether to design for other numbers of poses, too, and to say what no choice can beat.
-        seed: of all that is drawn.
+        curve: whether to design for other numbers of poses, too, and to bound what any choice can reach.
+        seed: seed of all random numbers.
 
     Returns:
         The design; look at its ``notes``.
 
     Raises:
-        BadInputError: for constraints that leave too few poses, an accuracy that no number of poses reaches, an effect that
-            is not known, or a sensor or model that a design can't be made for.
+        BadInputError: for constraints that leave too few poses, an accuracy that no number of poses reaches, an unknown
+            effect, or a sensor or model that a design can't be made for.
 
     Example:
         >>> from pincal.model.effects import GEOMETRIC
@@ -180,69 +179,60 @@ def design_poses(
         >>> found.q.shape, found.found.designed.error < found.found.random.error
         ((20, 6), True)
     """
+    request = DesignRequest(
+        poses=poses,
+        accuracy=accuracy,
+        criterion=criterion,
+        tell_apart=tell_apart,
+        task=task,
+        measured=measured,
+        payloads=None if payloads is None else tuple(float(load) for load in payloads),
+        candidates=candidates,
+        seed=seed,
+    )
+    reach = Reach(robot, rig or SensorSetup(), limits or Limits())
+    return _design(request, reach, options or Options(), refine=refine, curve=curve)
+
+
+def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: bool, curve: bool) -> Design:
+    """Return the design that is asked for."""
     begun = time.perf_counter()
-    candidates = max(CANDIDATES, 2 * (poses or 0)) if candidates is None else candidates
-    loads = None if payloads is None else tuple(float(load) for load in payloads)
-    wish = DesignRequest(criterion, tell_apart, task, measured, loads, candidates, poses or 1, seed)
-    _check(poses, accuracy, wish)
-    reach = Reach(robot, SensorSetup() if rig is None else rig, Limits() if limits is None else limits)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        study = Study.of(reach, Options() if options is None else options, wish)
-        needed = None if accuracy is None else study.smallest(accuracy)
-        n = poses or needed or 1
+        study = Study.of(reach, options=options, request=request)
+        needed = None if request.accuracy is None else study.smallest(request.accuracy)
+        n = request.poses or needed or 1
         _check_count(study, n)
     picked = study.candidates.select(np.array(study.design(n)))
     if refine:
-        picked = Refinement(study.foresight, reach, study.W, study.H).improve(picked)
-    H, at_random = study.H + total(study.foresight.readings(picked)), study.random(n)
+        picked = Refinement(study.design_model, reach, study.W, study.H).improve(picked)
+    H, at_random = study.H + total(study.design_model.readings(picked)), study.random(n)
     found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
     order, unordered, ordered = _order(picked, reach)
     observability, observability_random = _observability(study, n, H, at_random)
+    is_bounded = curve and request.criterion == "task" and not request.tell_apart
     return Design(
-        robot=robot,
+        robot=reach.robot,
         conditions=picked.select(order),
         rig=reach.rig,
-        criterion="tell apart" if tell_apart else criterion,
-        rivals=tuple(tell_apart or ()),
-        foresight=study.foresight,
+        criterion="tell apart" if request.tell_apart else request.criterion,
+        rivals=tuple(request.tell_apart or ()),
+        design_model=study.design_model,
         drawn=study.drawn,
         found=found,
         before=study.quality(study.H) if study.n_measured else None,
-        bound=study.bound(n) if curve and criterion == "task" and not tell_apart else None,
+        bound=study.bound(n) if is_bounded else None,
         curve=study.curve(found) if curve else (),
         needed=needed,
         observability=observability,
         observability_random=observability_random,
         rank=study.rank(n),
-        way=ordered,
-        way_unordered=unordered,
-        settings=_settings(study, wish),
-        notes=(*robot.notes, *reach.bodies.notes, *_told(caught)),
+        path_length=ordered,
+        path_length_unordered=unordered,
+        settings=_settings(study, request),
+        notes=(*reach.robot.notes, *reach.bodies.notes, *_messages(caught)),
         seconds=time.perf_counter() - begun,
     )
-
-
-def _check(poses: int | None, accuracy: float | None, wish: DesignRequest) -> None:
-    if poses is None and accuracy is None:
-        raise BadInputError("neither a number of poses nor an accuracy is given; expected one of them")
-    if poses is not None and poses < 1:
-        raise BadInputError(f"{poses} poses; expected 1 or more")
-    if accuracy is not None and not accuracy > 0.0:
-        raise BadInputError(f"accuracy {accuracy:g} m; expected more than 0")
-    if wish.candidates < max(wish.least, 2):
-        raise BadInputError(f"{wish.candidates} candidates for {wish.least} poses; expected at least as many, better 1000")
-    if wish.criterion not in ("task", "determinant"):
-        raise BadInputError(f"criterion {wish.criterion!r}; expected task or determinant")
-    if accuracy is not None and (wish.tell_apart or wish.criterion != "task"):
-        raise BadInputError("an accuracy goes with the criterion task alone; leave it out")
-    loads = wish.payloads
-    if loads is not None and (not loads or not all(0.0 <= load < np.inf for load in loads)):
-        listed = ", ".join(f"{load:g}" for load in loads)
-        raise BadInputError(f"payloads {listed or 'none'}; expected masses of 0 kg or more")
-    for what, table in (("task", wish.task), ("measured poses", wish.measured)):
-        if table is not None and len(table) == 0:
-            raise BadInputError(f"{what}: {table.source} has no rows; expected joint positions")
 
 
 def _check_count(study: Study, n: int) -> None:
@@ -276,20 +266,20 @@ def _observability(
     study: Study, n: int, H: np.ndarray, at_random: Sequence[np.ndarray]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the indices of the design, and their medians over random ones, what was measured before included."""
-    observed, n_all, prior = Observed.of(study.foresight, study.mean, n), n + study.n_measured, np.eye(len(H))
+    observed, n_all, prior = Observed.of(study.design_model, study.mean, n), n + study.n_measured, np.eye(len(H))
     indices = [observed.indices(R - prior, n_all) for R in at_random]
     return observed.indices(H - prior, n_all), {name: float(np.median([i[name] for i in indices])) for name in indices[0]}
 
 
-def _settings(study: Study, wish: DesignRequest) -> tuple[str, ...]:
+def _settings(study: Study, request: DesignRequest) -> tuple[str, ...]:
     """Return the columns beside the joints that belong to the poses."""
     has = {
-        "target": len(study.foresight.model.chain.targets) > 1,
-        "payload": wish.payloads is not None,
-        "approach": wish.has_sides,
+        "target": len(study.design_model.model.chain.targets) > 1,
+        "payload": request.payloads is not None,
+        "approach": request.has_approach,
     }
     return tuple(name for name, is_there in has.items() if is_there)
 
 
-def _told(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
+def _messages(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
     return tuple(str(w.message) for w in caught if issubclass(w.category, PincalWarning))

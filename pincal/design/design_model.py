@@ -81,7 +81,7 @@ class DesignModel:
         rivals: Sequence[Effect] = (),
         targets: tuple[str, ...] = ("tool",),
     ) -> DesignModel:
-        """Return the foresight for poses like these.
+        """Return the model of a design for poses like these.
 
         Args:
             robot: the arm.

@@ -35,18 +35,18 @@ class Observed:
     """The directions in which poses are compared.
 
     Attributes:
-        foresight: the parameters.
+        design_model: the parameters.
         directions: shape (H, r), orthonormal, in units of the priors of the H parameters that have one.
     """
 
-    foresight: DesignModel
+    design_model: DesignModel
     directions: np.ndarray
 
     @classmethod
-    def of(cls, foresight: DesignModel, mean: np.ndarray, n: int) -> Observed:
+    def of(cls, design_model: DesignModel, mean: np.ndarray, n: int) -> Observed:
         """Return the directions that n average candidates tell; ``mean`` is the information of one, shape (F, F)."""
-        told = foresight.posterior(n * mean)
-        return cls(foresight, told.directions[:, told.information > 1.0])
+        posterior = design_model.posterior(n * mean)
+        return cls(design_model, posterior.directions[:, posterior.information > 1.0])
 
     @property
     def rank(self) -> int:
@@ -57,9 +57,9 @@ class Observed:
         """Return O1 to O5 of n poses with information H, shape (F, F); empty where they tell nothing."""
         if not self.rank:
             return {}
-        told = self.foresight.posterior(H)
-        seen = self.directions.T @ told.directions
-        squares = np.linalg.eigvalsh((seen * told.information) @ seen.T)
+        posterior = self.design_model.posterior(H)
+        overlap = self.directions.T @ posterior.directions
+        squares = np.linalg.eigvalsh((overlap * posterior.information) @ overlap.T)
         if squares[0] <= NULL * squares[-1]:
             return dict.fromkeys(SOURCES, 0.0)
         sigma = np.sqrt(squares)

@@ -172,10 +172,7 @@ class Reach:
     @cached_property
     def range(self) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest joint positions, shape (n,) each [rad or m]; a turn where a joint has no limits."""
-        lower = np.where(np.isfinite(self.robot.lower), self.robot.lower, -np.pi)
-        upper = np.where(np.isfinite(self.robot.upper), self.robot.upper, np.pi)
-        middle, half = 0.5 * (lower + upper), 0.5 * self.limits.span * (upper - lower)
-        return middle - half, middle + half
+        return self.robot.joint_range(self.limits.span)
 
     def allows(self, q: np.ndarray) -> np.ndarray:
         """Return whether poses, shape (N, n), keep to all constraints of a measurement, shape (N,)."""

@@ -28,20 +28,20 @@ class Refinement:
     Each pose in turn is taken out of the design, and the best of its likes that differ in one joint is taken in.
 
     Attributes:
-        foresight: what readings tell.
+        design_model: what readings tell.
         reach: which poses are allowed.
         W: shape (F, F), or None for the determinant.
         H: shape (F, F), information that is there before.
     """
 
-    foresight: DesignModel
+    design_model: DesignModel
     reach: Reach
     W: np.ndarray | None
     H: np.ndarray
 
     def improve(self, design: Conditions) -> Conditions:
         """Return a design that is better, or the same; what else belongs to a pose, its payload say, stays as it is."""
-        q, A = design.q.copy(), self.foresight.readings(design)
+        q, A = design.q.copy(), self.design_model.readings(design)
         for sweep, window in enumerate(_WINDOWS):
             log.info("refining the poses, sweep %d", sweep + 1, extra={"done": sweep, "of": len(_WINDOWS)})
             for place in range(len(q)):
@@ -58,7 +58,7 @@ class Refinement:
         trial = trial[self.reach.allows_apart(trial)]
         if not len(trial):
             return q, own
-        A = self.foresight.readings(replace(design.select(np.full(len(trial), place)), q=trial))
+        A = self.design_model.readings(replace(design.select(np.full(len(trial), place)), q=trial))
         gain = gains(*weigh(A, C, self.W))
         least = float(gains(*weigh(own[None], C, self.W))[0])
         for k in np.argsort(-gain):

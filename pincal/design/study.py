@@ -7,24 +7,22 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from pincal.design.bound import lower_bound
+from pincal.design.conditions import PoseBuilder, joined
 from pincal.design.design_model import DesignModel
 from pincal.design.exchange import choose_greedily, covariance, exchange, information, value
 from pincal.design.reach import Draw, Reach
-from pincal.design.rivals import find_rival, needs_approach, noncentrality, weights
+from pincal.design.request import DesignRequest
+from pincal.design.rivals import find_rival, noncentrality, weights
 from pincal.errors import BadInputError, PincalWarning
 from pincal.identify.options import Options
-from pincal.measure.measurements import Measurements
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions, Effect
 
 log = logging.getLogger(__name__)
-
-Criterion = Literal["task", "determinant"]
 
 RANDOM_DESIGNS = 50
 """Random designs whose median a design is held against."""
@@ -36,36 +34,6 @@ _LADDER = (10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)
 _BEYOND, _AT_LEAST = 2.0, 100
 # Passes of an exchange that begins at a design which is nearly right.
 _FEW_PASSES = 2
-
-
-@dataclass(frozen=True)
-class DesignRequest:
-    """What is to be designed.
-
-    Attributes:
-        criterion: "task" or "determinant".
-        tell_apart: two rival effects; the criterion is then to tell them apart.
-        task: joint positions that the user cares for; over the reach where None.
-        measured: poses measured already.
-        payloads: masses at the tip [kg] to choose from; none where None.
-        candidates: how many poses to choose from.
-        least: how many there have to be.
-        seed: of all that is drawn.
-    """
-
-    criterion: Criterion
-    tell_apart: tuple[str, str] | None
-    task: Measurements | None
-    measured: Measurements | None
-    payloads: tuple[float, ...] | None
-    candidates: int
-    least: int
-    seed: int
-
-    @property
-    def has_sides(self) -> bool:
-        """Whether the direction from which joints arrive is part of the design."""
-        return any(needs_approach(text) for text in self.tell_apart or ())
 
 
 @dataclass(frozen=True)
@@ -103,7 +71,7 @@ class Study:
     """Candidates and what each would tell.
 
     Attributes:
-        foresight: the parameters.
+        design_model: the parameters.
         drawn: the candidates' joint positions, and what the constraints removed.
         candidates: the M poses to choose from.
         A: shape (M, m, F), their Jacobian in units of noise and priors.
@@ -114,7 +82,7 @@ class Study:
         rng: source of random designs.
     """
 
-    foresight: DesignModel
+    design_model: DesignModel
     drawn: Draw
     candidates: Conditions
     A: np.ndarray
@@ -125,35 +93,39 @@ class Study:
     rng: np.random.Generator
 
     @classmethod
-    def of(cls, reach: Reach, options: Options, wish: DesignRequest) -> Study:
+    def of(cls, reach: Reach, *, options: Options, request: DesignRequest) -> Study:
         """Draw candidates, and work out what each would tell.
 
         Raises:
             BadInputError: for constraints that leave too few poses, a rival that is not known, or a sensor or model that a
                 design can't be made for.
         """
-        rng = [np.random.default_rng([wish.seed, part]) for part in range(4)]
-        log.info("drawing %d candidates within the constraints", wish.candidates)
-        drawn = reach.draw(wish.candidates, rng[0])
-        _check_draw(drawn, wish)
-        poses = _Poses(options, wish)
+        rng = [np.random.default_rng([request.seed, part]) for part in range(4)]
+        log.info("drawing %d candidates within the constraints", request.n_candidates)
+        drawn = reach.draw(request.n_candidates, rng[0])
+        _check_draw(drawn, request)
+        poses = PoseBuilder(options, request)
         candidates = poses.at(drawn.q, rng[1])
-        rivals = _rivals(reach, options, wish, candidates)
-        known = None if wish.measured is None else poses.of(wish.measured)
-        rows = candidates if known is None else _joined(candidates, known)
-        foresight = DesignModel.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
-        H = np.eye(foresight.n_free)
+        rivals = _rivals(reach, options, request, candidates=candidates)
+        known = None if request.measured is None else poses.of(request.measured)
+        rows = candidates if known is None else joined(candidates, known)
+        design_model = DesignModel.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
+        H = np.eye(design_model.n_free)
         if known is not None:
-            H += total(foresight.readings(known))
-        if wish.task is None:
+            H += total(design_model.readings(known))
+        if request.task is None:
             cared = poses.at(reach.draw(_TASK_POSES, rng[2], measured=False).q, rng[2])
         else:
-            cared = replace(poses.of(wish.task), target=np.zeros(len(wish.task), int))
-        E = foresight.errors(cared)
+            cared = replace(poses.of(request.task), target=np.zeros(len(request.task), int))
+        E = design_model.errors(cared)
         weight = total(E) / len(E)
-        W = weights(foresight.rivals, foresight.n_free) if rivals else (weight if wish.criterion == "task" else None)
+        W = (
+            weights(design_model.rivals, design_model.n_free)
+            if rivals
+            else (weight if request.criterion == "task" else None)
+        )
         count = 0 if known is None else len(known)
-        return cls(foresight, drawn, candidates, foresight.readings(candidates), H, count, weight, W, rng[3])
+        return cls(design_model, drawn, candidates, design_model.readings(candidates), H, count, weight, W, rng[3])
 
     @cached_property
     def mean(self) -> np.ndarray:
@@ -162,13 +134,13 @@ class Study:
 
     def rank(self, n: int) -> int:
         """Return how many directions n average candidates would tell better than the priors do, base and tool included."""
-        return self.foresight.posterior(n * self.mean).identifiable_rank
+        return self.design_model.posterior(n * self.mean).identifiable_rank
 
     def quality(self, H: np.ndarray) -> Quality:
         """Return what information H, shape (F, F), comes to."""
-        core = np.ix_(self.foresight.core, self.foresight.core)
+        core = np.ix_(self.design_model.core, self.design_model.core)
         error = np.sqrt(value(covariance(H[core]), self.task[core]))
-        rivals = self.foresight.rivals
+        rivals = self.design_model.rivals
         return Quality(float(error), noncentrality(covariance(H), rivals) if rivals else ())
 
     def design(self, n: int) -> list[int]:
@@ -228,76 +200,25 @@ def total(A: np.ndarray) -> np.ndarray:
     return information(A, np.arange(len(A)))
 
 
-@dataclass(frozen=True)
-class _Poses:
-    """How joint positions become conditions: loads, directions of approach and targets."""
-
-    options: Options
-    wish: DesignRequest
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """Names of the targets: of those measured before, the first is the one that is measured again."""
-        measured = self.wish.measured
-        return ("tool",) if measured is None else tuple(str(name) for name in np.unique(measured.target))
-
-    @property
-    def _loads(self) -> np.ndarray:
-        return np.array(self.wish.payloads or (0.0,), float)
-
-    def at(self, q: np.ndarray, rng: np.random.Generator) -> Conditions:
-        """Return poses with the loads in turn and, where it matters, random directions of approach."""
-        n, loads = len(q), self._loads
-        approach = rng.choice([-1.0, 1.0], q.shape) if self.wish.has_sides else None
-        centre = np.array(self.options.payload_centre, float)
-        return Conditions(q, np.zeros(n, int), loads[np.arange(n) % len(loads)], centre, approach=approach)
-
-    def of(self, table: Measurements) -> Conditions:
-        """Return the poses of a table; rows without a payload carry the first of the loads."""
-        n, targets = len(table), self.targets
-        index = np.array([targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int)
-        payload = np.full(n, self._loads[0]) if table.payload is None else np.asarray(table.payload)
-        approach = np.zeros(table.q.shape) if table.approach is None and self.wish.has_sides else table.approach
-        centre = np.array(self.options.payload_centre, float)
-        return Conditions(table.q, index, payload, centre, table.temperature, table.time, approach)
-
-
-def _joined(one: Conditions, other: Conditions) -> Conditions:
-    """Return the poses of both, one after the other; a column that only one of them has is left out."""
-
-    def both(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
-        return None if a is None or b is None else np.concatenate([a, b])
-
-    return Conditions(
-        q=np.concatenate([one.q, other.q]),
-        target=np.concatenate([one.target, other.target]),
-        payload=np.concatenate([one.payload, other.payload]),
-        payload_centre=one.payload_centre,
-        temperature=both(one.temperature, other.temperature),
-        time=both(one.time, other.time),
-        approach=both(one.approach, other.approach),
-    )
-
-
-def _rivals(reach: Reach, options: Options, wish: DesignRequest, candidates: Conditions) -> list[Effect]:
+def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions) -> list[Effect]:
     """Return the effects that are to be told apart."""
-    if wish.tell_apart is None:
+    if request.tell_apart is None:
         return []
     gravity = None if options.gravity is None else np.array(options.gravity)
     chain = Chain.of(reach.robot, moment_frame=options.moment_frame, gravity=gravity)
-    rivals = [find_rival(text, chain, candidates) for text in wish.tell_apart]
+    rivals = [find_rival(text, chain, candidates) for text in request.tell_apart]
     if rivals[0] == rivals[1]:
-        raise BadInputError(f"effects {' and '.join(wish.tell_apart)}: one and the same; expected two")
+        raise BadInputError(f"effects {' and '.join(request.tell_apart)}: one and the same; expected two")
     return rivals
 
 
-def _check_draw(drawn: Draw, wish: DesignRequest) -> None:
+def _check_draw(drawn: Draw, request: DesignRequest) -> None:
     """Refuse constraints that leave too few poses, and say which of them it is."""
-    found, needed = len(drawn.q), max(wish.least, 2)
+    found, needed = len(drawn.q), request.fewest
     if found < needed:
         raise BadInputError(
             f"the constraints leave too few poses for {needed}: {drawn.in_words()}; relax the one that removes most"
         )
-    if found < wish.candidates:
-        text = f"the constraints leave {found} candidates, {wish.candidates} were asked for"
+    if found < request.n_candidates:
+        text = f"the constraints leave {found} candidates, {request.n_candidates} were asked for"
         warnings.warn(text, PincalWarning, stacklevel=4)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from pincal.calibration.run import check_count, check_gaps, check_table
 from pincal.discover.loop import ALPHA, place_of
 from pincal.discover.power import POWER, minimum_detectable
-from pincal.errors import PincalWarning
 from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.options import Options
 from pincal.identify.reasons import Reason, Status
-from pincal.measure.admission import unobservable_notes, usable_rows
+from pincal.measure.admission import unobservable_notes
+from pincal.measure.admit import admit
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
@@ -25,8 +23,6 @@ from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_table
 from pincal.validate.agreement import check_agreement
 
-# Noise of a good laser tracker in a hall, or of a camera, where nothing else is known of it.
-_ASSUMED = {"m": 5e-5, "rad": 5e-5, "px": 0.1}
 # Degrees of freedom below which residuals say nothing of the noise.
 _FEWEST = 10.0
 
@@ -149,17 +145,11 @@ def precheck(robot: Robot, measurements: Measurements, options: Options) -> Data
     Raises:
         BadInputError: as a calibration would.
     """
-    idle = check_gaps(options.setup, [measurements])
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        measurements = usable_rows(measurements, options.setup)
-        check_count(robot, measurements, options.setup)
-        check_table(robot, measurements)
+    admitted = admit(robot, measurements, options.setup)
+    measurements = admitted.table
     fit = expected_fit(robot, measurements, options)
     check_agreement(robot, measurements, fit)
-    notes = [str(w.message) for w in caught if issubclass(w.category, PincalWarning)]
-    notes += idle
-    notes += unobservable_notes(measurements, options.setup)
+    notes = [*admitted.notes, *admitted.idle, *unobservable_notes(measurements, options.setup)]
     posterior = fit.solution.posterior
     sigma, unit = options.sigma, f"sigma_{fit.station.sensor.blocks[0].unit}"
     return DataReport(
@@ -181,7 +171,7 @@ def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
     """Return what could be found beyond the elastic model, or the geometric one of an arm without masses."""
     base = refit(fit, GEOMETRIC if robot.massless else ELASTIC)
     declared = fit.noise.declared
-    assumed = np.array([_ASSUMED[block.unit] for block in base.station.sensor.blocks])
+    assumed = np.array([block.noise for block in base.station.sensor.blocks])
     degrees = base.solution.degrees
     estimated = base.solution.estimated if degrees >= _FEWEST else assumed
     sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])

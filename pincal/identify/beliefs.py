@@ -7,9 +7,9 @@ import numpy as np
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options, known_frames
 from pincal.identify.problem import Problem
-from pincal.identify.rows import some_rows
 from pincal.identify.solve import Priors
 from pincal.identify.station import Station
+from pincal.measure.rows import some_rows
 from pincal.model.effects import Conditions
 
 # A point that seems farther away than this [m] was seen from too much the same side.

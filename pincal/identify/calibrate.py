@@ -20,6 +20,7 @@ from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors, Solution, solve
 from pincal.measure.measurements import Measurements
+from pincal.measure.sensor import KnownParameters
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import Effect
 from pincal.robot.robot import Robot
@@ -271,16 +272,19 @@ def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors:
     return bool(gain > chdtri(int(held.sum()), _MISSED))
 
 
-def doubts_lens(fit: Fit) -> bool:
-    """Return whether the images call for another camera than the given one, which the fit held (a score test)."""
+def doubts_of_known(fit: Fit) -> tuple[str, ...]:
+    """Return what to say if the readings contradict what was given of the sensor, which the fit held (a score test)."""
     problem = fit.problem
-    usual = np.zeros(len(problem.parameters), bool)
+    held = np.zeros(len(problem.parameters), bool)
+    doubts: list[str] = []
     for station, places in zip(problem.stations, problem.places, strict=True):
-        local = np.zeros(len(places), bool)
-        station.split(local)[1][:] = station.sensor.fixed
-        usual[places] = local
-    usual &= np.array([p.effect in ("lens", "lens_distortion") for p in problem.parameters], bool)
-    return bool(usual.any()) and _is_missed(problem, fit.solution, fit.solution.free | usual, fit.priors)
+        if isinstance(station.sensor, KnownParameters) and station.sensor.is_given:
+            local = np.zeros(len(places), bool)
+            station.split(local)[1][:] = station.sensor.fixed
+            held[places] = local
+            doubts.append(station.sensor.doubt)
+    is_doubted = held.any() and _is_missed(problem, fit.solution, fit.solution.free | held, fit.priors)
+    return tuple(dict.fromkeys(doubts)) if is_doubted else ()
 
 
 def _refuse_too_few(tables: dict[str, Measurements], problem: Problem, fitted: Solution, noise: Noise) -> None:

@@ -17,7 +17,7 @@ from pincal.identify.normal import accumulate
 from pincal.identify.options import known_frames
 from pincal.identify.posterior import NULL, posterior
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
-from pincal.identify.rows import some_rows
+from pincal.measure.rows import some_rows
 from pincal.parameters import Parameter
 
 # Ratio of posterior to prior standard deviation below which a parameter counts as identified: at 0.5 the data hold three

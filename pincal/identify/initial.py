@@ -11,13 +11,13 @@ from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import frames_of, noise_of, priors_of, released_of
 from pincal.identify.noise import Loss, Noise
 from pincal.identify.options import Options
-from pincal.identify.placement import Extrinsics
 from pincal.identify.problem import Problem
-from pincal.identify.rows import some_rows
 from pincal.identify.solve import Priors, Solution, solve
 from pincal.identify.start import placements
 from pincal.identify.station import Station, conditions_of, station_of
+from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.measurements import Measurements
+from pincal.measure.rows import some_rows
 from pincal.measure.sensing import sensor_of
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, Effect, ToolFrame

@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.station import Station
-from pincal.measure.sensors import Block
+from pincal.measure.sensor import Block
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import BaseFrame, Effect, ToolFrame
 from pincal.parameters import Parameter, carried_over

@@ -18,8 +18,8 @@ from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Solution, solve
 from pincal.identify.split import Split, row_groups
+from pincal.measure.admission import scorable
 from pincal.measure.measurements import Measurements
-from pincal.measure.setup import point_names
 from pincal.robot.robot import Robot
 
 
@@ -71,10 +71,7 @@ def cross_validate(
 def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
     fit = calibrate(robot, table.select(fold != k), options)
     held = table.select(fold == k)
-    names = point_names(held)
-    told = (
-        np.ones(len(held), bool) if names is None or held.socket is not None else np.isin(names, [*fit.options.setup.points])
-    )
+    told = scorable(held, fit.options.setup)
     residuals = np.full((sum(block.size for block in fit.station.sensor.blocks), len(held)), np.nan)
     residuals[:, told] = fit.readings(held.select(told)).residuals(fit.values)
     return residuals

@@ -12,7 +12,7 @@ from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns, split_by_density
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import sensor_of
-from pincal.measure.sensors import Sensor
+from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
 from pincal.model.effects import Conditions
 from pincal.model.model import Model

@@ -6,12 +6,12 @@ import difflib
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.fields import nearest_first
+from pincal.measure.fields import Field, nearest_first
 from pincal.measure.sheet import Column, Sheet
 
 if TYPE_CHECKING:
@@ -70,10 +70,10 @@ def match_columns(
 
 
 def quantities_of(
-    names: tuple[str, ...], joint_types: Sequence[str] | None, fields: Mapping[str, Any], *, source: str
+    names: tuple[str, ...], joint_types: Sequence[str] | None, fields: Sequence[Field], *, source: str
 ) -> dict[str, str]:
     """Return the physical quantity of every column that a table of these joints may have."""
-    known = {column: quantity for quantity, columns in fields.values() for column in columns}
+    known = {column: field.quantity for field in fields for column in field.columns}
     clash = [name for name in names if name in known]
     if clash:
         raise MeasurementError(f'{source}: joint "{clash[0]}" has the name of a column; rename it in the URDF')

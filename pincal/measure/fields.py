@@ -1,34 +1,103 @@
-"""Names of what a table can hold: columns, their quantities and the fields that they make up."""
+"""What the columns of a table can hold: quantities made of one column or several, and which values are valid."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
-# Field of `Measurements` -> the columns that make it up, and their quantity.
-_MEASURED = {
-    "position": ("length", ("x", "y", "z")),
-    "quaternion": ("number", ("qx", "qy", "qz", "qw")),
-    "distance": ("length", ("distance",)),
-    "anchor": ("name", ("anchor",)),
-    "socket": ("name", ("socket",)),
-    "camera_point": ("length", ("cx", "cy", "cz")),
-    "pixel": ("pixel", ("u", "v")),
-    "sigma": ("noise", ("sigma",)),
-}
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Which values are valid.
+
+    Attributes:
+        expected: what a value has to be, for messages.
+        is_met: takes an array, shape (N,) or (N, k), and returns which of its values are valid, in the same shape or (N,).
+    """
+
+    expected: str
+    is_met: Callable[[np.ndarray], np.ndarray]
+
+
+FINITE = Rule("a finite number", np.isfinite)
+POSITIVE = Rule("a number > 0", lambda value: np.isfinite(value) & (value > 0))
+SIGN = Rule("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
+
+
+@dataclass(frozen=True)
+class Field:
+    """One quantity of a table, made of one column or several.
+
+    Attributes:
+        name: of the array that holds it.
+        columns: their names, units left out, in the order of the components.
+        quantity: what they hold, which says the units they may have: "length", "angle", "pixel", "noise", "mass", "time",
+            "temperature", "number" or "name".
+        rule: which values are valid; names always are.
+        is_unit: whether the components are those of a unit vector, to be normalised.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    quantity: str
+    rule: Rule = FINITE
+    is_unit: bool = False
+
+    @property
+    def is_name(self) -> bool:
+        """Whether the values are names, not numbers."""
+        return self.quantity == "name"
+
+    def __str__(self) -> str:
+        return " ".join(self.columns)
+
+
+POINT = Field("point", ("point",), "name")
 CONDITIONS = {
-    "point": ("name", ("point",)),
-    "target": ("name", ("target",)),
-    "payload": ("mass", ("payload",)),
-    "temperature": ("temperature", ("temperature",)),
-    "time": ("time", ("time",)),
+    field.name: field
+    for field in (
+        POINT,
+        Field("target", ("target",), "name"),
+        Field("payload", ("payload",), "mass"),
+        Field("temperature", ("temperature",), "temperature"),
+        Field("time", ("time",), "time"),
+    )
 }
-FIELDS = _MEASURED | CONDITIONS
-ARRAYS = ("q", "approach", "rows", *FIELDS)
-KINDS = {"position": "position", "distance": "distance", "socket": "socket"} | {
-    "camera_point": "camera_point",
-    "pixel": "camera_pixel",
-}
+"""What a table can say of a pose beside the readings."""
+
+SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)
+"""The standard deviation of a row's reading."""
+
+
+class Table(Protocol):
+    """What a sensor needs of a table of N rows; :class:`pincal.measure.measurements.Measurements` is one."""
+
+    @property
+    def source(self) -> str:
+        """Name of the file, for messages."""
+
+    @property
+    def q(self) -> np.ndarray:
+        """Joint positions [rad], prismatic [m], shape (N, n)."""
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Line of each row in its file, shape (N,)."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The units that the header gave, by column."""
+
+    @property
+    def point_names(self) -> np.ndarray | None:
+        """Name of the fixed point that each row involves, shape (N,); None where rows involve none."""
+
+    def array(self, name: str) -> np.ndarray:
+        """Return the values of a field that the table has, shape (N,) or (N, k)."""
 
 
 def nearest_first(wrong: Sequence[str], known: Sequence[str]) -> list[str]:

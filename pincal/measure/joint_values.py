@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.table import Measurements
+from pincal.measure.measurements import Measurements
 
 # Share of the rows beyond the limits from which on the column, not the row, is at fault.
 _MANY = 0.2

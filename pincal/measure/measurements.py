@@ -10,15 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError
-from pincal.measure.fields import ARRAYS, FIELDS, KINDS, nearest_first
+from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field, nearest_first
+from pincal.measure.registry import check_fields, known_fields, sensor_class
+from pincal.measure.sensor import Sensor
 
-# A quaternion written with four decimals is off by less; a wrong column is off by more.
-_QUATERNION_TOLERANCE = 0.01
+# What a table has beside its readings.
+_ARRAYS = ("q", "approach", "rows", *CONDITIONS, "sigma")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements:
-    """Measured poses of one robot, one row each; absent columns are None and all arrays are read-only.
+    """Measured poses of one robot, one row per measured pose; absent columns are None and all arrays are read-only.
+
+    What an instrument read is in ``readings``, by the names of the fields that its sensor declares; those of pincal's own
+    sensors are attributes as well.
 
     Example:
         >>> poses = measurements_from_arrays(["a", "b"], [[0.0, 1.0], [0.5, 1.0]], distance=[1.2, 1.3])
@@ -35,20 +40,8 @@ class Measurements:
     """Line of each row in its file, the header being line 1, shape (N,)."""
     source: str
     """Name of the file, for messages."""
-    position: np.ndarray | None = None
-    """Target in the instrument's frame [m], shape (N, 3)."""
-    quaternion: np.ndarray | None = None
-    """Orientation of the tool in the instrument's frame, x y z w, normalised, shape (N, 4)."""
-    distance: np.ndarray | None = None
-    """From the instrument's point to the target [m], shape (N,)."""
-    anchor: np.ndarray | None = None
-    """Name of the fixed point that each distance is measured from, where there are several, shape (N,)."""
-    socket: np.ndarray | None = None
-    """Name of the fixed point that held the tool point, shape (N,)."""
-    camera_point: np.ndarray | None = None
-    """Point of the calibration object in the camera's frame [m], shape (N, 3)."""
-    pixel: np.ndarray | None = None
-    """The same point in the image [px], shape (N, 2)."""
+    readings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """What the instrument read, by field: shape (N,) or (N, k) each, lengths in m."""
     point: np.ndarray | None = None
     """Name of the point of the calibration object, shape (N,)."""
     payload: np.ndarray | None = None
@@ -66,9 +59,8 @@ class Measurements:
 
     def __post_init__(self) -> None:
         for name, array in self._present().items():
-            view = array.view()
-            view.flags.writeable = False
-            object.__setattr__(self, name, view)
+            object.__setattr__(self, name, _read_only(array))
+        object.__setattr__(self, "readings", {name: _read_only(array) for name, array in self.readings.items()})
 
     def __len__(self) -> int:
         return len(self.q)
@@ -78,20 +70,82 @@ class Measurements:
         return f"Measurements({self.source!r}: {len(self)} rows, {self.kind}, joints {joints})"
 
     @property
+    def sensor(self) -> type[Sensor] | None:
+        """The class of the sensor that reads these columns; None where nothing was measured."""
+        return sensor_class(self._fields())
+
+    @property
     def kind(self) -> str:
-        """What was measured: position, pose, distance, socket, camera_point, camera_pixel or none."""
-        if self.quaternion is not None:
-            return "pose"
-        return next((kind for name, kind in KINDS.items() if getattr(self, name) is not None), "none")
+        """What was measured: the kind of the sensor, such as "position" or "pose"; "none" where nothing was."""
+        return "none" if self.sensor is None else self.sensor.kind
+
+    @property
+    def position(self) -> np.ndarray | None:
+        """Target in the instrument's frame [m], shape (N, 3)."""
+        return self.readings.get("position")
+
+    @property
+    def quaternion(self) -> np.ndarray | None:
+        """Orientation of the tool in the instrument's frame, x y z w, normalised, shape (N, 4)."""
+        return self.readings.get("quaternion")
+
+    @property
+    def distance(self) -> np.ndarray | None:
+        """From the instrument's point, or the row's anchor, to the target [m], shape (N,)."""
+        return self.readings.get("distance")
+
+    @property
+    def socket(self) -> np.ndarray | None:
+        """Name of the fixed point that held the tool point, shape (N,)."""
+        return self.readings.get("socket")
+
+    @property
+    def camera_point(self) -> np.ndarray | None:
+        """Point of the calibration object in the camera's frame [m], shape (N, 3)."""
+        return self.readings.get("camera_point")
+
+    @property
+    def pixel(self) -> np.ndarray | None:
+        """The same point in the image [px], shape (N, 2)."""
+        return self.readings.get("pixel")
+
+    @property
+    def point_names(self) -> np.ndarray | None:
+        """Name of the fixed point that each row involves, shape (N,); None where rows involve none."""
+        sensor = self.sensor
+        return None if sensor is None or sensor.names_points is None else self.array(sensor.names_points)
+
+    def array(self, name: str) -> np.ndarray:
+        """Return the values of a field that the table has, shape (N,) or (N, k)."""
+        return self.columns()[name]
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return all arrays with one entry per row by name: joints, readings, conditions."""
+        return {**self._present(), **self.readings}
+
+    def names(self) -> dict[str, np.ndarray]:
+        """Return the arrays that hold names, such as that of the target, shape (N,) each."""
+        return {name: array for name, array in self.columns().items() if array.dtype.kind not in "fi"}
 
     def select(self, index_or_mask: Any) -> Measurements:
         """Return the rows that an index, a slice or a boolean mask of shape (N,) selects, in that order."""
         take = np.atleast_1d(np.arange(len(self))[index_or_mask])
-        chosen: dict[str, Any] = {name: array[take] for name, array in self._present().items()}
-        return replace(self, **chosen)
+        return self._with({name: array[take] for name, array in self.columns().items()})
+
+    def with_readings(self, **readings: np.ndarray) -> Measurements:
+        """Return the table with other values of some of its readings."""
+        return replace(self, readings={**self.readings, **readings})
+
+    def _with(self, columns: Mapping[str, np.ndarray]) -> Measurements:
+        readings = {name: columns[name] for name in self.readings}
+        rest: dict[str, Any] = {name: array for name, array in columns.items() if name not in readings}
+        return replace(self, readings=readings, **rest)
 
     def _present(self) -> dict[str, np.ndarray]:
-        return {name: getattr(self, name) for name in ARRAYS if getattr(self, name) is not None}
+        return {name: getattr(self, name) for name in _ARRAYS if getattr(self, name) is not None}
+
+    def _fields(self) -> frozenset[str]:
+        return frozenset((*self.readings, *(name for name in CONDITIONS if getattr(self, name) is not None)))
 
 
 def measurements_from_arrays(
@@ -111,8 +165,8 @@ def measurements_from_arrays(
         rows: Line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: Name of the data for messages.
         units: Units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: position, quaternion, distance, anchor, socket, camera_point, pixel, point, target, payload,
-            temperature, time, approach, sigma, shaped as in `Measurements`; None is absent.
+        **columns: target, payload, temperature, time, approach, sigma, point and the fields of a sensor (position,
+            quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is absent.
 
     Returns:
         The measurements; target is "tool" (of a camera's readings "camera") in each row unless given, quaternions are
@@ -121,15 +175,16 @@ def measurements_from_arrays(
     Raises:
         MeasurementError: Unknown column, wrong shape, value that can't be, or two kinds of measurement.
     """
-    unknown = [name for name in columns if name not in ARRAYS]
+    fields = known_fields()
+    unknown = [name for name in columns if name != "approach" and name not in fields]
     if unknown:
-        known = ", ".join(nearest_first(unknown, [name for name in ARRAYS if name not in ("q", "rows")]))
+        known = ", ".join(nearest_first(unknown, ["approach", *fields]))
         raise MeasurementError(f'{source}: unknown column "{unknown[0]}"; known columns: {known}')
     names, arrays = tuple(joint_names), {}
     for name, value in {"q": q, "rows": rows, **columns}.items():
         if value is not None:
-            arrays[name] = _as_array(name, value, source=source)
-    _check_shapes(names, arrays, source=source)
+            arrays[name] = _as_array(name, value, fields.get(name), source=source)
+    _check_shapes(names, arrays, fields, source=source)
     return validated(names, arrays, source=source, units=dict(units or {}))
 
 
@@ -152,14 +207,14 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
         if other.joint_names != first.joint_names:
             expected, got = ", ".join(first.joint_names), ", ".join(other.joint_names)
             raise MeasurementError(f"{other.source}: joints {got}; {first.source} has {expected}")
-        odd = sorted(set(first._present()) ^ set(other._present()))
+        odd = sorted(set(first.columns()) ^ set(other.columns()))
         if odd:
             raise MeasurementError(f'"{odd[0]}" is in only one of {first.source} and {other.source}; add or drop it')
-    parts = [table._present() for table in tables]
-    joined: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    parts = [table.columns() for table in tables]
+    joined = first._with({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
     units = {k: v for k, v in first.units.items() if all(table.units.get(k) == v for table in tables)}
     source = ", ".join(dict.fromkeys(table.source for table in tables))
-    return replace(first, **joined, units=units, source=source)
+    return replace(joined, units=units, source=source)
 
 
 def validated(
@@ -168,61 +223,61 @@ def validated(
     """Return the measurements of these arrays, which are checked but not copied."""
     count = len(arrays["q"])
     arrays.setdefault("rows", np.arange(2, count + 2))
-    is_camera = "camera_point" in arrays or "pixel" in arrays
-    arrays.setdefault("target", np.broadcast_to(np.array("camera" if is_camera else "tool"), count))
-    kinds = [name for name in KINDS if name in arrays]
-    if len(kinds) > 1:
-        found = " and ".join(" ".join(FIELDS[name][1]) for name in kinds)
-        raise MeasurementError(f"{source}: two kinds of measurement ({found}); expected one, ignore the others")
-    pairs = (("quaternion", "position"), ("anchor", "distance"), ("camera_point", "point"), ("pixel", "point"))
-    for needs, needed in pairs:
-        if needs in arrays and needed not in arrays:
-            got, missing = (" ".join(FIELDS[name][1]) for name in (needs, needed))
-            raise MeasurementError(f"{source}: {got} without {missing}; add what is missing, or ignore {got}")
-    _check_values(arrays, source=source)
-    if "quaternion" in arrays:
-        arrays["quaternion"] /= np.linalg.norm(arrays["quaternion"], axis=1, keepdims=True)
+    fields = known_fields()
+    given = frozenset(name for name in arrays if name in fields)
+    check_fields(given, source=source)
+    sensor = sensor_class(given)
+    arrays.setdefault("target", np.broadcast_to(np.array("tool" if sensor is None else sensor.default_target), count))
+    for name, array in arrays.items():
+        _check_values(name, array, fields.get(name), arrays["rows"], source=source)
+    for name in given:
+        if fields[name].is_unit:
+            arrays[name] = arrays[name] / np.linalg.norm(arrays[name], axis=1, keepdims=True)
     if "approach" in arrays:
         arrays["approach"] = arrays["approach"].astype(np.int8)
-    rest: dict[str, Any] = {name: array for name, array in arrays.items() if name in ARRAYS}
-    return Measurements(joint_names=names, source=source, units=units, **rest)
+    rest: dict[str, Any] = {name: array for name, array in arrays.items() if name in _ARRAYS}
+    readings = {name: array for name, array in arrays.items() if name not in rest}
+    return Measurements(joint_names=names, source=source, units=units, readings=readings, **rest)
 
 
-def _as_array(name: str, value: ArrayLike, *, source: str) -> np.ndarray:
-    is_name = name in FIELDS and FIELDS[name][0] == "name"
+def _read_only(array: np.ndarray) -> np.ndarray:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _as_array(name: str, value: ArrayLike, known: Field | None, *, source: str) -> np.ndarray:
+    is_name = known is not None and known.is_name
     try:
         return np.array(value, dtype=str if is_name else int if name == "rows" else float)
     except (TypeError, ValueError) as error:
         raise MeasurementError(f'{source}: "{name}" is not an array of {"names" if is_name else "numbers"}') from error
 
 
-def _check_shapes(names: tuple[str, ...], arrays: Mapping[str, np.ndarray], *, source: str) -> None:
+def _check_shapes(
+    names: tuple[str, ...], arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field], *, source: str
+) -> None:
     if arrays["q"].ndim != 2 or arrays["q"].shape[1] != len(names):
-        raise MeasurementError(f"{source}: q has shape {arrays['q'].shape}; expected (N, {len(names)}), a column a joint")
+        raise MeasurementError(
+            f"{source}: q has shape {arrays['q'].shape}; expected (N, {len(names)}), one column per joint"
+        )
     for name, array in arrays.items():
-        width = len(FIELDS[name][1]) if name in FIELDS else 1
+        width = len(fields[name].columns) if name in fields else 1
         is_joint = name in ("q", "approach")
         expected = (len(arrays["q"]), *([len(names)] if is_joint else [width] if width > 1 else []))
         if array.shape != expected:
             raise MeasurementError(f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q')
 
 
-def _check_values(arrays: Mapping[str, np.ndarray], *, source: str) -> None:
-    rules: dict[str, tuple[str, Any]] = {
-        name: ("a finite number", np.isfinite) for name, array in arrays.items() if array.dtype.kind in "fi"
-    }
-    for name in ("sigma", "distance"):
-        rules[name] = ("a number > 0", lambda value: np.isfinite(value) & (value > 0))
-    rules["approach"] = ("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
-    rules["quaternion"] = (
-        f"norm 1 within {_QUATERNION_TOLERANCE:.0%}",
-        lambda value: np.abs(np.linalg.norm(value, axis=1) - 1) <= _QUATERNION_TOLERANCE,
-    )
-    for name, (expected, is_right) in rules.items():
-        right = is_right(arrays[name]) if name in arrays else np.ones(1, dtype=bool)
-        if not right.all():
-            wrong = np.flatnonzero(~right.reshape(len(right), -1).all(axis=1))
-            raise MeasurementError(
-                f'{source}, line {arrays["rows"][wrong[0]]}, "{name}": {arrays[name][wrong[0]].tolist()}; '
-                f"expected {expected}; rows like this: {wrong.size}; correct or delete them"
-            )
+def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.ndarray, *, source: str) -> None:
+    """Refuse invalid values of one array, naming the line of the first."""
+    if values.dtype.kind not in "fi":
+        return
+    rule = SIGN if name == "approach" else FINITE if known is None else known.rule
+    right = rule.is_met(values)
+    if not right.all():
+        wrong = np.flatnonzero(~right.reshape(len(right), -1).all(axis=1))
+        raise MeasurementError(
+            f'{source}, line {lines[wrong[0]]}, "{name}": {values[wrong[0]].tolist()}; '
+            f"expected {rule.expected}; rows like this: {wrong.size}; correct or delete them"
+        )

@@ -1,16 +1,18 @@
-"""Which sensor reads a table."""
+"""The sensor that made a table."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.measurements import Measurements
-from pincal.measure.points import AnchoredDistanceSensor, ContactSensor, DistanceSensor
-from pincal.measure.sensors import PoseSensor, PositionSensor, Sensor
-from pincal.measure.setup import NamedPoints, Setup, point_names
-from pincal.robot.se3 import rotation_matrices
+from pincal.measure.registry import expected_columns
+from pincal.measure.sensor import Sensor
+from pincal.measure.sensors.pose import PoseSensor
+from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.setup import Setup
 
 
 def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
@@ -19,49 +21,27 @@ def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
     Args:
         measurements: the table.
         setup: what is known of named points and of the camera; points that the setup does not name are refused, but for
-            sockets, which are then judged by the mean of their rows. Nothing is known, and every point of the table a
-            parameter, unless given.
+            sockets, which are then judged by the mean of their rows. By default nothing is known, and every point of the
+            table is a parameter.
 
     Raises:
-        MeasurementError: if no sensor of this package reads such columns, or a point is named that the setup has not.
+        MeasurementError: if no sensor reads such columns, or a point is named that the setup does not have.
     """
-    m = measurements
-    setup = Setup().over(m) if setup is None else setup
-    if m.kind == "position" and m.position is not None:
-        return PositionSensor(m.position)
-    if m.kind == "pose" and m.position is not None and m.quaternion is not None:
-        return PoseSensor(m.position, rotation_matrices(m.quaternion))
-    if m.distance is not None and m.anchor is None:
-        return DistanceSensor(m.distance)
-    points = setup.named()
-    index = _places(m, points)
-    if m.socket is not None:
-        return ContactSensor(points, index)
-    if m.distance is not None:
-        return AnchoredDistanceSensor(points, index, m.distance)
-    if m.camera_point is not None:
-        return CameraPointSensor(points, index, m.camera_point)
-    if m.pixel is not None:
-        return CameraPixelSensor(points, index, m.pixel, setup)
-    raise MeasurementError(
-        f"{m.source}: no sensor reads measurements of kind {m.kind!r}; expected columns x y z, x y z with qx qy qz qw, "
-        "distance, socket, cx cy cz with point, or u v with point"
-    )
-
-
-def _places(measurements: Measurements, points: NamedPoints) -> np.ndarray:
-    """Return the index of each row's point; -1 and below for sockets that are not known."""
-    names = point_names(measurements)
-    if names is None:
-        return np.zeros(0, int)
-    found, inverse = np.unique(names, return_inverse=True)
-    place = {name: i for i, name in enumerate(points.names)}
-    new = [str(name) for name in found if str(name) not in place]
-    if new and measurements.socket is None:
-        row = int(np.flatnonzero(names == new[0])[0])
+    found = measurements.sensor
+    if found is None:
         raise MeasurementError(
-            f"{measurements.source}, line {measurements.rows[row]}: point {new[0]!r} was not among those of the "
-            f"calibration; expected {', '.join(points.names[:8])}{' ...' if len(points.names) > 8 else ''}"
+            f"{measurements.source}: no sensor reads measurements of kind {measurements.kind!r}; expected columns "
+            f"{expected_columns()}"
         )
-    index = np.array([place[str(name)] if str(name) in place else -1 - new.index(str(name)) for name in found], int)
-    return index[inverse]
+    return found.of(measurements, Setup().over(measurements) if setup is None else setup)
+
+
+def sensor_like(measurements: Measurements, setup: Setup) -> Sensor:
+    """Return the sensor of a table over its first row alone: all that does not depend on the rows is that of the table."""
+    return sensor_of(measurements.select(slice(0, 1)), setup.over(measurements))
+
+
+def ideal_readings(poses: np.ndarray, *, with_orientation: bool) -> Sensor:
+    """Return what an instrument without errors reads of poses, shape (N, 3, 4): positions, or positions and orientations."""
+    arguments: dict[str, Any] = {"position": poses[:, :, 3]}
+    return PoseSensor(**arguments, rotation=poses[:, :, :3]) if with_orientation else PositionSensor(**arguments)

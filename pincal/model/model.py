@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term
+from pincal.model.effects import Conditions, Effect, Term, ToolFrame
 from pincal.model.kernels import Compliances, Payload, Terms, Values
 from pincal.parameters import Parameter
 
@@ -78,6 +78,11 @@ class Model:
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, effect by effect."""
         return tuple(p for effect in self.effects for p in effect.parameters(self.chain))
+
+    @property
+    def has_tool_orientation(self) -> bool:
+        """Whether the model knows how the target is oriented on the tool, not only where it is."""
+        return any(isinstance(effect, ToolFrame) and len(effect.symbols) > 3 for effect in self.effects)
 
     @property
     def n_parameters(self) -> int:

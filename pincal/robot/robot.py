@@ -151,11 +151,22 @@ class Robot:
             out[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
         return out
 
-    def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none)."""
+    def joint_range(self, span: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return least and largest joint positions, shape (n_joints,) each [rad or m]; +-pi where there are no limits.
+
+        Args:
+            span: part of the range, about its middle.
+        """
         lower = np.where(np.isfinite(self.lower), self.lower, -np.pi)
         upper = np.where(np.isfinite(self.upper), self.upper, np.pi)
-        return np.asarray(rng.uniform(lower, upper, (n, self.n_joints)))
+        if span == 1.0:
+            return lower, upper
+        middle, half = 0.5 * (lower + upper), 0.5 * span * (upper - lower)
+        return middle - half, middle + half
+
+    def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none)."""
+        return np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints)))
 
 
 def find_file(source: str | os.PathLike[str]) -> Path:

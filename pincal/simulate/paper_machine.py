@@ -8,11 +8,19 @@ deployment of industrial robots as measurement instruments". Equation numbers ar
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Unpack
 from xml.etree import ElementTree
 
 import numpy as np
 
 from pincal.builtin import kuka_urdf_path
+from pincal.simulate.arm import Arm, read_arm
+from pincal.simulate.conditions import Conditions, poses_of
+from pincal.simulate.effect import DeformingEffect, HiddenEffect
+from pincal.simulate.equilibrium import Equilibrium
+from pincal.simulate.state import Poses, no_deformation, no_loads
 
 _HALF_TURN, _QUARTER_TURN = np.pi, np.pi / 2.0
 
@@ -59,6 +67,42 @@ PAYLOAD_COM = (0.08, -0.05, 0.22)
 
 Vector = Sequence[float]
 Geometry = Mapping[str, Sequence[float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperMachine:
+    """The paper's robot as a machine that a campaign can measure, with hidden effects of its joints in addition.
+
+    Attributes:
+        effects: Effects that follow from joint positions alone.
+        payload_com: Centre of mass of the payload in the flange frame [m].
+    """
+
+    effects: tuple[HiddenEffect, ...] = ()
+    payload_com: tuple[float, float, float] = PAYLOAD_COM
+
+    @cached_property
+    def nominal(self) -> Arm:
+        """The arm of the built-in URDF."""
+        return read_arm(kuka_urdf_path(), "tool0")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints from base to tip."""
+        return self.nominal.names
+
+    def poses(self, q: np.ndarray, *, scatter: np.ndarray | None = None, **conditions: Unpack[Conditions]) -> Poses:
+        """Return recorded poses with their conditions."""
+        return poses_of(self.nominal, q, scatter=scatter, **conditions)
+
+    def equilibrium(self, poses: Poses) -> Equilibrium:
+        """Return the flange of the model DH,s,e at joint positions that the effects have changed."""
+        deformation, loads = no_deformation(*poses.q.shape), no_loads(*poses.q.shape)
+        for effect in self.effects:
+            if isinstance(effect, DeformingEffect):
+                effect.deform(self.nominal, poses, loads, deformation)
+        tip = paper_transform(poses.q + deformation.joint, payload_mass=poses.payload, payload_com=self.payload_com)
+        return Equilibrium(tip=tip, deformation=deformation, loads=loads)
 
 
 def paper_positions(

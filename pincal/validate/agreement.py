@@ -12,9 +12,9 @@ from pincal.identify.fit import Fit
 from pincal.identify.initial import fit_frames, place
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
-from pincal.identify.rows import some_rows
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.measure.rows import some_rows
 from pincal.robot.robot import Robot
 
 # Nominal errors above this part of the reach make one look for a mix-up; real ones are a fifth of it and less.

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.station import Station
-from pincal.measure.fields import FIELDS
 from pincal.measure.measurements import Measurements
 
 CYCLES = 30
@@ -73,11 +72,10 @@ def replicate_groups(tables: Sequence[Measurements]) -> list[np.ndarray]:
         [0, 1, 0, 2]
     """
     keys = [_same_joints(np.vstack([table.q for table in tables]))]
-    for name, (quantity, _) in FIELDS.items():
-        columns = [getattr(table, name) for table in tables]
-        if quantity == "name" and any(column is not None for column in columns):
-            names = [np.full(len(t), "") if c is None else c for t, c in zip(tables, columns, strict=True)]
-            keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
+    named = [table.names() for table in tables]
+    for name in dict.fromkeys(name for columns in named for name in columns):
+        names = [columns.get(name, np.full(len(t), "")) for t, columns in zip(tables, named, strict=True)]
+        keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
     keys.append(np.round(_stacked(tables, "payload") / _SAME_LOAD).astype(int))
     if any(table.approach is not None for table in tables):
         sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
@@ -174,7 +172,7 @@ def iso9283(visits: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> d
         What ``result.json`` has under this key: number of poses and cycles, mean and largest AP and RP by model and part
         [mm, mrad], and the poses one by one. None without any such pose, or where no position is measured.
     """
-    if visits[0].problem.sensor.kind not in ("position", "pose"):
+    if not visits[0].problem.sensor.reads_pose:
         return None
     by_model = {model: _all_poses(visits, values) for model, values in models.items()}
     poses = by_model[list(models)[-1]]

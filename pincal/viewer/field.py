@@ -15,7 +15,7 @@ from pincal.identify.initial import fit_frames
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, conditions_of
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensors import PoseSensor, PositionSensor
+from pincal.measure.sensing import ideal_readings
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
 from pincal.report.words import effect_words
@@ -23,13 +23,6 @@ from pincal.viewer.workspace import workspace_poses
 
 # Poses over which nominal base and tool are laid onto the calibrated robot where there are no measurements.
 _ENOUGH = 400
-# What an arrow ends at, where the instrument does not see the whole position.
-_SEEN = {
-    "distance": "the part along the line of sight",
-    "socket": "the socket",
-    "camera_point": "where the camera would have to be for its reading",
-    "camera_pixel": "the part across the view that the image tells",
-}
 
 
 @dataclass(frozen=True)
@@ -150,10 +143,10 @@ def _measured_layers(
 ) -> Iterator[Layer]:
     model, values = calibrated.model, calibrated.values
     problem = calibrated.readings(measurements)
-    kind = _SEEN.get(measurements.kind, "measured")
     for name, of, words in (("before", nominal, "nominal, base and tool fitted"), ("after", values, "calibrated")):
         tails = _positions(model, of[: model.n_parameters], conditions)
-        yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), f"from {words} to {kind}")
+        meaning = f"from {words} to {problem.sensor.deviation_end}"
+        yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), meaning)
     own = values[: model.n_parameters]
     yield from _explained("deviations", "measured", model, own, conditions, _positions(model, own, conditions))
 
@@ -219,8 +212,7 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
     rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
     sample = over.select(rows)
     poses = calibrated.predict(sample)
-    turns = any(isinstance(e, ToolFrame) and len(e.symbols) > 3 for e in calibrated.model.effects)
-    sensor = PoseSensor(poses[:, :, 3], poses[:, :, :3]) if turns else PositionSensor(poses[:, :, 3])
+    sensor = ideal_readings(poses, with_orientation=calibrated.model.has_tool_orientation)
     return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-
-from pincal.robot.se3 import transform
 
 # Relative size of singular values below which a linear start says nothing about a direction.
 RANK = 1e-6
@@ -26,23 +23,6 @@ class Extrinsics:
     base: np.ndarray
     tools: np.ndarray
     own: np.ndarray = field(default_factory=lambda: np.zeros(0))
-
-
-def from_distances(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-    """Yield placements by distances ``d``, shape (N,), from one point; tools at the tip, then where the data have them."""
-    p, R = tips[:, :, 3], tips[:, :, :3]
-    tools = np.tile(np.eye(4), (n_targets, 1, 1))
-    squares = (d**2 - np.einsum("ni,ni->n", p, p))[:, None]
-    solution, _ = least_squares(np.hstack([2.0 * p, np.ones((len(p), 1))]), squares)
-    yield Extrinsics(transform(np.eye(3), solution[:3, 0]), tools)
-    lever = by_target(2.0 * np.einsum("nji,nj->ni", R, p), target, n_targets)
-    products = by_target(2.0 * R.reshape(-1, 9), target, n_targets)
-    constants = by_target(np.ones((len(p), 1)), target, n_targets)
-    solution, complete = least_squares(np.hstack([2.0 * p, lever, products, constants]), squares)
-    if complete:
-        found = tools.copy()
-        found[:, :3, 3] = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
-        yield Extrinsics(transform(np.eye(3), solution[:3, 0]), found)
 
 
 def by_target(columns: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:

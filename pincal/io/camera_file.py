@@ -1,0 +1,82 @@
+"""A camera's file: its lens and, where it is known, how it is mounted."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.io.arrays import Matrix, Record, array_of
+from pincal.io.strict_json import Fault, FileKind, read_json
+from pincal.measure.lens import DISTORTION, PINHOLE, Lens
+from pincal.robot.se3 import are_rotations
+
+# A mount is taken as it stands, so it has to be a rotation to the digits that are usually written.
+_ROTATION = 1e-6
+_CAMERA_FILE = FileKind(
+    "a camera's JSON",
+    MeasurementError,
+    mark=" ",
+    whole=f"an object with {', '.join(PINHOLE)} [px] and, where known, {', '.join(DISTORTION)}, T_tip_camera",
+)
+
+
+class CameraFile(Record, frozen=True, kw_only=True):
+    """A camera: focal lengths and principal point [px], distortion, and its frame in the tip frame."""
+
+    fx: float
+    fy: float
+    u0: float
+    v0: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    T_tip_camera: Matrix | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("fx", "fy"):
+            if not getattr(self, name) > 0.0:
+                raise Fault(f"is {getattr(self, name):g} px", "more than 0", key=f".{name}")
+        mount = self.T_tip_camera
+        if mount is not None and not (mount.shape == (4, 4) and _is_rigid(mount)):
+            raise Fault("is no transform", "4 rows of 4, rotation and metres", key=".T_tip_camera")
+
+    def lens(self) -> Lens:
+        """Return the lens."""
+        return Lens(*(getattr(self, name) for name in (*PINHOLE, *DISTORTION)))
+
+
+def read_camera(path: str | os.PathLike[str]) -> CameraFile:
+    """Read a camera from JSON: ``fx fy u0 v0``, perhaps ``k1 k2 p1 p2 k3``, and ``T_tip_camera`` (4 rows of 4).
+
+    Raises:
+        MeasurementError: if the file can't be read, or a value is missing or invalid.
+    """
+    return read_json(path, CameraFile, _CAMERA_FILE, hook=_matrix)
+
+
+def read_lens(path: str | os.PathLike[str]) -> Lens:
+    """Read a camera's lens; see :func:`read_camera`."""
+    return read_camera(path).lens()
+
+
+def read_mount(path: str | os.PathLike[str]) -> np.ndarray | None:
+    """Read how a camera is mounted, shape (4, 4), None where it is not known; see :func:`read_camera`."""
+    return read_camera(path).T_tip_camera
+
+
+def _matrix(kind: Any, value: Any) -> np.ndarray:
+    try:
+        return array_of(value)
+    except Fault:
+        raise Fault("is no transform", "4 rows of 4, rotation and metres") from None
+
+
+def _is_rigid(transform: np.ndarray) -> bool:
+    is_turn = are_rotations(transform[:3, :3], tolerance=_ROTATION)
+    return bool(np.isfinite(transform).all() and is_turn and np.array_equal(transform[3], [0.0, 0.0, 0.0, 1.0]))

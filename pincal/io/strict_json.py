@@ -1,0 +1,260 @@
+"""JSON files read strictly into typed structures: bounded first, then typed, and every fault told with its place."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+import msgspec
+import numpy as np
+
+from pincal.atomic import write_whole
+from pincal.errors import BadInputError, ModelFileError, OutputError
+
+T = TypeVar("T")
+Hook = Callable[[Any, Any], Any]
+
+# Limits that are checked before anything is built. Together they bound the work on a hostile file to less than a second
+# and 200 MB, while a model of 1500 parameters, whose covariance has 2.25 million numbers, is still read.
+MOST_BYTES = 48 << 20
+# Separators, brackets and quotes: each value has one or more, and becomes a Python object of some 30 to 100 bytes.
+MOST_TOKENS = 2_500_000
+# Our own files nest eight deep; the rest is for what users put into the provenance.
+MOST_DEPTH = 32
+# The longest number that a computer writes without need has 325 digits, the smallest one written out in full.
+MOST_DIGITS = 1000
+
+MISSING = "is missing"
+
+_STRING = rb'"(?:[^"\\]++|\\.)*+"?'
+_STRINGS = re.compile(_STRING, re.DOTALL)
+_NOT_FINITE = re.compile(_STRING + rb"|-?(?:NaN|Infinity)\b", re.DOTALL)
+_DIGITS = bytes(ord("0") if chr(code).isdigit() else 32 for code in range(128)) + bytes(128)
+_NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
+
+_SURROGATES = re.compile(rb"\\u[dD][89a-fA-F]")
+_PLACE = re.compile(r" - at `(?P<place>[^`]*)`$")
+_KEY = re.compile(r"\.([^.\[]+)|\[(\d+)\]")
+_KINDS = {dict: "an object", list: "a list", str: "a text", type(None): "null", bool: "true or false"}
+_EXPECTED = {
+    "object": "an object",
+    "array": "a list",
+    "str": "a text",
+    "bool": "true or false",
+    "int": "a whole number",
+    "float": "a number",
+    "null": "null",
+}
+
+
+class Fault(ValueError):
+    """What is wrong with a value.
+
+    Attributes:
+        problem: what is wrong with it.
+        expected: what should stand there.
+        key: the way from the structure that is being built to the value, e.g. ``.covered.q``; empty for itself.
+    """
+
+    def __init__(self, problem: str, expected: str, *, key: str = "") -> None:
+        super().__init__(f"{problem}; expected {expected}")
+        self.problem, self.expected, self.key = problem, expected, key
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of JSON file.
+
+    Attributes:
+        name: what to call such a file.
+        error: the class of its errors.
+        advice: what a user can do about a bad one, empty for nothing but to mend it.
+        mark: what stands between a key and what is wrong with it.
+        whole: what the file should hold, for the message that a key of it is missing; empty for none.
+    """
+
+    name: str
+    error: type[BadInputError]
+    advice: str = ""
+    mark: str = ": "
+    whole: str = ""
+
+    def fault(self, file: str, place: str, problem: str, expected: str) -> BadInputError:
+        """Return the error for a fault at some place of a file."""
+        key = f"{place}{self.mark}" if place else ""
+        if self.whole and (not place or problem == MISSING):
+            expected = self.whole
+        return self.error(f"{file}: {key}{problem}; expected {expected}" + (f"; {self.advice}" if self.advice else ""))
+
+
+MODEL_FILE = FileKind("a model.json", ModelFileError, "take the file from a backup or run pincal calibrate again")
+
+
+def read_json(path: str | os.PathLike[str], wanted: type[T], kind: FileKind, *, hook: Hook | None = None) -> T:
+    """Read a JSON file.
+
+    Args:
+        path: the file.
+        wanted: the structure to read.
+        kind: what sort of file it is, for messages.
+        hook: builds values of types that msgspec doesn't know, see :class:`msgspec.json.Decoder`; raises :class:`Fault`.
+
+    Raises:
+        BadInputError: of the kind's class: the file can't be read, is too large, no JSON, or has a fault somewhere.
+    """
+    file = os.fspath(path)
+    try:
+        with Path(path).open("rb") as stream:
+            content = stream.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise kind.error(f"{file}: can't be read ({error.strerror}); expected {kind.name}") from None
+    return decode(content, wanted, kind, file=file, hook=hook)
+
+
+def decode(content: bytes, wanted: type[T], kind: FileKind, *, file: str, hook: Hook | None = None) -> T:
+    """Return the structure that a JSON text describes; see :func:`read_json`.
+
+    Example:
+        >>> class Point(msgspec.Struct):
+        ...     x: float
+        >>> decode(b'{"x": "a"}', Point, MODEL_FILE, file="f.json")
+        Traceback (most recent call last):
+        pincal.errors.ModelFileError: f.json: x: is 'a'; expected a number; take the file from a backup or run pincal \
+calibrate again
+    """
+    excess = _excess(content)
+    if excess:
+        raise kind.fault(file, "", f"too large to be read safely ({excess})", kind.name)
+    if b"NaN" in content or b"Infinity" in content:
+        # Read as a number out of range, for which the decoder tells the place.
+        content = _NOT_FINITE.sub(lambda found: found[0] if found[0][:1] == b'"' else b"1e999", content)
+    try:
+        if _SURROGATES.search(content):
+            return msgspec.convert(_loaded(content), wanted, dec_hook=hook)
+        return msgspec.json.decode(content, type=wanted, dec_hook=hook)
+    except msgspec.ValidationError as error:
+        place, problem, expected = explained(error, lambda: _loaded(content), wanted)
+        raise kind.fault(file, place, problem, expected) from None
+    except ValueError as error:
+        raise kind.fault(file, "", f"cut off or no JSON ({error})", kind.name) from None
+
+
+def _loaded(content: bytes) -> Any:
+    """Return a JSON text in Python's types; unlike msgspec this knows half a surrogate pair, which stands for odd bytes."""
+    return json.loads(content, parse_float=_finite)
+
+
+def _finite(text: str) -> float:
+    if abs(value := float(text)) == float("inf"):
+        raise ValueError(f"{text} is out of range")
+    return value
+
+
+def _excess(content: bytes) -> str:
+    """Return which limit a text exceeds, empty if none."""
+    if len(content) > MOST_BYTES:
+        return f"more than {MOST_BYTES >> 20} MB"
+    if sum(content.count(token) for token in (b",", b":", b"[", b"{", b'"')) > MOST_TOKENS:
+        return f"more than {MOST_TOKENS:,} values"
+    bare = _STRINGS.sub(b'""', content)
+    if b"0" * (MOST_DIGITS + 1) in bare.translate(_DIGITS):
+        return f"a number of more than {MOST_DIGITS} digits"
+    brackets = np.frombuffer(bare.translate(None, _NO_BRACKETS), np.uint8)
+    depth = np.cumsum(np.where((brackets == ord("[")) | (brackets == ord("{")), 1, -1), dtype=np.int32)
+    return f"nested more than {MOST_DEPTH} deep" if depth.max(initial=0) > MOST_DEPTH else ""
+
+
+def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted: Any) -> tuple[str, str, str]:
+    """Return the place of an error of the decoder, what is wrong there and what was expected, in words.
+
+    Args:
+        error: the error.
+        loaded: returns what was read, in Python's types.
+        wanted: the type that was wanted.
+    """
+    message = str(error)
+    found = _PLACE.search(message)
+    place = found["place"].removeprefix("$").removeprefix(".") if found else ""
+    message = message[: found.start()] if found else message
+    cause = error.__cause__
+    if isinstance(cause, Fault):
+        return (place + cause.key).removeprefix("."), cause.problem, cause.expected
+    if match := re.fullmatch(r"Object missing required field `(.+)`", message):
+        return f"{place}.{match[1]}".removeprefix("."), MISSING, "this key"
+    if message == "Number out of range":
+        return re.sub(r"(\[[^]]*\])+$", "", place), "has entries that are no finite numbers", "finite numbers"
+    value = _value_at(loaded(), place)
+    if message.startswith("Invalid enum value"):
+        return place, f"is {value!r}", f"one of {', '.join(map(str, get_args(_type_at(wanted, place))))}"
+    if match := re.fullmatch(r"Expected `([^`]+)`, got `[^`]+`", message):
+        expected = " or ".join(_EXPECTED.get(name, name) for name in match[1].split(" | "))
+        return place, what_is(value, expected), expected
+    return place, f"is invalid ({message})", "what pincal writes"
+
+
+def what_is(value: Any, expected: str) -> str:
+    """Say what stands somewhere: a short text or number itself, else its kind."""
+    if isinstance(value, (str, bool, int, float)) and len(repr(value)) <= 40:
+        return f"is {value!r}"
+    return f"is no {expected.split(' ', 1)[-1]} but {_KINDS.get(type(value), 'a number')}"
+
+
+def _steps(place: str) -> list[str | int]:
+    return [key or int(index) for key, index in _KEY.findall(f".{place}" if place[:1] != "[" else place) if key or index]
+
+
+def _value_at(value: Any, place: str) -> Any:
+    try:
+        for step in _steps(place):
+            value = value[step]
+    except (LookupError, TypeError):
+        return None
+    return value
+
+
+def _type_at(wanted: Any, place: str) -> Any:
+    """Return the type that stands at a place of a structure."""
+    for step in _steps(place):
+        if isinstance(step, str):
+            wanted = next(field.type for field in msgspec.structs.fields(wanted) if field.encode_name == step)
+        while not isinstance(wanted, type) and get_origin(wanted) is not Literal:
+            wanted = get_args(wanted)[0]
+    return wanted
+
+
+def json_text(contents: dict[str, Any], *, indent: int | None = None, by_line: bool = False) -> str:
+    """Return contents as JSON, its numbers in full precision.
+
+    Args:
+        contents: what to write, in types that JSON knows.
+        indent: as :func:`json.dumps` has it.
+        by_line: one line for each key of the outermost object.
+
+    Raises:
+        OutputError: if a number is not finite.
+    """
+    try:
+        if not by_line:
+            return json.dumps(contents, indent=indent, allow_nan=False) + "\n"
+        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in contents.items()]
+        return "{\n" + ",\n".join(lines) + "\n}\n"
+    except ValueError as error:
+        raise OutputError(f"a number is not finite ({error})") from None
+
+
+def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1) -> None:
+    """Write contents as a JSON file, the whole file or nothing.
+
+    Raises:
+        OutputError: if the place can't be written to, or a number is not finite.
+    """
+    try:
+        text = json_text(contents, indent=indent, by_line=indent is None)
+    except OutputError as error:
+        raise OutputError(f"{os.fspath(path)}: {error}; calibrate again") from None
+    write_whole(path, text)

@@ -1,0 +1,44 @@
+"""Whether lengths that were measured are in metres, as far as the size of the arm tells."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.measure.fields import Table
+
+# Share of the rows beyond the limits from which on the column, not the row, is at fault.
+_MANY = 0.2
+
+
+def span_m(*, reach_m: float, tool_reach_m: float) -> float:
+    """Return how far apart two targets of an arm can be at most [m]."""
+    return 2 * (reach_m + tool_reach_m)
+
+
+def check_spread(table: Table, points: np.ndarray, *, label: str, most: float) -> float:
+    """Refuse points that are farther apart than the arm can span.
+
+    Args:
+        table: the table, for messages.
+        points: shape (N, k) [m].
+        label: the column that a message names.
+        most: how far apart they can be at most [m].
+
+    Returns:
+        The distance between (nearly) the farthest points [m].
+
+    Raises:
+        MeasurementError: naming the unit that seems to be meant.
+    """
+    from_centre = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    worst = int(from_centre.argmax())
+    # From the farthest point on, the diameter is at most twice what this finds, and never less.
+    spread = float(np.linalg.norm(points - points[worst], axis=1).max())
+    if spread <= most:
+        return spread
+    text = f"{table.source}: values of {label} lie {spread:.4g} m apart; expected at most {most:.3g} m"
+    is_unit = np.mean(from_centre > most) > _MANY and spread / 1000 <= most
+    if is_unit and label not in table.units:
+        raise MeasurementError(f"{text}; looks like millimetres: write `{label} [mm]` in the header, or their unit")
+    raise MeasurementError(f"{text}; look at line {table.rows[worst]}, at the unit and at the robot's size")

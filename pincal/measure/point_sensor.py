@@ -1,0 +1,207 @@
+"""What sensors have in common each of whose readings involves one named point that stands still.
+
+A point is known in the instrument's frame, or its coordinates are parameters of the sensor; see
+:class:`pincal.measure.named_points.NamedPoints`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.measure.extrinsics import RANK, Extrinsics
+from pincal.measure.fields import Table
+from pincal.measure.named_points import NamedPoints
+from pincal.measure.sensor import Constrained, Constraints, Excluded, Filtered, Grouped, OwnParameters, Sensor
+from pincal.measure.setup import Setup
+from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.se3 import align, transform
+
+# Names that a message lists.
+_LISTED = 8
+
+
+@dataclass(frozen=True)
+class PointSensor(Sensor, OwnParameters, Constrained, Grouped, Filtered):
+    """Readings that each involve one named point.
+
+    A class states, beside what :class:`pincal.measure.sensor.Sensor` asks for, ``thing``, what a point is called, and
+    ``fewest``, the readings of one unknown point from which on some are left over to judge the robot by.
+
+    Attributes:
+        points: the named points.
+        index: shape (N,), each row's point.
+    """
+
+    thing: ClassVar[str]
+    fewest: ClassVar[int]
+    # Whether a point that the calibration did not have is judged by the mean of its own rows; it then needs two of them.
+    judges_new_points: ClassVar[bool] = False
+    unknowns: ClassVar[str] = "the unknown points"
+
+    points: NamedPoints
+    index: np.ndarray
+
+    @property
+    @final
+    def row_groups(self) -> np.ndarray:
+        """The point of each row."""
+        return self.index
+
+    @property
+    @final
+    def base_symbols(self) -> tuple[str, ...]:
+        """All if any point is known in a frame of its own; else the robot's base is that frame."""
+        return FRAME_SYMBOLS if self.points.known.any() else ()
+
+    @final
+    def facts(self, own: np.ndarray) -> Constraints | None:
+        """Return the known distances between points."""
+        gaps = self.points.distances
+        if not gaps:
+            return None
+        names, places = self.points.names, self.points.positions(own)
+        jacobian = np.zeros((len(own), len(gaps)))
+        residuals = np.empty(len(gaps))
+        for c, gap in enumerate(gaps):
+            ends = names.index(gap.first), names.index(gap.second)
+            line = places[ends[0]] - places[ends[1]]
+            length = max(float(np.linalg.norm(line)), 1e-12)
+            residuals[c] = gap.length - length
+            for end, sign in zip(ends, (1.0, -1.0), strict=True):
+                slot = int(self.points.slot[end])
+                if slot >= 0:
+                    jacobian[3 * slot : 3 * slot + 3, c] += sign * line / length
+        return Constraints(residuals, jacobian, np.array([gap.sigma for gap in gaps]))
+
+    @final
+    def unobservable(self) -> Iterator[str]:
+        """Yield what the kind of reading, and the points that are known, leave open."""
+        known = int(self.points.known.sum())
+        yield from self.unobservable_with(known)
+        if known and self.points.are_in_line:
+            some = "fewer than three of the named points are known" if known < 3 else "the known points stand in a line"
+            yield f"{some}, so a turn of the base about them is undetermined: know one more, off their line"
+
+    @abstractmethod
+    def unobservable_with(self, known: int) -> Iterator[str]:
+        """Yield what the kind of reading leaves open when so many points are known."""
+
+    @final
+    def unusable_rows(self) -> Iterator[Excluded]:
+        """Yield what the instrument can't have seen, then unknown points with too few readings: they only place it."""
+        keep = np.ones(len(self), bool)
+        for excluded in self.invalid_rows():
+            keep &= ~excluded.rows
+            yield excluded
+        names = np.array(self.points.names)[self.index]
+        found, inverse, count = np.unique(names[keep], return_inverse=True, return_counts=True)
+        poor = (count < self.fewest) & np.array([self.points.places[str(name)] is None for name in found], bool)
+        lonely = np.zeros(len(self), bool)
+        lonely[keep] = poor[inverse]
+        listed = ", ".join(str(name) for name in found[poor][:_LISTED]) + (" ..." if poor.sum() > _LISTED else "")
+        yield Excluded(
+            lonely,
+            f"are of {self.thing} with fewer than {self.fewest} readings, which only place it ({listed})",
+            f"{self.fewest} readings and more of {self.thing}, in other poses",
+        )
+
+    @abstractmethod
+    def invalid_rows(self) -> Iterator[Excluded]:
+        """Yield rows that the instrument can't have seen."""
+
+    @classmethod
+    @final
+    def unscorable_rows(cls, table: Table, setup: Setup) -> Iterator[Excluded]:
+        """Yield rows of points that the calibration did not have, but for those judged by the mean of at least two rows."""
+        names = names_of(table)
+        found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
+        is_new = np.array([str(name) not in setup.points for name in found], bool)
+        lost = (is_new & ((count < 2) | (not cls.judges_new_points)))[inverse]
+        listed = ", ".join(sorted(set(map(str, names[lost])))[:_LISTED])
+        yield Excluded(lost, f"are of points that the calibration did not have ({listed})", "points of the calibration")
+
+    @final
+    def by_points(self, by_place: np.ndarray) -> np.ndarray:
+        """Return the derivative by the unknown points, shape (own, m, N), from that by each row's, shape (3, m, N)."""
+        out = np.zeros((len(self.points.parameters), *by_place.shape[1:]))
+        slot = self.points.slot[self.index]
+        for k in range(len(out) // 3):
+            rows = slot == k
+            out[3 * k : 3 * k + 3, :, rows] = by_place[:, :, rows]
+        return out
+
+    @final
+    def start_at_means(self, ends: np.ndarray, tools: np.ndarray) -> Extrinsics:
+        """Return where all stands if each point is at the mean of its rows' ``ends``, shape (N, 3), in the base frame."""
+        n = len(self.points.names)
+        count = np.bincount(self.index, minlength=n).astype(float)
+        places = np.stack([np.bincount(self.index, weights=column, minlength=n) for column in ends.T], axis=1)
+        return self.start_with_points(places / np.maximum(count, 1.0)[:, None], tools)
+
+    @final
+    def start_with_points(self, places: np.ndarray, tools: np.ndarray, *, rest: np.ndarray | None = None) -> Extrinsics:
+        """Return where all stands for points in the robot's base frame; the known ones say where the base is.
+
+        Args:
+            places: shape (K, 3), the points [m].
+            tools: shape (targets, 4, 4).
+            rest: values of own parameters beside the points.
+        """
+        points = self.points
+        seen = points.known & np.isin(np.arange(len(places)), self.index)
+        base = transform(*align(places[seen], points.given[seen])) if seen.any() else np.eye(4)
+        moved = places @ base[:3, :3].T + base[:3, 3]
+        own = moved[~points.known].ravel()
+        return Extrinsics(base, tools, own if rest is None else np.concatenate([own, rest]))
+
+
+def names_of(table: Table) -> np.ndarray:
+    """Return the name of each row's point, shape (N,), of a table whose rows involve points."""
+    names = table.point_names
+    assert names is not None
+    return names
+
+
+def index_of(table: Table, points: NamedPoints, *, may_be_new: bool = False) -> np.ndarray:
+    """Return the index of each row's point, shape (N,).
+
+    Args:
+        table: a table whose rows involve points.
+        points: those that are known by name.
+        may_be_new: whether others are allowed; their index is -1 and below, one number for each.
+
+    Raises:
+        MeasurementError: naming a point that is not known by name.
+    """
+    names = names_of(table)
+    found, inverse = np.unique(names, return_inverse=True)
+    place = {name: i for i, name in enumerate(points.names)}
+    new = [str(name) for name in found if str(name) not in place]
+    if new and not may_be_new:
+        row = int(np.flatnonzero(names == new[0])[0])
+        raise MeasurementError(
+            f"{table.source}, line {table.rows[row]}: point {new[0]!r} was not among those of the "
+            f"calibration; expected {', '.join(points.names[:8])}{' ...' if len(points.names) > 8 else ''}"
+        )
+    index = np.array([place[str(name)] if str(name) in place else -1 - new.index(str(name)) for name in found], int)
+    return index[inverse]
+
+
+def centred(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return values, shape (N, 3, ...), with the mean of each point's rows taken off, as equations, shape (3 N, ...)."""
+    _, group, count = np.unique(index, return_inverse=True, return_counts=True)
+    total = np.zeros((len(count), *values.shape[1:]))
+    np.add.at(total, group, values)
+    mean = total / count.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((values - mean[group]).reshape(3 * len(values), *values.shape[2:]))
+
+
+def solved(A: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the least-squares solution of A x = y, the shortest one where the rows leave some of it open."""
+    return np.asarray(np.linalg.lstsq(A, y, rcond=RANK)[0])

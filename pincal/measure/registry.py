@@ -1,0 +1,104 @@
+"""All sensors: which one reads a table, by the columns that it has.
+
+A sensor from outside is added by :func:`register_sensor`, in an installed package that declares the entry point
+``pincal.sensors`` or in a module that the user names (see :mod:`pincal.plugins`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from pincal.errors import MeasurementError
+from pincal.measure.fields import CONDITIONS, SIGMA, Field
+from pincal.measure.sensor import Sensor
+from pincal.measure.sensors.camera_pixel import CameraPixelSensor
+from pincal.measure.sensors.camera_point import CameraPointSensor
+from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
+from pincal.measure.sensors.pose import PoseSensor
+from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.sensors.socket import ContactSensor
+from pincal.plugins import Registry
+
+
+def _name_of(sensor: type[Sensor]) -> str:
+    """Return the name under which a sensor is known: the fields that it reads; two sensors may share a kind."""
+    return " ".join(field.name for field in sensor.fields)
+
+
+def _check(sensor: type[Sensor]) -> None:
+    """Refuse a sensor that leaves something out, or whose columns mean something else already."""
+    missing = [
+        name for name in ("kind", "fields", "blocks", "tool_symbols", "twist_rows", "per_row") if not hasattr(sensor, name)
+    ]
+    missing += sorted(getattr(sensor, "__abstractmethods__", ()))
+    if missing:
+        raise TypeError(f"sensor {sensor.__name__} lacks {', '.join(missing)}")
+    others = [field for other in SENSORS.registered().values() for field in other.fields]
+    for field in sensor.fields:
+        for other in (*others, *CONDITIONS.values(), SIGMA):
+            if set(field.columns) & set(other.columns) and field != other:
+                raise TypeError(
+                    f"sensor {sensor.__name__}: the columns {field} are known as {other.name!r} ({other}, "
+                    f"{other.quantity}); choose other names"
+                )
+
+
+SENSORS = Registry[Sensor]("sensor", group="pincal.sensors", name_of=_name_of, check=_check)
+"""The sensors by the fields that they read."""
+
+register_sensor = SENSORS.register
+"""Add a sensor, as a decorator or by a call."""
+
+for _sensor in (
+    PositionSensor,
+    PoseSensor,
+    DistanceSensor,
+    AnchoredDistanceSensor,
+    ContactSensor,
+    CameraPointSensor,
+    CameraPixelSensor,
+):
+    register_sensor(_sensor)
+
+
+def known_fields() -> Mapping[str, Field]:
+    """Return all that a table may hold by name: readings of all sensors, then the conditions of a pose."""
+    found = {field.name: field for sensor in SENSORS.known().values() for field in sensor.fields}
+    return {name: field for name, field in found.items() if name not in CONDITIONS} | {SIGMA.name: SIGMA} | CONDITIONS
+
+
+def sensor_class(fields: Collection[str]) -> type[Sensor] | None:
+    """Return the sensor that reads a table with these fields, of several the one that reads most; None without any."""
+    found = [sensor for sensor in SENSORS.known().values() if all(field.name in fields for field in sensor.fields)]
+    return max(found, key=lambda sensor: len(sensor.fields), default=None)
+
+
+def check_fields(fields: Collection[str], *, source: str) -> None:
+    """Refuse a table that holds two kinds of measurement, or a part of one.
+
+    Args:
+        fields: names of those that the table has.
+        source: its name, for messages.
+
+    Raises:
+        MeasurementError: naming the columns that don't go together, or the missing ones.
+    """
+    sensors = SENSORS.known().values()
+    first = dict.fromkeys(sensor.fields[0] for sensor in sensors if sensor.fields[0].name in fields)
+    if len(first) > 1:
+        found = " and ".join(str(field) for field in first)
+        raise MeasurementError(f"{source}: two kinds of measurement ({found}); expected one, ignore the others")
+    for sensor in sensors:
+        main, *others = sensor.fields
+        given = [field for field in others if field.name in fields and field.name not in CONDITIONS]
+        if given and main.name not in fields:
+            raise MeasurementError(f"{source}: {given[0]} without {main}; add what is missing, or ignore {given[0]}")
+        missing = [field for field in others if field.name not in fields]
+        if main.name in fields and missing and sensor_class(fields) is None:
+            raise MeasurementError(f"{source}: {main} without {missing[0]}; add what is missing, or ignore {main}")
+
+
+def expected_columns() -> str:
+    """Return the columns that make a measurement, sensor by sensor, in words."""
+    known = [" with ".join(map(str, sensor.fields)) for sensor in SENSORS.known().values()]
+    return ", ".join(known[:-1]) + f", or {known[-1]}"

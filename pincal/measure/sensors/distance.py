@@ -1,0 +1,216 @@
+r"""Distances to a target: from the instrument's own point, or from several named anchors, such as those of a ball-bar.
+
+Where it starts: with the nominal arm's poses (R_i, p_i), c the vector from the instrument's point to the base, and the tool
+t, d_i^2 = |p_i|^2 + 2 p_i.c + 2 (R_i^T p_i).t + 2 c^T R_i t + const is linear in c, t and c (x) t.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
+from pincal.measure.fields import POSITIVE, Field, Table
+from pincal.measure.plausible import check_spread, span_m
+from pincal.measure.point_sensor import PointSensor, index_of
+from pincal.measure.sensor import Block, Excluded, Plausible, Sensor
+from pincal.measure.setup import Setup
+from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import transform
+
+DISTANCE = Field("distance", ("distance",), "length", POSITIVE)
+_BLOCKS = (Block("distance", "m", 1),)
+_ALONG_SIGHT = "the part along the line of sight"
+_NO_BASE = "distances see neither where the base stands nor how it is turned, only the arm against its anchors"
+
+# A laser tracker reaches no further.
+_MOST_DISTANCE_M = 100.0
+# Distances that all stay below this share of the reach are deviations, or in another unit.
+_LEAST = 1e-3
+
+
+@dataclass(frozen=True)
+class DistanceSensor(Sensor, Plausible):
+    """1D: the distance, shape (N,) [m], from the instrument's point to the target.
+
+    The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
+    """
+
+    kind: ClassVar[str] = "distance"
+    fields: ClassVar[tuple[Field, ...]] = (DISTANCE,)
+    blocks: ClassVar[tuple[Block, ...]] = _BLOCKS
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    twist_rows: ClassVar[int] = 3
+    per_row: ClassVar[tuple[str, ...]] = ("distance",)
+    deviation_end: ClassVar[str] = _ALONG_SIGHT
+
+    distance: np.ndarray
+
+    @classmethod
+    def of(cls, table: Table, setup: Setup) -> Self:
+        """Return the distances of a table."""
+        return cls(table.array("distance"))
+
+    @property
+    def base_symbols(self) -> tuple[str, ...]:
+        """Where the base is, not how it is turned."""
+        return FRAME_SYMBOLS[:3]
+
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return distances longer by ``change``, shape (1, N) [m]."""
+        return replace(self, distance=self.distance + change[0])
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (1, N) [m]."""
+        return np.asarray(self.distance - np.linalg.norm(poses[:, :, 3], axis=1))[None]
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion along the line of sight."""
+        return np.asarray(np.einsum("ni,pin->pn", self._direction(poses), motion)[:, None])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the part along the line of sight."""
+        return np.asarray(residuals[0][:, None] * self._direction(poses))
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield where the base is with the targets at the tip, then both as the distances have them."""
+        return _starts(self.distance, tips, target, n_targets)
+
+    def unobservable(self) -> Iterator[str]:
+        """Yield the place of the base."""
+        yield _NO_BASE
+
+    @classmethod
+    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
+        """Refuse distances that can't be in metres."""
+        _check_distances(table, reach_m=reach_m, tool_reach_m=tool_reach_m)
+
+    @staticmethod
+    def _direction(poses: np.ndarray) -> np.ndarray:
+        return np.asarray(poses[:, :, 3] / np.linalg.norm(poses[:, :, 3], axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class AnchoredDistanceSensor(PointSensor, Plausible):
+    """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
+
+    kind: ClassVar[str] = "distance"
+    fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
+    blocks: ClassVar[tuple[Block, ...]] = _BLOCKS
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    twist_rows: ClassVar[int] = 3
+    per_row: ClassVar[tuple[str, ...]] = ("index", "distance")
+    names_points: ClassVar[str | None] = "anchor"
+    deviation_end: ClassVar[str] = _ALONG_SIGHT
+    thing: ClassVar[str] = "an anchor"
+    fewest: ClassVar[int] = 4
+
+    distance: np.ndarray
+
+    @classmethod
+    def of(cls, table: Table, setup: Setup) -> Self:
+        """Return the distances of a table."""
+        points = setup.named()
+        return cls(points, index_of(table, points), table.array("distance"))
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        """Coordinates of the unknown anchors."""
+        return self.points.parameters
+
+    @property
+    def needs_all_rows(self) -> bool:
+        """No: each row has its anchor."""
+        return False
+
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return distances longer by ``change``, shape (1, N) [m]."""
+        return replace(self, distance=self.distance + change[0])
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (1, N) [m]."""
+        return np.asarray(self.distance - np.linalg.norm(self._lines(poses, own), axis=0))[None]
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion along the line of sight, of the target and of its anchor."""
+        direction = self._direction(poses, own)
+        along = np.einsum("in,pin->pn", direction, motion)[:, None]
+        return np.concatenate([along, self.by_points(-direction[:, None])])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the part along the line of sight."""
+        return np.asarray(residuals[0][:, None] * self._direction(poses, own).T)
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield the anchors about which the distances close, each found by itself; the tool where all agree."""
+        found = [
+            list(_starts(self.distance[rows], tips[rows], target[rows], n_targets)) if rows.any() else []
+            for rows in (self.index == k for k in range(len(self.points.names)))
+        ]
+        for deep in (False, True):
+            chosen = [starts[min(int(deep), len(starts) - 1)] if starts else None for starts in found]
+            anchors = np.array([np.zeros(3) if start is None else -start.base[:3, 3] for start in chosen])
+            tools = np.mean([start.tools for start in chosen if start is not None], axis=0)
+            yield self.start_with_points(anchors, tools)
+
+    def unobservable_with(self, known: int) -> Iterator[str]:
+        """Yield the place of the base where no anchor is known, and what one anchor alone leaves open."""
+        if not known:
+            yield _NO_BASE
+        if len(self.points.names) == 1:
+            yield "distances from one anchor see one direction a pose: several anchors all around the arm tell more"
+
+    def invalid_rows(self) -> Iterator[Excluded]:
+        """Yield nothing: every distance is one."""
+        yield from ()
+
+    @classmethod
+    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
+        """Refuse distances that can't be in metres."""
+        _check_distances(table, reach_m=reach_m, tool_reach_m=tool_reach_m)
+
+    def _direction(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        lines = self._lines(poses, own)
+        return np.asarray(lines / np.maximum(np.linalg.norm(lines, axis=0), 1e-12))
+
+    def _lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the vectors from anchor to target, shape (3, N) [m]."""
+        return np.asarray(poses[:, :, 3].T - self.points.positions(own)[self.index].T)
+
+
+def _starts(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+    """Yield where all stands by distances ``d``, shape (N,), from one point; tools at the tip, then as measured."""
+    p, R = tips[:, :, 3], tips[:, :, :3]
+    tools = np.tile(np.eye(4), (n_targets, 1, 1))
+    squares = (d**2 - np.einsum("ni,ni->n", p, p))[:, None]
+    solution, _ = least_squares(np.hstack([2.0 * p, np.ones((len(p), 1))]), squares)
+    yield Extrinsics(transform(np.eye(3), solution[:3, 0]), tools)
+    lever = by_target(2.0 * np.einsum("nji,nj->ni", R, p), target, n_targets)
+    products = by_target(2.0 * R.reshape(-1, 9), target, n_targets)
+    constants = by_target(np.ones((len(p), 1)), target, n_targets)
+    solution, complete = least_squares(np.hstack([2.0 * p, lever, products, constants]), squares)
+    if complete:
+        found = tools.copy()
+        found[:, :3, 3] = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
+        yield Extrinsics(transform(np.eye(3), solution[:3, 0]), found)
+
+
+def _check_distances(table: Table, *, reach_m: float, tool_reach_m: float) -> None:
+    distance = table.array("distance")
+    check_spread(table, distance[:, None], label="distance", most=span_m(reach_m=reach_m, tool_reach_m=tool_reach_m))
+    middle, longest = float(np.median(distance)), float(distance.max())
+    unit = table.units.get("distance", "m")
+    if middle > _MOST_DISTANCE_M:
+        raise MeasurementError(
+            f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; expected at most "
+            f"{_MOST_DISTANCE_M:g} m; looks like millimetres: write `distance [mm]`, or their unit"
+        )
+    if longest < _LEAST * reach_m:
+        raise MeasurementError(
+            f"{table.source}: distance of at most {longest * 1000:.3g} mm; expected the whole "
+            f"distance, not a deviation; values in metres under [{unit}]? Then write `distance [m]`"
+        )

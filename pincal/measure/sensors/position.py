@@ -1,0 +1,110 @@
+r"""Positions of a target, as a laser tracker measures a reflector.
+
+Where it starts: with the nominal arm's poses (R_i, p_i) in the robot's base frame, base R, b and tool t,
+m_i = R p_i + R R_i t + b is linear in R, b and the products R (x) t. With several targets there is one set of products each.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from pincal.errors import MeasurementError, PincalWarning
+from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
+from pincal.measure.fields import Field, Table
+from pincal.measure.plausible import check_spread, span_m
+from pincal.measure.sensor import Block, Plausible, Sensor
+from pincal.measure.setup import Setup
+from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.se3 import align, nearest_rotation, transform
+
+POSITION = Field("position", ("x", "y", "z"), "length")
+
+# Joints whose median range [rad, m] exceeds this move the target visibly.
+_MOVED = 0.5
+# A target that moves by less than this share of the reach does not take part in the motion of the arm.
+_LEAST_SPREAD = 1e-3
+
+
+@dataclass(frozen=True)
+class PositionSensor(Sensor, Plausible):
+    """3D: the position of the target, shape (N, 3) [m], in the instrument's frame."""
+
+    kind: ClassVar[str] = "position"
+    fields: ClassVar[tuple[Field, ...]] = (POSITION,)
+    blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    twist_rows: ClassVar[int] = 3
+    per_row: ClassVar[tuple[str, ...]] = ("position",)
+    reads_pose: ClassVar[bool] = True
+
+    position: np.ndarray
+
+    @classmethod
+    def of(cls, table: Table, setup: Setup) -> Self:
+        """Return the positions of a table."""
+        return cls(table.array("position"))
+
+    @property
+    def base_symbols(self) -> tuple[str, ...]:
+        """All: positions see where the base stands and how it is turned."""
+        return FRAME_SYMBOLS
+
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return positions moved by ``change``, shape (3, N) [m]."""
+        return replace(self, position=self.position + change.T)
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (3, N) [m]."""
+        return np.asarray(self.position.T - poses[:, :, 3].T)
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion itself."""
+        return motion
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the residual: a position tells all of it."""
+        return residuals.T
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield the base laid onto the tips, then onto the targets, which the readings place on the tool if they can."""
+        m, p, R = self.position, tips[:, :, 3], tips[:, :, :3]
+        tools = np.tile(np.eye(4), (n_targets, 1, 1))
+        columns = by_target(R.reshape(-1, 9), target, n_targets)
+        solution, complete = least_squares(np.hstack([p, columns, np.ones((len(p), 1))]), m)
+        rotation = nearest_rotation(solution[:3].T)
+        for t in range(n_targets if complete else 0):
+            products = solution[3 + 9 * t : 12 + 9 * t].T.reshape(3, 3, 3)  # [a, c, d] = R[a, c] t[d]
+            tools[t, :3, 3] = np.einsum("ac,acd->d", rotation, products) / 3.0
+        yield Extrinsics(transform(*align(p, m)), tools)
+        if complete:
+            ends = p + np.einsum("nij,nj->ni", R, tools[target, :3, 3])
+            yield Extrinsics(transform(*align(ends, m)), tools)
+
+    def unobservable(self) -> Iterator[str]:
+        """Yield nothing: positions in general poses leave nothing open."""
+        yield from ()
+
+    @classmethod
+    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
+        """Refuse positions farther apart than the arm can span, or much closer than the motion of its joints."""
+        check_positions(table, reach_m=reach_m, tool_reach_m=tool_reach_m)
+
+
+def check_positions(table: Table, *, reach_m: float, tool_reach_m: float) -> None:
+    """Refuse positions that can't be in metres; see :class:`pincal.measure.sensor.Plausible`."""
+    most = span_m(reach_m=reach_m, tool_reach_m=tool_reach_m)
+    spread = check_spread(table, table.array("position"), label="x", most=most)
+    if np.median(np.ptp(table.q, axis=0)) < _MOVED:
+        return
+    text = f"{table.source}: the joints move, but the positions stay within {spread * 1000:.3g} mm"
+    unit = next((table.units[name] for name in POSITION.columns if name in table.units), "m")
+    # Metres under [mm] shrink the whole workspace, at most as wide as the arm can span, a thousandfold.
+    if unit != "m" and spread <= _LEAST_SPREAD * most:
+        raise MeasurementError(f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header")
+    if spread < _LEAST_SPREAD * reach_m:
+        warnings.warn(f"{text}; is the target held, or the instrument stuck?", PincalWarning, stacklevel=3)

@@ -1,0 +1,118 @@
+"""Contacts without any instrument: the tool point is held in sockets, so that its distance from a socket is zero.
+
+Where it starts: a point P that stands still and a tool t satisfy P - R_i t = p_i, linear in P and t, with the nominal arm's
+poses (R_i, p_i). P is eliminated by taking each point's rows about their mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from pincal.measure.extrinsics import Extrinsics, by_target
+from pincal.measure.fields import Field, Table
+from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
+from pincal.measure.sensor import Block, Excluded
+from pincal.measure.setup import Setup
+from pincal.parameters import FRAME_SYMBOLS, Parameter
+
+
+@dataclass(frozen=True)
+class ContactSensor(PointSensor):
+    """3D: that the tool point is in its socket.
+
+    Rows in a socket that ``points`` do not know (``index`` -1 and below, one number for each socket) are judged by their
+    distance from their own mean: how well the model keeps the tool point in one place.
+
+    Attributes:
+        shift: shape (N, 3), how far each row's point sits off its socket [m]; None if nowhere.
+    """
+
+    kind: ClassVar[str] = "socket"
+    fields: ClassVar[tuple[Field, ...]] = (Field("socket", ("socket",), "name"),)
+    blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    twist_rows: ClassVar[int] = 3
+    per_row: ClassVar[tuple[str, ...]] = ("index", "shift")
+    names_points: ClassVar[str | None] = "socket"
+    deviation_end: ClassVar[str] = "the socket"
+    thing: ClassVar[str] = "a socket"
+    fewest: ClassVar[int] = 2
+    judges_new_points: ClassVar[bool] = True
+
+    shift: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, table: Table, setup: Setup) -> Self:
+        """Return the contacts of a table; sockets that the setup does not have are judged by their mean."""
+        points = setup.named()
+        return cls(points, index_of(table, points, may_be_new=True))
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        """Coordinates of the unknown sockets."""
+        return self.points.parameters
+
+    @property
+    def needs_all_rows(self) -> bool:
+        """Whether some rows are judged by their own mean."""
+        return bool(np.any(self.index < 0))
+
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return contacts whose point sits off its socket by ``change``, shape (3, N) [m]."""
+        return replace(self, shift=change.T if self.shift is None else change.T + self.shift)
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return socket minus tool point, shape (3, N) [m]."""
+        places = self.points.positions(own)
+        place = places[np.maximum(self.index, 0)].T if len(places) else np.zeros((3, len(self)))
+        place = self._about_means(poses[:, :, 3].T, place)
+        found = place - poses[:, :, 3].T
+        return np.asarray(found if self.shift is None else found + self.shift.T)
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion of the tool point, and minus that of the socket."""
+        if self.is_whole and len(motion):
+            motion = motion - np.stack([self._about_means(column, np.zeros_like(column)) for column in motion])
+        by_place = np.zeros((3, 3, len(self)))
+        by_place[[0, 1, 2], [0, 1, 2]] = -1.0
+        return np.concatenate([motion, self.by_points(by_place)])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the residual: a socket holds the tool point in all directions."""
+        return residuals.T
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield the tool points at the tip, then those that keep best still in their sockets."""
+        p, R = tips[:, :, 3], tips[:, :, :3]
+        columns = by_target(R, target, n_targets)
+        offsets = solved(-centred(columns, self.index), centred(p, self.index))
+        tools = np.tile(np.eye(4), (n_targets, 1, 1))
+        yield self.start_at_means(p, tools)
+        tools = tools.copy()
+        tools[:, :3, 3] = offsets.reshape(n_targets, 3)
+        yield self.start_at_means(p + columns @ offsets, tools)
+
+    def unobservable_with(self, known: int) -> Iterator[str]:
+        """Yield the place of the base, and the scale."""
+        if not known:
+            yield "contacts see only the arm against itself: neither where its base stands nor how it is turned"
+        if known < 2 and not self.points.distances:
+            yield (
+                "contacts without a known length can't tell the scale of the arm, which rests on its nominal lengths: give "
+                "the distance of two sockets (--socket-distance A B METRES)"
+            )
+
+    def invalid_rows(self) -> Iterator[Excluded]:
+        """Yield nothing: every contact is one."""
+        yield from ()
+
+    def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Put the mean of ``values``, shape (3, N), in place of what is not known."""
+        for unknown in np.unique(self.index[self.index < 0]):
+            rows = self.index == unknown
+            place[:, rows] = values[:, rows].mean(axis=1, keepdims=True)
+        return place
