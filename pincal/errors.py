@@ -42,7 +42,7 @@ class PincalError(Exception):
 
 
 class BadInputError(PincalError, ValueError):
-    """Input that can't be used as it is: refused before any work is done."""
+    """Invalid input, rejected before any work is done."""
 
     exit_code = Exit.BAD_INPUT
 
@@ -52,11 +52,11 @@ class RobotFileError(BadInputError):
 
 
 class MeasurementError(BadInputError):
-    """A table of measurements with a column, unit or value that can't be right."""
+    """A table of measurements with an invalid column, unit or value."""
 
 
 class ModelFileError(BadInputError):
-    """A ``model.json`` that is cut off, inconsistent or written by a newer version."""
+    """A ``model.json`` that is truncated, inconsistent or written by a newer version."""
 
 
 class OutputError(BadInputError):
@@ -64,7 +64,7 @@ class OutputError(BadInputError):
 
 
 class IdentificationError(PincalError, RuntimeError):
-    """A fit that did not converge, or a rank problem that the user has to decide."""
+    """A fit that did not converge, or a rank deficiency that the user has to resolve."""
 
     exit_code = Exit.UNDECIDED
 
@@ -76,4 +76,4 @@ class AccuracyGateError(PincalError):
 
 
 class PincalWarning(UserWarning):
-    """Something that the user should know, but that does not stop the work."""
+    """Something that the user should know but that does not stop the run."""

@@ -38,11 +38,11 @@ class Everything:
     table: Path = argument("TABLE", "What to read.")
     other: Path | None = argument("[OTHER]", "What else to read.", required=False)
     out: Path = option("Where to write.", MISSING)
-    size: float | None = option("How large it is.", kind=LENGTH)
+    size: float | None = option("How large it is.", type=LENGTH)
     count: int = option("How many there are.", 3)
     pairs: tuple[tuple[str, float], ...] = option("What belongs together.", ())
     names: tuple[str, ...] = option("What they are called.", ())
-    is_open: bool | None = option("Whether it is open.", names=("--open/--closed",))
+    is_open: bool | None = option("Whether it is open.", name="--open/--closed")
     part: Part = group("Part of it")
     general: GeneralOptions = group("General")
 
@@ -87,7 +87,7 @@ def test_what_is_not_given_is_the_default_of_the_field_or_of_the_verb() -> None:
     bare = ["a.csv", "--out", "b.csv"]
     assert read(*bare).part == Part(colour="red", at=None)
     assert read(*bare, "--quiet").is_open is None
-    assert read(*bare, defaults={"colour": ("blue", None)}).part.colour == "blue"
+    assert read(*bare, defaults={"colour": "blue"}).part.colour == "blue"
 
 
 @pytest.mark.parametrize("wrong", ["--out b.csv", "a.csv", "a.csv --out b --colour green", "a.csv --out b --at 1 2"])

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields
-from functools import partial
+from dataclasses import MISSING, field, fields
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
@@ -20,61 +19,20 @@ from pincal.cli import show_progress
 from pincal.errors import Exit
 
 A = TypeVar("A")
-_MARKER = "command line"
-# The sections of arguments, and of options that belong to no group.
-_POSITIONAL, _OWN = "Arguments", "Options"
+_HEADING = "heading"
 
 
-@dataclass(frozen=True)
-class _Option:
-    """What the command line has to know of an option beside its type and default; see :func:`option`."""
-
-    help: str
-    words: str | None
-    metavar: str | None
-    kind: click.ParamType[Any] | None
-    names: tuple[str, ...]
-    first: Callable[[Any], None] | None
-
-
-@dataclass(frozen=True)
-class _Argument:
-    """What the command line has to know of a positional argument; see :func:`argument`."""
-
-    metavar: str
-    help: str
-    required: bool
-
-
-@dataclass(frozen=True)
-class _Group:
-    """A field that is a dataclass of options itself; see :func:`group`."""
-
-    heading: str
-
-
-def option(
-    help: str,
-    default: Any = None,
-    *,
-    words: str | None = None,
-    metavar: str | None = None,
-    kind: click.ParamType[Any] | None = None,
-    names: tuple[str, ...] = (),
-    first: Callable[[Any], None] | None = None,
-) -> Any:
+def option(help: str, default: Any = None, *, words: str | None = None, name: str | None = None, **attributes: Any) -> Any:
     """Return a field that is an option.
 
     Args:
         help: one sentence.
         default: its value if it is not given; ``MISSING`` for an option that has to be given.
         words: the default in words, where its value would not be understood.
-        metavar: name of the value in the help text; default: by the type.
-        kind: Click's reader of the value; default: by the type.
-        names: names on the command line; default: the field's name with hyphens.
-        first: what to do with the value before any other option or argument is looked at.
+        name: its name on the command line; default: the field's name with hyphens.
+        attributes: what else Click is to know; its type and number of values follow from the type of the field.
     """
-    return field(default=default, metadata={_MARKER: _Option(help, words, metavar, kind, names, first)})
+    return field(default=default, metadata={"help": help, "words": words, "name": name, **attributes})
 
 
 def argument(metavar: str, help: str, *, required: bool = True) -> Any:
@@ -83,147 +41,113 @@ def argument(metavar: str, help: str, *, required: bool = True) -> Any:
     Args:
         metavar: its name in the help text.
         help: one sentence.
-        required: whether it has to be given; None if not.
+        required: whether it has to be given; the field is None if it is not.
     """
-    return field(default=MISSING if required else None, metadata={_MARKER: _Argument(metavar, help, required)})
+    about = {"cls": _Argument, "metavar": metavar, "help": help, "required": required}
+    return field(default=MISSING if required else None, metadata=about)
 
 
 def group(heading: str) -> Any:
-    """Return a field that is a dataclass of options itself.
-
-    Args:
-        heading: its section in the help text.
-    """
-    return field(metadata={_MARKER: _Group(heading)})
+    """Return a field that is a dataclass of options itself, with the heading of their section in the help text."""
+    return field(metadata={_HEADING: heading})
 
 
-@dataclass(frozen=True)
-class _Leaf:
-    """An option or argument: name, type and default of its field, what the command line has to know, and its section."""
+class _Argument(click.Argument):
+    """A positional argument that the help text explains."""
 
-    name: str
-    kind: Any
-    default: Any
-    marker: _Option | _Argument
-    heading: str
+    def __init__(self, *names: Any, help: str, **attributes: Any) -> None:
+        super().__init__(*names, **attributes)
+        self._help = help
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str]:
+        """Return name and explanation."""
+        return str(self.metavar), self._help
 
 
 class Verb(click.Command):
-    """A command whose help text explains its arguments and has a section for each group of options.
+    """A command whose help text has a section for its arguments and for each group of options."""
 
-    Args:
-        leaves: the options and arguments by name.
-        attributes: those of Click.
-    """
-
-    def __init__(self, *, leaves: Mapping[str, _Leaf], **attributes: Any) -> None:
+    def __init__(self, *, headings: Mapping[str, str], **attributes: Any) -> None:
         super().__init__(**attributes)
-        self._leaves = leaves
+        self._headings = headings
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write arguments and options, section by section."""
-        records: dict[str, list[tuple[str, str]]] = {_POSITIONAL: [], _OWN: []}
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         for parameter in self.get_params(ctx):
-            leaf = self._leaves.get(str(parameter.name))
-            if leaf is not None and isinstance(leaf.marker, _Argument):
-                records.setdefault(_POSITIONAL, []).append((leaf.marker.metavar, leaf.marker.help))
-            elif (record := parameter.get_help_record(ctx)) is not None:
-                records.setdefault(_OWN if leaf is None else leaf.heading, []).append(record)
-        for heading, rows in ((heading, rows) for heading, rows in records.items() if rows):
-            with formatter.section(heading):
-                formatter.write_dl(rows)
+            heading = "Arguments" if isinstance(parameter, _Argument) else self._headings.get(str(parameter.name), "Options")
+            record = parameter.get_help_record(ctx)
+            sections.setdefault(heading, []).extend([] if record is None else [record])
+        for heading, records in sections.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records)
 
 
 def verb(
-    arguments: type[A],
-    *,
-    examples: str,
-    exits: tuple[Exit, ...] = (),
-    defaults: Mapping[str, tuple[Any, str | None]] | None = None,
+    arguments: type[A], *, examples: str, exits: tuple[Exit, ...] = (), defaults: Mapping[str, Any] | None = None
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is the help text.
 
     Args:
         arguments: a frozen dataclass whose fields are options, arguments and groups of them.
         examples: lines to copy, and what else stands at the end of the help text.
-        exits: how the verb may end beside done, wrong usage and bad input.
-        defaults: name of an option -> its default for this verb and, where that is not understood, in words; for
-            options whose default differs from the group's.
+        exits: how the verb may end other than done, wrong usage and bad input.
+        defaults: name of an option -> its default for this verb, or a tuple of default and words, where it differs.
     """
+    codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
+    meanings = "; ".join(f"{int(code)} {code.meaning}" for code in codes)
 
     def decorate(function: Callable[[A], Exit]) -> Verb:
-        leaves = {leaf.name: leaf for leaf in _leaves(arguments, _OWN)}
-
         def run(**given: Any) -> Exit:
             show_progress(given["quiet"])
             return function(_filled(arguments, given))
 
+        parameters = list(_parameters(arguments, defaults or {}, heading="Options"))
         return Verb(
-            name=function.__name__.replace("_", "-"),
+            name=function.__name__,
             callback=run,
-            params=[_parameter(leaf, defaults or {}) for leaf in leaves.values()],
-            leaves=leaves,
+            params=[parameter for _, parameter in parameters],
+            headings={str(parameter.name): heading for heading, parameter in parameters},
             help=inspect.getdoc(function),
-            epilog=f"\b\n{examples.strip()}\n\n{_exit_codes(exits)}",
+            epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
         )
 
     return decorate
 
 
-def _exit_codes(exits: tuple[Exit, ...]) -> str:
-    codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
-    return "Exit codes: " + "; ".join(f"{int(code)} {code.meaning}" for code in codes) + "."
-
-
-def _leaves(arguments: type, heading: str) -> Iterator[_Leaf]:
-    """Yield all options and arguments, those of groups in their place."""
-    kinds = get_type_hints(arguments)
-    for part in fields(arguments):
-        marker, kind = part.metadata[_MARKER], kinds[part.name]
-        if isinstance(marker, _Group):
-            yield from _leaves(kind, marker.heading)
-        else:
-            yield _Leaf(part.name, kind, part.default, marker, heading)
-
-
 def _filled(arguments: type[A], given: Mapping[str, Any]) -> A:
     """Return the dataclass with the values that Click has read."""
+    kinds, values = get_type_hints(arguments), {}
+    for part in fields(arguments):  # type: ignore[arg-type]
+        is_group = _HEADING in part.metadata
+        values[part.name] = _filled(kinds[part.name], given) if is_group else given[part.name]
+    return arguments(**values)
+
+
+def _parameters(arguments: type, defaults: Mapping[str, Any], *, heading: str) -> Iterator[tuple[str, click.Parameter]]:
+    """Yield heading and Click's parameter of all options and arguments, those of groups in their place."""
     kinds = get_type_hints(arguments)
-    groups = {part.name for part in fields(arguments) if isinstance(part.metadata[_MARKER], _Group)}  # type: ignore[arg-type]
-    return arguments(
-        **{
-            part.name: _filled(kinds[part.name], given) if part.name in groups else given[part.name]
-            for part in fields(arguments)  # type: ignore[arg-type]
-        }
-    )
+    for part in fields(arguments):
+        kind, about = kinds[part.name], part.metadata
+        if _HEADING in about:
+            yield from _parameters(kind, defaults, heading=about[_HEADING])
+        elif "cls" in about:
+            yield heading, about["cls"]([part.name], **_reader(kind) | {k: v for k, v in about.items() if k != "cls"})
+        else:
+            yield heading, _option(part.name, defaults.get(part.name, part.default), attributes=_reader(kind) | about)
 
 
-def _parameter(leaf: _Leaf, defaults: Mapping[str, tuple[Any, str | None]]) -> click.Parameter:
-    """Return an option or argument for Click."""
-    marker, reader = leaf.marker, _reader(leaf.kind)
-    if isinstance(marker, _Argument):
-        reader.pop("metavar", None)
-        return click.Argument([leaf.name], metavar=marker.metavar, required=marker.required, **reader)
-    default, words = defaults.get(leaf.name, (leaf.default, marker.words))
-    text = marker.help + " May be repeated." * ("multiple" in reader)
-    if marker.kind is not None:
-        reader["type"] = marker.kind
-    if marker.metavar is not None:
-        reader["metavar"] = marker.metavar
-    if marker.first is not None:
-        reader |= {"is_eager": True, "callback": partial(_call, marker.first)}
-    return click.Option(
-        [*(marker.names or ("--" + leaf.name.replace("_", "-"),)), leaf.name],
-        help=text if words is None else f"{text}  [default: {words}]",
-        **({"required": True} if default is MISSING else {"default": default}),
-        show_default=words is None and default is not None,
-        **reader,
-    )
-
-
-def _call(first: Callable[[Any], None], context: click.Context, parameter: click.Parameter, value: Any) -> Any:
-    first(value)
-    return value
+def _option(field_name: str, default: Any, *, attributes: dict[str, Any]) -> click.Option:
+    name, words = attributes.pop("name"), attributes.pop("words")
+    if isinstance(default, tuple) and len(default) == 2:
+        default, words = default
+    attributes["help"] += " May be repeated." * attributes.get("multiple", False)
+    if words is not None:
+        attributes["help"] += f"  [default: {words}]"
+    attributes |= {"required": True} if default is MISSING else {"default": default}
+    attributes["show_default"] = words is None and default is not None
+    return click.Option([name or "--" + field_name.replace("_", "-"), field_name], **attributes)
 
 
 def _reader(kind: Any) -> dict[str, Any]:
@@ -235,16 +159,13 @@ def _reader(kind: Any) -> dict[str, Any]:
     """
     parts = get_args(kind)
     if NoneType in parts:
-        (known,) = (part for part in parts if part is not NoneType)
-        return _reader(known)
+        return _reader(next(part for part in parts if part is not NoneType))
     if get_origin(kind) is Literal:
         return {"type": click.Choice(parts)}
-    if get_origin(kind) is tuple:
-        return {**_reader(parts[0]), "multiple": True} if parts[-1] is ... else {"type": parts} | _metavar(parts)
+    if parts and parts[-1] is ...:
+        return _reader(parts[0]) | {"multiple": True}
+    if parts:
+        return {"type": parts} | ({"metavar": "X Y Z"} if parts == (float, float, float) else {})
     if kind is bool:
         return {"is_flag": True}
     return {"type": click.Path(path_type=Path), "metavar": "FILE.csv"} if kind is Path else {"type": kind}
-
-
-def _metavar(parts: tuple[Any, ...]) -> dict[str, Any]:
-    return {"metavar": "X Y Z"} if parts == (float, float, float) else {}

@@ -66,7 +66,7 @@ class Noise(click.ParamType[tuple[float, str]]):
 LENGTH = Quantity(_LENGTHS, "0.05mm")
 ANGLE = Quantity(_ANGLES, "0.1mrad")
 
-max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", kind=LENGTH)
+max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH)
 ignore_option = partial(option, "Ignore this column of the table.", (), metavar="COLUMN")
 tip_option = partial(option, "Last link of the arm.", metavar="LINK")
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
@@ -74,12 +74,13 @@ robot_argument = partial(argument, "ROBOT.urdf", "URDF file, or the name of a ro
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
 
 
-def _load_plugins(names: tuple[str, ...]) -> None:
+def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
     if names:
         from pincal.plugins import load_plugin
 
         for name in names:
             load_plugin(name)
+    return names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,10 +91,11 @@ class GeneralOptions:
         "Module or .py file that registers effects or sensors of your own.",
         (),
         metavar="MODULE",
-        names=("--plugin",),
-        first=_load_plugins,
+        name="--plugin",
+        is_eager=True,
+        callback=_load_plugins,
     )
-    as_json: bool = option("Print the result as JSON.", False, names=("--json",))
+    as_json: bool = option("Print the result as JSON.", False, name="--json")
     quiet: bool = option("Print neither progress nor notes.", False)
 
 
@@ -127,9 +129,9 @@ class SetupOptions:
     """The noise of the instrument, and what is known of the measurement setup."""
 
     noise: tuple[float, str] | None = option(
-        "Standard deviation of one position or image coordinate.", kind=Noise(), words="estimated"
+        "Standard deviation of one position or image coordinate.", type=Noise(), words="estimated"
     )
-    noise_angle: float | None = option("Standard deviation of one orientation component.", kind=ANGLE, words="estimated")
+    noise_angle: float | None = option("Standard deviation of one orientation component.", type=ANGLE, words="estimated")
     tool: Vector | None = option("Target position in the tip frame [m], if known.", words="identified")
     anchor: Vector | None = option(
         "Distances: the instrument's fixed point in the robot's base frame [m], if known.", words="identified"
@@ -141,7 +143,7 @@ class SetupOptions:
         "Frame of --points: one of their own, to be identified, or the robot's base.", "own"
     )
     gaps: tuple[tuple[str, str, float], ...] = option(
-        "Known distance between two sockets, anchors or points.", (), metavar="A B METRES", names=("--socket-distance",)
+        "Known distance between two sockets, anchors or points.", (), metavar="A B METRES", name="--socket-distance"
     )
     distances: Path | None = option("Known distances as a table: columns first, second, distance and optionally sigma.")
     camera: Path | None = option(
@@ -159,7 +161,7 @@ class FitOptions:
     equilibrium: bool = option("Compute moments in the deflected configuration, not the undeflected one.", False)
     stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
     loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")
-    length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, kind=LENGTH, words="10mm")
+    length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,7 +44,7 @@ class ConstraintOptions:
     )
     normal: Vector | None = option("Direction in which the target faces, in the tip frame.", words="visible from all sides")
     cone: float = option(
-        "Largest visible angle off the target's normal.", float(np.deg2rad(30.0)), kind=ANGLE, metavar="ANGLE", words="30deg"
+        "Largest visible angle off the target's normal.", float(np.deg2rad(30.0)), type=ANGLE, metavar="ANGLE", words="30deg"
     )
     box: tuple[float, float, float, float, float, float] | None = option(
         "Smallest, then largest coordinates of the target in the base frame [m].", metavar="X Y Z X Y Z"
@@ -56,7 +56,7 @@ class ConstraintOptions:
     clearance: float = option(
         "Smallest distance of the arm from itself, if the URDF has collision geometry.",
         0.01,
-        kind=LENGTH,
+        type=LENGTH,
         metavar="LENGTH",
         words="10mm",
     )
@@ -70,9 +70,9 @@ class InstrumentOptions:
     sensor: Literal["position", "pose", "distance"] = option("Kind of measurement.", "position")
     tool: Vector | None = option("Approximate target position in the tip frame [m].", words="slightly off the last axis")
     noise: float = option(
-        "Standard deviation of one position coordinate, or of a distance.", 5e-05, kind=LENGTH, words="0.05mm"
+        "Standard deviation of one position coordinate, or of a distance.", 5e-05, type=LENGTH, words="0.05mm"
     )
-    noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, kind=ANGLE, words="0.1mrad")
+    noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad")
     payload: str | None = option(
         "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]"
     )
@@ -84,8 +84,8 @@ class DesignArguments:
 
     robot: str = robot_argument()
     out: Path = option("Table of poses to write, to be filled in.", MISSING)
-    poses: int | None = option("Number of poses to choose.", metavar="N", kind=_COUNT)
-    accuracy: float | None = option("Instead of --poses: the fewest poses that reach this predicted error.", kind=LENGTH)
+    poses: int | None = option("Number of poses to choose.", metavar="N", type=_COUNT)
+    accuracy: float | None = option("Instead of --poses: the fewest poses that reach this predicted error.", type=LENGTH)
     criterion: Literal["task", "determinant"] = option(
         "Smallest predicted error over the task, or smallest joint uncertainty of all parameters.", "task"
     )
@@ -95,9 +95,9 @@ class DesignArguments:
         "Choose poses that distinguish these two effects instead.", metavar="EFFECT EFFECT"
     )
     candidates: int | None = option(
-        "Number of random poses to choose from.", metavar="N", kind=click.IntRange(min=2), words="1500, or twice the poses"
+        "Number of random poses to choose from.", metavar="N", type=click.IntRange(min=2), words="1500, or twice the poses"
     )
-    seed: int = option("Random seed.", 0, kind=click.IntRange(min=0))
+    seed: int = option("Random seed.", 0, type=click.IntRange(min=0))
     tip: str | None = tip_option(words="end of the longest chain")
     base: str | None = base_option()
     constraints: ConstraintOptions = group("Constraints")

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import numpy as np
@@ -21,13 +21,12 @@ if TYPE_CHECKING:
 
     from pincal.calibration.calibrated import CalibratedModel
     from pincal.calibration.run import Calibration
-    from pincal.cli.inputs import Prepared
     from pincal.discover.run import Discovery
-    from pincal.measure.measurements import Measurements
 
 # The view in three dimensions, beside the report.
 VIEW = "view3d.html"
 FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
+R = TypeVar("R", bound="Calibration | Discovery")
 EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
 
 
@@ -44,57 +43,42 @@ class FitArguments:
     general: GeneralOptions = group("General")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a pipeline returns.
-
-    Attributes:
-        calibration: the calibration.
-        report: the result for programs.
-        show: prints it.
-        discovery: how the model was found, if it was.
-    """
-
-    calibration: Calibration
-    report: dict[str, Any]
-    show: Callable[[Console], None]
-    discovery: Discovery | None = None
-
-
-def run_fit(arguments: FitArguments, pipeline: Callable[[Prepared, Measurements | None], Outcome]) -> Exit:
-    """Run a pipeline on the files of the command line.
+def run_fit(arguments: FitArguments, run: Callable[..., R], *, show: Callable[[R, Console], None]) -> Exit:
+    """Run a calibration or a discovery on the files of the command line.
 
     Args:
         arguments: those of the command line.
-        pipeline: takes what was loaded, and the measurements to hold out.
+        run: :func:`~pincal.calibration.run.run_calibration` or :func:`~pincal.discover.run.run_discovery`.
+        show: prints what it returns.
 
     Raises:
         IdentificationError: if the fit did not converge; the files are written all the same.
         AccuracyGateError: if the error exceeds the limit; likewise.
     """
+    from pincal.calibration.run import Calibration
     from pincal.cli.inputs import load_table, prepare
 
     split, source = arguments.split, arguments.source
     with output_folder(arguments.out) as draft:
         prepared = prepare(source, arguments.chosen)
-        files, holdout = prepared.files, None
-        if split.holdout is not None:
-            files = (*files, split.holdout)
-            holdout = load_table(prepared.robot, split.holdout, ignore=source.ignore)
-        outcome = pipeline(prepared, holdout)
-        origin = provenance(files, seed=split.seed)
-        notes = write_results(draft, outcome.calibration, origin, outcome.discovery, view=arguments.view)
+        held = split.holdout
+        holdout = None if held is None else load_table(prepared.robot, held, ignore=source.ignore)
+        choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
+        found = run(prepared.robot, prepared.table, prepared.options, **choice)
+        calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)
+        origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
+        notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
+    result = calibration.result
     if arguments.general.as_json:
-        print_json(outcome.report)
+        print_json(result.to_dict() if discovery is None else discovery.report)
     else:
         from pincal.cli.screen import console
 
-        outcome.show(console())
+        show(found, console())
         for note in notes:
             click.echo(f"note: {note}")
         click.echo(f"written to {arguments.out}: {written}")
-    result = outcome.calibration.result
     if not result.converged:
         raise IdentificationError("the fit did not converge; the files hold its last state")
     part = "test" if "test" in result.error["calibrated"] else "train"

@@ -1,7 +1,7 @@
-"""What a long run does, on stderr: one line that is overwritten on a terminal, few plain lines elsewhere.
+"""Progress of a long run on stderr: one line that is overwritten on a terminal, a few plain lines elsewhere.
 
-The library only logs. Steps of a fit are worth a glance, what a discovery finds is worth a line that stays. A record that
-carries ``extra={"done": 2, "of": 5}`` says how far the run has come, so that the time left can be told.
+The library only logs. Iterations of a fit are transient, findings of a discovery stay on the screen. A record with
+``extra={"done": 2, "of": 5}`` tells how far the run has come, from which the remaining time follows.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-# Loggers whose records tell of steps too small to stay on the screen.
-_GLANCES = ("pincal.identify", "pincal.report.html")
-# Commands whose fits are what they do; for others a fit is one step of many.
+# Loggers of steps too small to stay on the screen.
+_TRANSIENT = ("pincal.identify", "pincal.report.html")
+# Commands that consist of fits; for others a fit is one step of many.
 _OF_FITS = ("calibrate",)
 _LONG = 1.0  # [s]
 
@@ -25,7 +25,7 @@ _handler: logging.Handler | None = None
 
 
 def show_progress(quiet: bool) -> None:
-    """Show the library's log of its progress on stderr, unless it is to be quiet."""
+    """Show the library's log on stderr, unless it is to be quiet."""
     global _handler
     end_progress()
     if quiet:
@@ -42,7 +42,7 @@ def show_progress(quiet: bool) -> None:
 
 
 def end_progress() -> None:
-    """Take the line of progress away: what comes next is the result."""
+    """Remove the progress line: what comes next is the result."""
     global _handler
     if _handler is not None:
         _handler.close()
@@ -50,18 +50,18 @@ def end_progress() -> None:
     logging.getLogger("pincal").handlers = []
 
 
-def _is_glance(record: logging.LogRecord) -> bool:
-    return record.name.startswith(_GLANCES)
+def _is_transient(record: logging.LogRecord) -> bool:
+    return record.name.startswith(_TRANSIENT)
 
 
-def _far(record: logging.LogRecord) -> tuple[int, int] | None:
-    """Return how many steps of how many are done, where the library says so."""
+def _completed(record: logging.LogRecord) -> tuple[int, int] | None:
+    """Return the number of steps done and their total, if the record has them."""
     done, of = getattr(record, "done", None), getattr(record, "of", None)
     return (done, of) if isinstance(done, int) and isinstance(of, int) and of > 0 else None
 
 
 def time_left(seconds: float, done: int, of: int) -> float | None:
-    """Return how long the rest takes if each step takes as long as those before [s]; None before the first is done.
+    """Return the remaining time if all steps take equally long [s]; None before the first is done.
 
     Example:
         >>> time_left(10.0, 2, 5)
@@ -84,7 +84,7 @@ def _clock(seconds: float) -> str:
 
 
 class _Plain(logging.Handler):
-    """A line an event; of a fit the last step of each stage, and only where fits are what the command does."""
+    """One line per event; of a fit the last step of each stage, and only for commands that consist of fits."""
 
     def __init__(self, *, fits: bool) -> None:
         super().__init__(logging.INFO)
@@ -93,8 +93,8 @@ class _Plain(logging.Handler):
         self._last: logging.LogRecord | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write an event; keep a step of a fit until the stage ends."""
-        if not _is_glance(record):
+        """Write an event, but keep a step of a fit until its stage ends."""
+        if not _is_transient(record):
             self._tell_stage()
             self._write(record)
         elif self._fits and record.name.startswith("pincal.identify"):
@@ -114,8 +114,8 @@ class _Plain(logging.Handler):
 
     def _write(self, record: logging.LogRecord) -> None:
         seconds = time.monotonic() - self._begun
-        far = _far(record)
-        left = None if far is None else time_left(seconds, *far)
+        completed = _completed(record)
+        left = None if completed is None else time_left(seconds, *completed)
         after = f" [{_clock(seconds)}" if seconds > _LONG else ""
         if after:
             after += "]" if left is None else f", about {_clock(left)} left]"
@@ -128,13 +128,13 @@ def _stage(record: logging.LogRecord) -> object:
 
 
 class _Left(TextColumn):
-    """The time left, where the number of steps is known."""
+    """The remaining time, if the number of steps is known."""
 
     def __init__(self) -> None:
         super().__init__("")
 
     def render(self, task: Task) -> Text:
-        """Return the time left, or nothing."""
+        """Return the remaining time, or nothing."""
         if task.total is None:
             return Text("")
         left = time_left(task.elapsed or 0.0, int(task.completed), int(task.total))
@@ -142,7 +142,7 @@ class _Left(TextColumn):
 
 
 class _Overwritten(logging.Handler):
-    """One line with what is being done, for how long, and what is left of it; events stay above it."""
+    """One line with the current step, elapsed and remaining time; events stay above it."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -160,16 +160,16 @@ class _Overwritten(logging.Handler):
             self._progress.start()
             self._is_shown = True
         text = record.getMessage()
-        if _is_glance(record):
+        if _is_transient(record):
             self._progress.update(self._task, description=text[: max(self._console.width - 28, 20)])
         else:
             self._console.print(f"pincal: {text}", markup=False, soft_wrap=True)
-        far = _far(record)
-        if far is not None:
-            self._progress.update(self._task, completed=far[0], total=far[1])
+        completed = _completed(record)
+        if completed is not None:
+            self._progress.update(self._task, completed=completed[0], total=completed[1])
 
     def close(self) -> None:
-        """Take the line away."""
+        """Remove the line."""
         if self._is_shown:
             self._progress.stop()
         self._is_shown = False

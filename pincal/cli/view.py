@@ -36,19 +36,19 @@ class ViewArguments:
 
     model: Path = model_argument()
     data: Path | None = argument("[DATA.csv]", "Measurements to show.", required=False)
-    html_file: Path | None = option("Write one self-contained page instead.", metavar="FILE.html", names=("--html",))
+    html_file: Path | None = option("Write one self-contained page instead.", metavar="FILE.html", name="--html")
     pose: str | None = option(
         "Initial pose: a row of DATA, counted from 1, or joint positions [rad or m].", metavar='ROW|"q1,q2,.."'
     )
     scale: float | None = option("Arrow scale factor.", metavar="FACTOR", words="automatic")
     axis_scale: float | None = option("Scale factor for tilts and offsets of axes.", metavar="FACTOR", words="automatic")
-    grid: int = option("Number of workspace points with an arrow.", 1000, kind=click.IntRange(0, 100000))
+    grid: int = option("Number of workspace points with an arrow.", 1000, type=click.IntRange(0, 100000))
     holdout: Path | None = option("More measurements, marked as held out; all rows of DATA then count as fitted.")
     meshes: tuple[Path, ...] = option("Another folder with the URDF's meshes and packages.", (), metavar="DIR")
     ignore: tuple[str, ...] = ignore_option()
-    port: int = option("Server port.", 0, kind=click.IntRange(0, 65535), words="any free port")
+    port: int = option("Server port.", 0, type=click.IntRange(0, 65535), words="any free port")
     open_page: bool | None = option(
-        "Open the page in a browser.", names=("--open/--no-open",), words="only a served page, on a terminal"
+        "Open the page in a browser.", name="--open/--no-open", words="only a served page, on a terminal"
     )
     general: GeneralOptions = group("General")
 

@@ -20,10 +20,10 @@ from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
 
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-# What the command writes beside joints, conditions and wanted poses; left unread, so that its output can be its input.
+# Further columns that the command writes: they are ignored, so that its output can be its input.
 _WRITTEN = ("status", "error_mm", "error_mrad", "sigma_mm", "change_max", *(f"false_{name}" for name in POSE_COLUMNS))
 _FIELDS = tuple(known_fields()[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point")
-# A wanted position this many reaches away from the base is in another unit.
+# A wanted position farther from the base than this many times the reach is in another unit.
 _OTHER_UNIT = 50.0
 
 
@@ -32,8 +32,8 @@ class Targets:
     """Rows to compensate.
 
     Attributes:
-        rows: wanted positions or poses (kind "none" for a program), and the conditions of each row; the joint positions
-            are 0 where the table has none.
+        rows: wanted positions or poses (kind "none" for a program), and the conditions of each row; joint positions are 0 if
+            the table has none.
         has_joints: whether the table has joint positions.
     """
 
@@ -46,29 +46,29 @@ class Targets:
         return self.rows.kind == "none"
 
     def conditions(self, calibrated: CalibratedModel, seed: np.ndarray) -> Conditions:
-        """Return the conditions of the rows; ``seed``, shape (n,), stands in for joint positions that are not there.
+        """Return the conditions of the rows, with ``seed``, shape (n,), as joint positions if the table has none.
 
         Raises:
-            BadInputError: for a target that the model does not know.
+            BadInputError: for a target that the model does not have.
         """
         found = calibrated.conditions(self.rows)
         return found if self.has_joints else replace(found, q=np.tile(seed, (len(self.rows), 1)))
 
 
 def read_targets(path: str | os.PathLike[str], robot: Robot, *, ignore: Sequence[str] = ()) -> Targets:
-    """Read a table of targets or of a nominal program; units, separators and Parquet as in tables of measurements.
+    """Read a table of targets or of a nominal program, with the same units and formats as measurements.
 
     Args:
         path: the file: columns of joints, x y z (and qx qy qz qw), or both, and conditions.
         robot: the arm.
-        ignore: columns to leave unread.
+        ignore: columns to ignore.
 
     Returns:
         The rows.
 
     Raises:
-        MeasurementError: for a file that can't be read, columns that say neither where to go nor from where, or a column,
-            unit or value that can't be right.
+        MeasurementError: for a file that can't be read, a table with neither wanted positions nor joints, or a column, unit
+            or value that is invalid.
     """
     path = Path(path)
     schema = Schema(
