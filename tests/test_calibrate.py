@@ -365,4 +365,4 @@ def test_held_out_rows_that_are_far_off_are_told(kuka):
     assert not any("held-out rows are off" in note for note in sound.warnings)
     (note,) = [note for note in found.warnings if "held-out rows are off" in note]
     assert note.startswith("2 of 60 held-out rows are off by up to 6.9")
-    assert note.endswith(f"look at lines {held.rows[7]}, {held.rows[31]}")
+    assert note.endswith(f"see lines {held.rows[7]}, {held.rows[31]}")

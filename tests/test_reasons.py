@@ -1,9 +1,10 @@
-"""Reasons are data: every cause has words, and the words hold the figures of the reason."""
+"""Reasons and notes are data: every kind has words, and the words hold the figures."""
 
 import string
 
 import pytest
 
+from pincal.calibration.notes import Kind, Note, notes_on_replicates
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 
 FULL = {
@@ -51,3 +52,32 @@ def test_a_status_is_its_word_in_the_file() -> None:
     """Files and users of earlier versions compare with these strings."""
     assert {str(status) for status in Status} == {"identified", "prior", "fixed", "unidentifiable", "at bound"}
     assert Status("at bound") is Status.AT_BOUND
+
+
+LACK = {"F": 3.0, "degrees": {"misfit": 60.0, "pure_error": 870.0}}
+
+
+@pytest.mark.parametrize(
+    ("lack", "declared", "kind"),
+    [
+        (None, 1e-9, None),
+        (0.2, None, None),
+        (0.2, 0.2, None),
+        (1e-6, None, Kind.LACK_OF_FIT),
+        (1e-6, 1e-9, Kind.LACK_OF_FIT),
+        (0.2, 1e-9, Kind.NOISY_REPLICATES),
+    ],
+)
+def test_replicates_decide_between_model_and_noise(lack: float | None, declared: float | None, kind: Kind | None) -> None:
+    """Lack of fit blames the model; residuals beyond the declared noise without lack of fit blame the noise."""
+    found = notes_on_replicates(None if lack is None else LACK | {"p_value": lack}, declared)
+    assert [note.kind for note in found] == ([] if kind is None else [kind])
+    assert all("F(60, 870) = 3" in str(note) for note in found)
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_every_note_has_words(kind: Kind) -> None:
+    """The figures named in the text of a note are all it needs; without them nothing is said."""
+    names = {name for _, name, _, _ in string.Formatter().parse(kind.value) if name}
+    text = str(Note(kind, {name: 4.0 for name in names}))
+    assert text and "{" not in text and ("4" in text) == bool(names)

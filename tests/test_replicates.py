@@ -146,7 +146,7 @@ def test_a_pose_that_the_fit_has_seen_is_not_held_out(ur10):
 def test_few_cycles_are_said_to_be_few():
     """The standard asks for 30; with those nothing more is said."""
     enough = {"poses": {"test": 1}, "cycles": {"min": 30, "max": 30, "standard": 30}}
-    assert cycle_words(enough) == "1 pose, 30 visits each"
+    assert cycle_words(enough) == "1 pose, 30 cycles each"
     assert "asks for 30" in cycle_words(enough | {"cycles": {"min": 29, "max": 40, "standard": 30}})
 
 
@@ -286,14 +286,14 @@ def test_a_robot_that_repeats_badly_is_not_a_wrong_model(kuka):
     rows = visited(40, 4, 1, scatter=1e-4)
     result = run_calibration(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5)).result
     assert result.chi2_p_value < 1e-3 < result.lack_of_fit["p_value"]
-    assert any("repeats badly" in words for words in result.warnings)
+    assert any("repeats poorly" in words for words in result.warnings)
 
 
 def test_the_report_has_a_section_on_visits(soft, monkeypatch):
     """AP, RP, the number of cycles and the test stand there; not where no pose was visited twice."""
     monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
     page = page_of(soft)
-    assert 'id="repeatability"' in page and "3 visits each; ISO 9283 asks for 30" in page and "Lack of fit" in page
+    assert 'id="repeatability"' in page and "3 cycles each; ISO 9283 asks for 30" in page and "Lack of fit" in page
     bare = replace(soft, result=replace(soft.result, iso9283=None, lack_of_fit=None))
     assert 'id="repeatability"' not in page_of(bare)
     assert not {"iso9283", "lack_of_fit"} & set(bare.result.to_dict())
@@ -309,7 +309,7 @@ def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypa
     capsys.readouterr()
     assert run("calibrate", URDF, tmp_path / "data.csv", *chosen) == 0
     text = capsys.readouterr().out
-    assert "Pose accuracy AP and pose repeatability RP (ISO 9283)" in text and "4 visits each" in text
+    assert "Pose accuracy AP and pose repeatability RP (ISO 9283)" in text and "4 cycles each" in text
     assert "lack of fit: F(" in text and "mrad about z" in text
     assert max(len(line) for line in text.splitlines() if not line.startswith(("note: ", "written to "))) <= 100
     result = json.loads((tmp_path / "out" / "result.json").read_text())

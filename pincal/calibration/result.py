@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from pincal.calibration.notes import notes_on_fit, notes_on_held_out, notes_on_replicates
 from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.reasons import Reason, Status
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.robot.se3 import placed, rotation_vectors
-from pincal.validate.accuracy import error_table, pose_errors
-from pincal.validate.lack_of_fit import MISFIT, lack_of_fit, lack_words
+from pincal.validate.accuracy import error_table
+from pincal.validate.lack_of_fit import lack_of_fit
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
-# Correlations below this are not worth a reader's time.
+# Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
 _CORRELATED = 0.9
-# A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
-_FAR = 10.0
+# Pairs that are listed at most, the strongest first.
 _MOST_CORRELATIONS = 20
 
 
@@ -67,7 +67,7 @@ class Result:
     """All that ``result.json`` says, as one object.
 
     Attributes are those of the file (contract): see :meth:`to_dict`. ``iso9283`` and ``lack_of_fit`` are None where no pose
-    was visited more than once, and then not in the file.
+    has replicates, and then not in the file.
     """
 
     noise: dict[str, Any]
@@ -110,20 +110,22 @@ def result_of(
         test: held-out rows under the calibrated model, or None.
         seconds: how long it took.
         tables: the training rows, and the held-out ones.
-        notes: warnings from elsewhere that belong to the result.
+        notes: notes on robot and data, which come first.
     """
     solution = fit.solution
     declared = fit.noise.declared[0] is not None
     parameters = parameter_rows(fit)
     p_value = float(chdtrc(solution.degrees, solution.chi2)) if declared else None
     outliers = tuple(int(line) for line in tables[0].rows[solution.weights == 0.0])
-    visits = _visits(fit, test, tables)
-    lack = lack_of_fit(visits, fit.values, solution.sigma, spent=solution.posterior.effective)
+    replicates = _replicates(fit, test, tables)
+    lack = lack_of_fit(replicates, fit.values, solution.sigma, spent=solution.posterior.effective)
     error: dict[str, dict[str, dict[str, float]]] = {}
     for name, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
         error[name] = {"train": error_table(fit.station, values)}
         if test is not None and len(test):
             error[name]["test"] = error_table(test, values)
+    found = [*notes_on_fit(fit, p_value, outliers, test), *notes_on_held_out(fit, test, tables[1])]
+    found += notes_on_replicates(lack, p_value)
     return Result(
         noise=_noise(fit),
         rows={"train": len(fit.station), "test": 0 if test is None else len(test)},
@@ -139,38 +141,19 @@ def result_of(
         correlations=_correlations(fit, parameters),
         stages=tuple(asdict(stage) for stage in fit.stages),
         error=error,
-        warnings=(
-            *notes,
-            *_warnings(fit, p_value, outliers, test),
-            *_far_off(fit, test, tables[1]),
-            *_of_visits(lack, p_value),
-        ),
-        iso9283=iso9283(visits, {"nominal": fit.nominal.values, "calibrated": fit.values}),
+        warnings=(*notes, *map(str, found)),
+        iso9283=iso9283(replicates, {"nominal": fit.nominal.values, "calibrated": fit.values}),
         lack_of_fit=lack,
     )
 
 
-def _visits(fit: Fit, test: Station | None, tables: tuple[Measurements, Measurements]) -> list[Replicates]:
-    """Return fitted and held-out rows by the poses that they visit."""
+def _replicates(fit: Fit, test: Station | None, tables: tuple[Measurements, Measurements]) -> list[Replicates]:
+    """Return fitted and held-out rows with the poses that they are replicates of."""
     train_poses, test_poses = replicate_groups(tables)
     found = [Replicates("train", tables[0], fit.station, train_poses, fit.solution.weights > 0.0)]
     if test is not None and len(test):
         found.append(Replicates("test", tables[1], test, test_poses, np.ones(len(test), bool)))
     return found
-
-
-def _of_visits(lack: dict[str, Any] | None, p_value: float | None) -> list[str]:
-    """Say what visits of the same pose tell of the model."""
-    if lack is None:
-        return []
-    if lack["p_value"] < MISFIT:
-        return [f"lack of fit against visits of the same pose: {lack_words(lack)}"]
-    if p_value is not None and p_value < MISFIT:
-        return [
-            f"visits of the same pose differ as much as the residuals do ({lack_words(lack)}): it is the noise that is "
-            "larger than declared, or the robot repeats badly, not the model that misses something"
-        ]
-    return []
 
 
 def _noise(fit: Fit) -> dict[str, Any]:
@@ -229,39 +212,3 @@ def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[dict[str, A
     ]
     pairs.sort(key=lambda pair: -abs(pair[0]))
     return tuple({"parameters": [a, b], "correlation": r} for r, a, b in pairs[:_MOST_CORRELATIONS])
-
-
-def _far_off(fit: Fit, test: Station | None, table: Measurements) -> list[str]:
-    """Return a note on held-out rows far off all others: a few of them make much of a mean."""
-    if test is None or not len(test):
-        return []
-    errors = next(iter(pose_errors(test, fit.values).values()))
-    far = errors > _FAR * np.median(errors)
-    if not far.any():
-        return []
-    lines = ", ".join(str(line) for line in table.rows[far][:8]) + (" ..." if far.sum() > 8 else "")
-    return [
-        f"{far.sum()} of {len(errors)} held-out rows are off by up to {errors.max():.3g} mm, the others "
-        f"{errors[~far].mean():.4f} mm in the mean: wrong readings, or poses that the model knows nothing of; "
-        f"look at lines {lines}"
-    ]
-
-
-def _warnings(fit: Fit, p_value: float | None, outliers: tuple[int, ...], test: Station | None) -> list[str]:
-    found = []
-    if not fit.solution.converged:
-        found.append("the fit did not converge; look at the noise and at rows that don't belong to this robot")
-    if p_value is not None and p_value < MISFIT:
-        ratio = np.sqrt(fit.solution.cost)
-        found.append(
-            f"the residuals are {ratio:.2f} times the declared noise (chance {p_value:.1g}): the model misses something "
-            "or the noise was declared too small; uncertainties are scaled up accordingly"
-        )
-    if p_value is not None and p_value > 1.0 - MISFIT:
-        found.append("the residuals are smaller than the declared noise allows: it was declared too large")
-    if outliers:
-        lines = ", ".join(str(line) for line in outliers[:8]) + (" ..." if len(outliers) > 8 else "")
-        found.append(f"{len(outliers)} rows lie beyond the noise and were left out of the fit: lines {lines}")
-    if test is None or not len(test):
-        found.append("no rows were held out, so the errors are those of the fit, not of prediction")
-    return found

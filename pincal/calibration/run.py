@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.calibration.notes import notes_on_data
 from pincal.calibration.result import Result, result_of
 from pincal.identify.calibrate import calibrate, doubts_of_known
 from pincal.identify.fit import Fit
@@ -91,22 +92,8 @@ def run_calibration(
     fit = calibrate(robot, train, options)
     check_agreement(robot, train, fit)
     notes = tuple(dict.fromkeys((*admitted.notes, *split_notes)))
-    notes = (*robot.notes, *notes, *admitted.idle, *unobservable_notes(train, options.setup), *_few_rows(fit))
+    notes = (*robot.notes, *notes, *admitted.idle, *unobservable_notes(train, options.setup), *map(str, notes_on_data(fit)))
     notes = (*notes, *doubts_of_known(fit))
     held = fit.readings(test) if len(test) else None
     result = result_of(fit, held, seconds=time.perf_counter() - begun, tables=(train, test), notes=notes)
     return Calibration(robot, train, test, fit, result, notes)
-
-
-def _few_rows(fit: Fit) -> tuple[str, ...]:
-    """Say so where there are fewer readings than parameters; however much is read of a pose, it has six coordinates."""
-    poses = len(np.unique(fit.station.conditions.q, axis=0))
-    own = int(fit.solution.free[fit.model.n_parameters :].sum())
-    readings = min(len(fit.station) * sum(block.size for block in fit.station.sensor.blocks), 6 * poses + own)
-    released = int(fit.solution.free.sum())
-    if readings >= 2 * released:
-        return ()
-    return (
-        f"{len(fit.station)} training rows in {poses} poses give {readings} readings for {released} parameters: "
-        "much rests on what is known beforehand; measure more poses",
-    )

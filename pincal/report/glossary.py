@@ -32,23 +32,32 @@ EFFECTS = {
 }
 
 TERMS = (
-    ("accuracy", "how far the tool is from where the model says it is, on one visit of a pose (ISO 9283: pose accuracy)."),
+    (
+        "accuracy",
+        "distance from the predicted to the measured pose of the tool, of a single measurement or of the mean of several "
+        "(ISO 9283: pose accuracy).",
+    ),
     (
         "repeatability",
-        "how far visits of the same pose lie apart. No calibration improves it; it limits what one can reach.",
+        "scatter between repeated measurements of the same pose. Calibration does not improve it; it limits what can be "
+        "achieved.",
     ),
+    ("replicates", "repeated measurements of the same pose, one per measurement cycle."),
+    ("lack of fit", "residuals that exceed the scatter between replicates: the model is incomplete."),
+    ("residual", "measured minus predicted value: what the model does not explain."),
+    ("held out", "poses that were not used by the fit. Only these show what to expect of new poses."),
+    ("noise", "standard deviation of the instrument's readings; no model can be better than this."),
+    ("sigma", "standard deviation: in 95 of 100 cases the true value lies within two of them."),
     (
-        "lack of fit",
-        "poses are off their predictions by more than visits of one pose differ by: the model misses something.",
+        "identifiable rank",
+        "number of independent combinations of parameters that the data determine better than prior knowledge does.",
     ),
-    ("residual", "measured minus predicted: what the model does not explain."),
-    ("held out", "poses that the fit never saw. Only these show what to expect of new poses."),
-    ("noise", "what the instrument itself scatters by; no model can be better than this."),
-    ("sigma", "standard deviation: the true value lies within two of them 95 times of 100."),
-    ("compliance", "how much a joint or bearing twists under load, in rad per N m: the inverse of stiffness."),
-    ("rms", "root of the mean square: like the mean, but large errors count more."),
-    ("p", "the chance that mere noise looks like this. A small one says that there is something, not what it is."),
+    ("prior", "what is known of a parameter before any measurement, as a standard deviation about its nominal value."),
+    ("compliance", "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse of stiffness."),
+    ("rms", "root mean square: like the mean, but large errors count more."),
+    ("p", "probability that noise alone looks like this. A small value says that there is an effect, not which."),
 )
+"""The terms of the report, for readers who do not know the paper; every text uses them in this sense."""
 
 
 def effect_meaning(name: str) -> str:

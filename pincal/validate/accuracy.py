@@ -1,7 +1,7 @@
 """Errors of a model at measured poses, in the words and units that people use.
 
 The error at a pose is the distance between the predicted and the measured target: the pose accuracy of position of
-ISO 9283 for a single visit (several visits, and their repeatability: :mod:`pincal.validate.replicates`). Orientation
+ISO 9283 for a single measurement (for replicates and repeatability see :mod:`pincal.validate.replicates`). Orientation
 likewise, as one angle.
 """
 

@@ -1,4 +1,4 @@
-"""Does a table belong to this robot at all? Asked of the fit of base and tool alone, before anything else is trusted."""
+"""Detect swapped or sign-flipped joint columns, and tables of another robot, from the fit of base and tool alone."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
 from pincal.robot.robot import Robot
 
-# Nominal errors above this part of the reach make one look for a mix-up; real ones are a fifth of it and less.
+# Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
 _SUSPICIOUS = 0.01
-# Above this part of the reach a table and a robot have nothing to do with each other.
+# Nominal error, relative to the reach, beyond which no geometric error explains the table.
 _HOPELESS = 0.2
-# A mix-up is named if undoing it makes the errors this many times smaller.
+# Factor by which undoing a mix-up has to reduce the error before it is named.
 _CURED = 4.0
+# Rows that are looked at; every trial of a mix-up is a fit.
 _ROWS = 300
 
 

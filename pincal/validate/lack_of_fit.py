@@ -1,8 +1,8 @@
-"""Lack of fit against pure error: whether a model misses something, whatever was declared of the noise.
+"""Lack of fit against pure error: whether a model is incomplete, independently of the declared noise.
 
-Replicates of one pose differ by what the instrument and the robot do at random, whatever the model is. If poses are off
-their predictions by more than that, the model misses something: an F test on the sums of squares (Draper and Smith, Applied
-Regression Analysis, 2.1). What a pose means is told in :mod:`pincal.validate.replicates`.
+Replicates of a pose differ by the random errors of instrument and robot, whatever the model. If residuals exceed that
+scatter, the model is incomplete: an F test on the sums of squares (Draper and Smith, Applied Regression Analysis, 2.1).
+:mod:`pincal.validate.replicates` defines which rows are replicates of one pose.
 """
 
 from __future__ import annotations
@@ -21,19 +21,24 @@ from pincal.units import format_readable
 from pincal.validate.replicates import Replicates, groups, iso9283, replicate_groups
 
 MISFIT = 1e-3
-"""Chance below which a lack of fit counts as one."""
+"""Significance level at which residuals count as too large for the noise, in every test of this kind.
+
+One false alarm in a thousand calibrations. tests/test_replicates.py checks level and power of the test for lack of fit.
+"""
+# Replicates that differ by less than this many rounding errors of a reading carry no information on the noise.
+_ROUNDINGS = 10.0
 
 
 @dataclass(frozen=True)
 class Squares:
-    """Squares of residuals in units of the variances, and what visits of one pose differ by among themselves.
+    """Sums of squared residuals in units of the variances, and of the differences between replicates.
 
     Attributes:
         total: sum of squares.
         readings: number of readings in it.
         pure: sum of squares about the poses' means.
         degrees: its degrees of freedom.
-        poses: number of poses visited more than once.
+        poses: number of poses with replicates.
         by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each block.
         spread: of :func:`spread_of`.
     """
@@ -47,24 +52,24 @@ class Squares:
     spread: np.ndarray
 
 
-def squares_of(visits: Replicates, values: np.ndarray, sigma: np.ndarray) -> Squares:
+def squares_of(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray) -> Squares:
     """Return the squares of the rows that are no outliers.
 
     Args:
-        visits: rows of one part; visits of a pose in another part are not held against them.
+        rows_of: rows of one part; replicates of a pose in another part are not compared with them.
         values: shape (P,).
         sigma: shape (blocks,), standard deviations of one component.
     """
-    rows = np.flatnonzero(visits.counted)
-    weight = visits.problem.weights[rows] ** 2
-    residuals = visits.problem.residuals(values)[:, rows]
-    _, pose = np.unique(visits.pose[rows], return_inverse=True)
+    rows = np.flatnonzero(rows_of.counted)
+    weight = rows_of.problem.weights[rows] ** 2
+    residuals = rows_of.problem.residuals(values)[:, rows]
+    _, pose = np.unique(rows_of.pose[rows], return_inverse=True)
     count, mass = np.bincount(pose), np.bincount(pose, weight)
     again = count > 1
     degrees = int((count[again] - 1).sum())
     means = np.stack([np.bincount(pose, weight * component) / mass for component in residuals])
     apart = np.sqrt(weight) * (residuals - means[:, pose])
-    blocks = block_rows(visits.problem)
+    blocks = block_rows(rows_of.problem)
     by_block = np.array([((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks])
     scale = np.repeat(sigma, [b.stop - b.start for b in blocks])[:, None]
     return Squares(
@@ -81,7 +86,7 @@ def squares_of(visits: Replicates, values: np.ndarray, sigma: np.ndarray) -> Squ
 def spread_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
     r"""Return what says how evenly readings scatter over poses and components, to be added over tables.
 
-    With S the covariance in a pose of n = f + 1 > 2 visits, unbiased
+    With S the covariance in a pose of n = f + 1 > 2 replicates, unbiased
     :math:`\widehat{tr \Sigma^2} = \frac{f^2}{(f - 1)(f + 2)} (tr S^2 - (tr S)^2 / f)`.
 
     Args:
@@ -120,9 +125,9 @@ def evenness(spread: np.ndarray) -> float:
 
 
 def lack_of_fit(
-    visits: Sequence[Replicates], values: np.ndarray, sigma: np.ndarray, *, spent: float
+    parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarray, *, spent: float
 ) -> dict[str, Any] | None:
-    r"""Return whether the fitted rows are off by more than visits of the same pose differ by: an F test.
+    r"""Test whether the residuals of the fitted rows exceed the scatter between replicates: an F test.
 
     .. math:: F = \frac{(SS - SS_{pure}) / (N - p - f_{pure})}{SS_{pure} / f_{pure}}
 
@@ -130,45 +135,45 @@ def lack_of_fit(
     degrees of freedom are corrected for readings that scatter unevenly, see :func:`evenness`.
 
     Args:
-        visits: the fitted rows, then the held-out ones.
+        parts: the fitted rows, then the held-out ones.
         values: shape (P,), the fit.
         sigma: shape (blocks,), standard deviations that it used.
         spent: number p of parameters that the data pay for.
 
     Returns:
         What ``result.json`` has under this key: F, its p value and degrees of freedom, their correction, number of poses
-        visited more than once, and the standard deviation of one component among visits. None where no pose was visited
-        twice, or nothing but rounding is between the visits.
+        with replicates, and the standard deviation of one component between replicates. None where no pose has replicates,
+        or they differ by no more than rounding.
     """
-    parts = [squares_of(v, values, sigma) for v in visits]
-    fitted = parts[0]
-    return _f_test(parts, visits[0].problem, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
+    squares = [squares_of(part, values, sigma) for part in parts]
+    fitted = squares[0]
+    return _f_test(squares, parts[0].problem, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
 
 
 def lack_of_prediction(
-    visits: Replicates, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray
+    rows_of: Replicates, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray
 ) -> dict[str, Any] | None:
-    r"""Return the same of rows that the fit has not seen: whether predictions are off by more than they may.
+    r"""Test whether the residuals of rows that were not fitted exceed what noise and calibration uncertainty allow.
 
-    The residuals' covariance is that of the noise, as large as visits of one pose say, and what the calibration left
-    uncertain: :math:`s^2 D + J C J^T`.
+    Their covariance is that of the noise, estimated from the replicates, plus that of the calibrated values:
+    :math:`s^2 D + J C J^T`.
 
     Args:
-        visits: the rows.
+        rows_of: the rows.
         values: shape (P,), the calibrated values.
         sigma: shape (blocks,), standard deviations of one component in the calibration; only their ratio counts.
         covariance: shape (P, P), of the values.
     """
-    found = squares_of(visits, values, sigma)
-    if not _is_enough([found], visits.problem):
+    found = squares_of(rows_of, values, sigma)
+    if not _is_enough([found], rows_of.problem):
         return None
     scale = found.pure / found.degrees
     free = np.diag(covariance) > 0.0
-    normal = accumulate(visits.problem, values, free, visits.counted.astype(float))
+    normal = accumulate(rows_of.problem, values, free, rows_of.counted.astype(float))
     G = np.einsum("b,bij->ij", 1.0 / (scale * sigma**2), normal.G)
     g = np.einsum("b,bi->i", 1.0 / (scale * sigma**2), normal.g)
     explained = explained_by_uncertainty(G, g, covariance[np.ix_(free, free)])
-    return _f_test([found], visits.problem, found.total - found.pure - scale * explained, found.readings - found.degrees)
+    return _f_test([found], rows_of.problem, found.total - found.pure - scale * explained, found.readings - found.degrees)
 
 
 def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarray) -> float:
@@ -180,10 +185,10 @@ def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarra
 
 
 def _is_enough(parts: Sequence[Squares], problem: Station) -> bool:
-    """Return whether visits differ by more than rounding."""
+    """Return whether replicates differ by more than rounding."""
     pure = np.sum([part.by_block for part in parts], axis=0)
     sizes = [np.sqrt(squares / degrees) if degrees else 0.0 for squares, degrees in pure]
-    return any(size > 10.0 * block.rounding for size, block in zip(sizes, problem.sensor.blocks, strict=True))
+    return any(size > _ROUNDINGS * block.rounding for size, block in zip(sizes, problem.sensor.blocks, strict=True))
 
 
 def _f_test(parts: Sequence[Squares], problem: Station, misfit: float, degrees: float) -> dict[str, Any] | None:
@@ -207,21 +212,21 @@ def _f_test(parts: Sequence[Squares], problem: Station, misfit: float, degrees: 
 
 
 def lack_words(found: Mapping[str, Any]) -> str:
-    """Return what the test says, in a sentence.
+    """Return the outcome of the test in words.
 
     Example:
         >>> lack_words({"F": 1.02, "p_value": 0.4, "degrees": {"misfit": 60.0, "pure_error": 870.0}})
-        'F(60, 870) = 1.02, p 0.4: what is left is no more than visits of one pose differ by'
+        'F(60, 870) = 1.02, p 0.4: the residuals are within the scatter between replicates'
     """
     degrees = found["degrees"]
     test = f"F({degrees['misfit']:.0f}, {degrees['pure_error']:.0f}) = {found['F']:.3g}, p {found['p_value']:.2g}"
     if found["p_value"] < MISFIT:
-        return f"{test}: what is left is more than visits of one pose differ by; the model misses something"
-    return f"{test}: what is left is no more than visits of one pose differ by"
+        return f"{test}: the residuals exceed the scatter between replicates; the model is incomplete"
+    return f"{test}: the residuals are within the scatter between replicates"
 
 
 def pure_words(found: Mapping[str, Any]) -> str:
-    """Return what visits of one pose differ by, in words.
+    """Return the scatter between replicates of a pose in words.
 
     Example:
         >>> pure_words({"pure_error": {"sigma_m": 5.02e-5, "sigma_rad": 1e-4}, "poses": 8})
@@ -234,7 +239,7 @@ def pure_words(found: Mapping[str, Any]) -> str:
 def replicate_statistics(
     problem: Station, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
 ) -> dict[str, Any]:
-    """Return what rows that a calibrated model has not seen tell of it, as far as poses were visited more than once.
+    """Return accuracy, repeatability and lack of fit of rows that a model has not seen, where they hold replicates.
 
     Args:
         problem: the calibrated model over the rows.
@@ -246,9 +251,9 @@ def replicate_statistics(
     Returns:
         ``iso9283`` and ``lack_of_fit`` as in ``result.json``, those that there are.
     """
-    visits = Replicates("test", table, problem, replicate_groups([table])[0], np.ones(len(table), bool))
+    rows_of = Replicates("test", table, problem, replicate_groups([table])[0], np.ones(len(table), bool))
     found = {
-        "iso9283": iso9283([visits], {"calibrated": values}),
-        "lack_of_fit": lack_of_prediction(visits, values, sigma, covariance),
+        "iso9283": iso9283([rows_of], {"calibrated": values}),
+        "lack_of_fit": lack_of_prediction(rows_of, values, sigma, covariance),
     }
     return {name: value for name, value in found.items() if value is not None}

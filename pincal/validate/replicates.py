@@ -1,8 +1,8 @@
-r"""Visits of the same pose: accuracy and repeatability by ISO 9283.
+r"""Replicates, repeated measurements of the same pose: accuracy and repeatability by ISO 9283.
 
-Rows are visits of one pose if they have the same joint positions (to 1e-5 rad), target, named point, payload and direction
-of approach, and temperatures within 4 K: the standard allows :math:`\pm 2` K. Time may differ, as visits take time: a robot
-that drifts repeats badly. With l_j the distance of visit j from the mean of n visits,
+Rows are replicates of one pose if they have the same joint positions (to 1e-5 rad), target, named point, payload and
+direction of approach, and temperatures within 4 K: the standard allows :math:`\pm 2` K. Time may differ, as cycles take
+time: a robot that drifts repeats badly. With l_j the distance of replicate j from the mean of n replicates,
 
 .. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|, \quad RP_a = 3 S_a
 
@@ -10,7 +10,7 @@ that drifts repeats badly. With l_j the distance of visit j from the mean of n v
 predicts for the joints that were read: AP is the accuracy of a controller that uses this model. Both come from residuals,
 so that joints that come to rest a little differently do not count as the arm's own error.
 
-A pose that the fit has seen in any of its visits does not count as held out.
+A pose with any replicate among the fitted rows does not count as held out.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 
 CYCLES = 30
-"""Visits of a pose that ISO 9283 asks for."""
+"""Cycles, measurements of each pose, that ISO 9283 asks for."""
 
-# Joints that differ by less read the same pose [rad or m]: encoders are finer, controllers hold it better.
+# Joint positions that count as the same pose [rad or m]: coarser than encoders resolve, finer than robots repeat (1e-5 rad
+# move the tip of an arm of 2 m by 0.02 mm).
 _SAME = 1e-5
-# Payloads and temperatures that count as the same [kg, K].
+# Payloads that count as the same [kg]: a gram bends no arm. Temperatures within the ±2 K of ISO 9283 [K].
 _SAME_LOAD, _SAME_CLIMATE = 1e-3, 4.0
 _ANGLES = "abc"
 
@@ -45,7 +46,7 @@ class Replicates:
         part: "train" or "test".
         table: the rows.
         problem: model and readings.
-        pose: shape (N,), number of the pose that each row visits; the tables of one calibration share the numbers.
+        pose: shape (N,), number of each row's pose; the tables of one calibration share the numbers.
         counted: shape (N,), rows that are not outliers.
     """
 
@@ -57,7 +58,7 @@ class Replicates:
 
 
 def replicate_groups(tables: Sequence[Measurements]) -> list[np.ndarray]:
-    """Return the number of the pose that each row of some tables visits.
+    """Return the number of the pose of each row of some tables.
 
     Args:
         tables: tables of the same joints.
@@ -113,7 +114,7 @@ def _same_joints(q: np.ndarray) -> np.ndarray:
     low, high = np.full((count, q.shape[1]), np.inf), np.full((count, q.shape[1]), -np.inf)
     np.minimum.at(low, label, cells)
     np.maximum.at(high, label, cells)
-    # A slow motion links cell to cell over a long way: its rows are not visits of one pose.
+    # A slow motion links cell to cell over a long way: its rows are not replicates.
     label = label[inverse.ravel()]
     is_motion = np.any(high - low > 1.5, axis=1)[label]
     return np.asarray(np.where(is_motion, count + np.arange(len(q)), label))
@@ -142,7 +143,7 @@ def position_accuracy(residuals: np.ndarray) -> tuple[float, float]:
     """Return AP and RP of one pose.
 
     Args:
-        residuals: attained minus predicted position in n >= 2 visits, shape (3, n) [m].
+        residuals: attained minus predicted position in n >= 2 replicates, shape (3, n) [m].
 
     Returns:
         Pose accuracy AP and pose repeatability RP [m].
@@ -161,20 +162,20 @@ def angle_accuracy(residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.abs(residuals.mean(axis=1)), 3.0 * residuals.std(axis=1, ddof=1)
 
 
-def iso9283(visits: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
-    """Return accuracy and repeatability of all poses that were visited more than once.
+def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+    """Return accuracy and repeatability of all poses with replicates.
 
     Args:
-        visits: fitted and held-out rows; outliers count in neither.
+        parts: fitted and held-out rows; outliers count in neither.
         models: name of a model -> shape (P,), its values; the last one's figures stand pose by pose.
 
     Returns:
         What ``result.json`` has under this key: number of poses and cycles, mean and largest AP and RP by model and part
         [mm, mrad], and the poses one by one. None without any such pose, or where no position is measured.
     """
-    if not visits[0].problem.sensor.reads_pose:
+    if not parts[0].problem.sensor.reads_pose:
         return None
-    by_model = {model: _all_poses(visits, values) for model, values in models.items()}
+    by_model = {model: _all_poses(parts, values) for model, values in models.items()}
     poses = by_model[list(models)[-1]]
     if not poses:
         return None
@@ -188,15 +189,15 @@ def iso9283(visits: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> d
     return found | {"per_pose": poses}
 
 
-def _all_poses(visits: Sequence[Replicates], values: np.ndarray) -> list[dict[str, Any]]:
-    """Return AP and RP of each pose with at least two visits, in the order of the tables."""
-    residuals = np.hstack([v.problem.residuals(values) for v in visits])
-    pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in visits])
-    rows = [(v, i) for v in visits for i in range(len(v.table))]
+def _all_poses(parts: Sequence[Replicates], values: np.ndarray) -> list[dict[str, Any]]:
+    """Return AP and RP of each pose with replicates, in the order of the tables."""
+    residuals = np.hstack([v.problem.residuals(values) for v in parts])
+    pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in parts])
+    rows = [(v, i) for v in parts for i in range(len(v.table))]
     found = []
     for members in groups(pose):
-        visited, i = rows[members[0]]
-        table, is_fitted = visited.table, any(rows[member][0].part == "train" for member in members)
+        part, i = rows[members[0]]
+        table, is_fitted = part.table, any(rows[member][0].part == "train" for member in members)
         entry: dict[str, Any] = {
             "file": table.source,
             "line": int(table.rows[i]),
@@ -210,7 +211,7 @@ def _all_poses(visits: Sequence[Replicates], values: np.ndarray) -> list[dict[st
 
 
 def groups(pose: np.ndarray) -> list[np.ndarray]:
-    """Return the rows of each pose with at least two visits.
+    """Return the rows of each pose with replicates.
 
     Args:
         pose: shape (N,), the number of each row's pose; -1 for none.
@@ -240,12 +241,12 @@ def _summary(poses: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
 
 
 def cycle_words(iso: Mapping[str, Any]) -> str:
-    """Return how many visits there were, and whether that is what the standard asks for.
+    """Return how many cycles there were, and whether the standard asks for more.
 
     Example:
         >>> cycle_words({"poses": {"train": 4, "test": 1}, "cycles": {"min": 3, "max": 5, "standard": 30}})
-        '5 poses, 3 to 5 visits each; ISO 9283 asks for 30, so AP and above all RP are rough'
+        '5 poses, 3 to 5 cycles each; ISO 9283 asks for 30, so AP and especially RP are rough estimates'
     """
     poses, least, most = sum(iso["poses"].values()), iso["cycles"]["min"], iso["cycles"]["max"]
-    words = f"{poses} pose{'s' * (poses > 1)}, {least if least == most else f'{least} to {most}'} visits each"
-    return words if least >= CYCLES else f"{words}; ISO 9283 asks for {CYCLES}, so AP and above all RP are rough"
+    words = f"{poses} pose{'s' * (poses > 1)}, {least if least == most else f'{least} to {most}'} cycles each"
+    return words if least >= CYCLES else f"{words}; ISO 9283 asks for {CYCLES}, so AP and especially RP are rough estimates"

@@ -1,0 +1,134 @@
+"""What a user should know about a fit: the findings as data, and the one place where they become words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from pincal.identify.fit import Fit
+from pincal.identify.station import Station
+from pincal.measure.measurements import Measurements
+from pincal.validate.accuracy import pose_errors
+from pincal.validate.lack_of_fit import MISFIT, lack_words
+
+# A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
+_FAR = 10.0
+# Lines that a note lists.
+_LISTED = 8
+
+
+class Kind(Enum):
+    """What is noteworthy; the values are how it is said, with its figures in braces."""
+
+    FEW_READINGS = (
+        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters: the result is "
+        "dominated by the prior; measure more poses"
+    )
+    NOT_CONVERGED = "the fit did not converge; check the noise, and look for rows that do not belong to this robot"
+    NOISE_EXCEEDED = (
+        "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is incomplete or the declared "
+        "noise is too small; uncertainties are scaled up accordingly"
+    )
+    NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
+    NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
+    FAR_OFF = (
+        "{count} of {rows} held-out rows are off by up to {largest:.3g} mm, the others by {mean:.4f} mm on average: wrong "
+        "readings, or poses outside what the model covers; see lines {lines}"
+    )
+    LACK_OF_FIT = "lack of fit against replicates: {test}"
+    NOISY_REPLICATES = (
+        "replicates scatter as much as the residuals do ({test}): the declared noise is too small or the robot repeats "
+        "poorly; the model is not at fault"
+    )
+
+
+@dataclass(frozen=True)
+class Note:
+    """One finding; ``str()`` gives it in words.
+
+    Attributes:
+        kind: what was found.
+        figures: its particulars, by the names in the text of the kind.
+    """
+
+    kind: Kind
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.kind.value.format(**self.figures)
+
+
+def notes_on_data(fit: Fit) -> list[Note]:
+    """Return whether the readings are few for the parameters; however much is read of a pose, it has six coordinates."""
+    poses = len(np.unique(fit.station.conditions.q, axis=0))
+    own = int(fit.solution.free[fit.model.n_parameters :].sum())
+    readings = min(len(fit.station) * sum(block.size for block in fit.station.sensor.blocks), 6 * poses + own)
+    released = int(fit.solution.free.sum())
+    if readings >= 2 * released:
+        return []
+    figures = {"rows": len(fit.station), "poses": poses, "readings": readings, "parameters": released}
+    return [Note(Kind.FEW_READINGS, figures)]
+
+
+def notes_on_fit(fit: Fit, p_value: float | None, outliers: Sequence[int], test: Station | None) -> list[Note]:
+    """Return what the fit itself says.
+
+    Args:
+        fit: the calibration.
+        p_value: of its chi-square against the declared noise; None if none was declared.
+        outliers: lines of the rows that were rejected.
+        test: held-out rows under the calibrated model, if any.
+    """
+    found = [] if fit.solution.converged else [Note(Kind.NOT_CONVERGED)]
+    if p_value is not None and p_value < MISFIT:
+        found.append(Note(Kind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
+    if p_value is not None and p_value > 1.0 - MISFIT:
+        found.append(Note(Kind.NOISE_OVERSTATED))
+    if outliers:
+        found.append(Note(Kind.OUTLIERS, {"count": len(outliers), "lines": _listed(outliers)}))
+    if test is None or not len(test):
+        found.append(Note(Kind.NOT_HELD_OUT))
+    return found
+
+
+def notes_on_held_out(fit: Fit, test: Station | None, table: Measurements) -> list[Note]:
+    """Return whether some held-out rows are far off all others: a few of them dominate a mean."""
+    if test is None or not len(test):
+        return []
+    errors = next(iter(pose_errors(test, fit.values).values()))
+    far = errors > _FAR * np.median(errors)
+    if not far.any():
+        return []
+    figures = {
+        "count": int(far.sum()),
+        "rows": len(errors),
+        "largest": float(errors.max()),
+        "mean": float(errors[~far].mean()),
+        "lines": _listed(table.rows[far].tolist()),
+    }
+    return [Note(Kind.FAR_OFF, figures)]
+
+
+def notes_on_replicates(lack: Mapping[str, Any] | None, p_value: float | None) -> list[Note]:
+    """Return what replicates say of model and noise.
+
+    Args:
+        lack: ``lack_of_fit`` of ``result.json``, None without replicates.
+        p_value: of chi-square against the declared noise; None if none was declared.
+    """
+    if lack is None:
+        return []
+    if lack["p_value"] < MISFIT:
+        return [Note(Kind.LACK_OF_FIT, {"test": lack_words(lack)})]
+    if p_value is not None and p_value < MISFIT:
+        return [Note(Kind.NOISY_REPLICATES, {"test": lack_words(lack)})]
+    return []
+
+
+def _listed(lines: Sequence[int]) -> str:
+    return ", ".join(map(str, lines[:_LISTED])) + " ..." * (len(lines) > _LISTED)
