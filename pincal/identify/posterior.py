@@ -98,8 +98,10 @@ class Posterior:
         shared = np.ones(n, bool)
         for part in self.own:
             shared[part.places] = False
-        sizes, axes = np.linalg.eigh(self.covariance)
-        root = axes * np.sqrt(np.maximum(sizes, 0.0))
+        # Variances differ by twelve orders of magnitude; rounding must not carry the large ones into the small ones.
+        sigma = np.sqrt(np.diag(self.covariance))
+        sizes, axes = np.linalg.eigh(self.covariance / np.outer(sigma, sigma))
+        root = sigma[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
         factor = np.empty((n, len(root)))
         factor[shared] = root
         for part in self.own:

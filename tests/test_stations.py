@@ -1,0 +1,374 @@
+"""Several stations in one fit: the sum of their normal equations, whatever is eliminated, in whatever order, wherever."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from machines import kuka as true_kuka
+from scipy.spatial.transform import Rotation
+
+from pincal import simulate as sim
+from pincal.discover.score_tests import ScoreTests, score_test
+from pincal.errors import BadInputError
+from pincal.identify.calibrate import calibrate
+from pincal.identify.equations import Linearised
+from pincal.identify.fit import Fit
+from pincal.identify.options import Options, StationOptions
+from pincal.identify.posterior import Posterior, eliminate, posterior
+from pincal.identify.problem import Problem
+from pincal.identify.solve import solve
+from pincal.measure.lens import Lens
+from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.setup import Setup
+from pincal.model.catalogue import BaseDrift, GearEccentricity
+from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
+from pincal.robot.robot import Robot
+
+NOISE = 5e-5
+LENS = Lens(2000.0, 2010.0, 1024.0, 768.0, -0.1, 0.05, 1e-3, -5e-4)
+GRID = {f"p{i}": (0.04 * (i % 4), 0.05 * (i // 4), 0.0) for i in range(12)}
+
+
+def transform(angles: tuple[float, float, float], place: tuple[float, float, float]) -> np.ndarray:
+    """Return a transform by angles about x, y, z [rad] and a place [m]."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", angles).as_matrix(), place
+    return T
+
+
+BASES = (transform((0.1, -0.2, 1.0), (2.0, 0.5, -0.3)), transform((0.0, 0.1, -2.0), (-1.0, 3.0, 0.2)))
+TOOLS = ((0.05, 0.03, 0.12), (-0.08, 0.02, 0.2))
+
+
+@pytest.fixture(scope="module")
+def machine() -> sim.TrueMachine:
+    """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
+    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
+
+
+def tracked(
+    machine: sim.TrueMachine, robot: Robot, station: int, *, poses: int = 80, noise: float = NOISE, seed: int = 0
+) -> Measurements:
+    """Return positions of a reflector, read by a tracker that stands somewhere else at each station."""
+    rng = np.random.default_rng([seed, station])
+    q = robot.random_configurations(poses, rng)
+    tip = BASES[station] @ machine.equilibrium(machine.poses(q)).tip
+    position = tip[:, :3, :3] @ TOOLS[station] + tip[:, :3, 3] + rng.normal(size=(poses, 3)) * noise
+    return measurements_from_arrays(robot.joint_names, q, position=position, time=np.linspace(0.0, 3600.0, poses))
+
+
+def seen(machine: sim.TrueMachine, robot: Robot, *, poses: int = 25, pixels: bool, noise: float) -> Measurements:
+    """Return what a camera at the flange reads of a grid of points."""
+    rng = np.random.default_rng(13)
+    mount, place = transform((0.3, -0.4, 2.0), (0.05, 0.1, 0.15)), transform((0.1, 0.2, 0.3), (1.5, 0.3, 0.5))
+    points = np.array([*GRID.values()]) @ place[:3, :3].T + place[:3, 3]
+    view = sim.View(camera_pose=mount, look_at=points.mean(axis=0), facing=place[:3, 2], distance=(0.3, 0.7))
+    q = sim.plan_views(machine.nominal, poses, rng=rng, view=view)
+    camera = machine.equilibrium(machine.poses(q)).tip @ mount
+    found = np.einsum("nab,nka->nkb", camera[:, :3, :3], points - camera[:, None, :3, 3]).reshape(-1, 3)
+    reading = LENS.project(found) if pixels else found
+    reading = reading + rng.normal(0.0, noise, reading.shape)
+    columns = {"pixel" if pixels else "camera_point": reading, "point": np.tile(list(GRID), poses)}
+    return measurements_from_arrays(robot.joint_names, np.repeat(q, len(GRID), axis=0), **columns)
+
+
+@pytest.fixture(scope="module")
+def two(machine: sim.TrueMachine, kuka: Robot) -> Fit:
+    """Return a fit of two stations; each base drifts by itself, which has a prior."""
+    tables = {"east": tracked(machine, kuka, 0, poses=50), "west": tracked(machine, kuka, 1, poses=70)}
+    options = Options(effects=(*GEOMETRIC, JointElasticity(), BaseDrift(1800.0)), sigma=NOISE, loss="none")
+    return calibrate(kuka, tables, options)
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """All readings of a fit in one dense Jacobian, whitened, priors as further rows: the oracle."""
+
+    J: np.ndarray
+    r: np.ndarray
+    readings: int
+
+    @classmethod
+    def at(cls, fit: Fit, values: np.ndarray) -> "Stacked":
+        """Linearise at some values; each station's parameters are found by their names."""
+        free, names = fit.solution.free, [p.name for p in fit.problem.parameters]
+        rows, residuals = [], []
+        for station in fit.problem.stations:
+            full = [f"{station.name}/{p.name}" for p in station.parameters]
+            places = [names.index(a if a in names else p.name) for a, p in zip(full, station.parameters, strict=True)]
+            (_, r, J), *more = station.linearise(values[places], np.ones(len(places), bool))
+            assert not more
+            wide = np.zeros((r.size, len(names)))
+            wide[:, places] = J.reshape(len(places), -1).T
+            rows.append(wide / NOISE)
+            residuals.append(r.ravel() / NOISE)
+        readings = sum(len(r) for r in residuals)
+        rows.append(np.diag(1.0 / fit.priors.sizes))
+        residuals.append(-values / fit.priors.sizes)
+        return cls(np.vstack(rows)[:, free], np.concatenate(residuals), readings)
+
+    @property
+    def step(self) -> np.ndarray:
+        """The step that least squares wants."""
+        scale = np.linalg.norm(self.J, axis=0)
+        return np.linalg.lstsq(self.J / scale, self.r, rcond=None)[0] / scale
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """The inverse of the whole information."""
+        scale = np.linalg.norm(self.J, axis=0)
+        _, R = np.linalg.qr(self.J / scale)
+        inverse = np.linalg.inv(R)
+        return inverse @ inverse.T / np.outer(scale, scale)
+
+
+def converged(fit: Fit) -> np.ndarray:
+    """Return the values of a fit after some more steps: one ends where steps are below a thousandth of the noise."""
+    values = fit.values
+    for _ in range(4):
+        values = solve(fit.problem, values, fit.solution.free, fit.priors, fit.noise, loss="none").values
+    return values
+
+
+def robots_own(fit: Fit) -> np.ndarray:
+    """Return which parameters are the robot's."""
+    return np.array([not p.station for p in fit.problem.parameters])
+
+
+def test_two_stations_equal_one_dense_least_squares_fit(two: Fit) -> None:
+    """The robot's parameters, and the stations' own, come out as if all readings stood in one large matrix."""
+    values = np.zeros(len(two.values))
+    values[~robots_own(two)] = two.nominal.values[~robots_own(two)]
+    for _ in range(12):
+        values[two.solution.free] += Stacked.at(two, values).step
+    assert two.solution.converged
+    np.testing.assert_allclose(converged(two) / two.estimate.sigma, values / two.estimate.sigma, rtol=0.0, atol=1e-9)
+
+
+def test_steps_and_covariance_equal_those_of_the_dense_matrix(two: Fit) -> None:
+    """Elimination is exact: at any point, for parameters with and without priors."""
+    free = two.solution.free
+    there = two.values + np.where(free, two.estimate.sigma, 0.0)
+    dense = Stacked.at(two, there)
+    point = Linearised(two.problem, there, free, np.ones(len(two.problem)), two.priors.sizes)
+    found = point.equations(np.full(2, NOISE))
+    step, held = found.step(np.full(int(free.sum()), np.inf))
+    sigma = np.sqrt(np.diag(dense.covariance))
+    assert not held.any()
+    # Normal equations square the condition number of the dense matrix.
+    np.testing.assert_allclose(step / sigma, dense.step / sigma, rtol=0.0, atol=1e-8)
+    covariance = found.posterior().joint_covariance.dense()
+    np.testing.assert_allclose(covariance / np.outer(sigma, sigma), dense.covariance / np.outer(sigma, sigma), atol=1e-7)
+
+
+def test_length_and_objective_are_those_of_all_readings(two: Fit) -> None:
+    """A step's length is measured by the readings alone, the objective by priors, too."""
+    free = two.solution.free
+    dense = Stacked.at(two, two.values)
+    point = Linearised(two.problem, two.values, free, np.ones(len(two.problem)), two.priors.sizes)
+    sigma = np.full(2, NOISE)
+    step = np.random.default_rng(2).normal(size=int(free.sum())) * 1e-5
+    along = dense.J[: dense.readings] @ step
+    assert point.equations(sigma).square(step) == pytest.approx(along @ along, rel=1e-6)
+    assert point.objective(sigma) == pytest.approx(dense.r @ dense.r, rel=1e-12)
+    assert point.chi2(sigma) == pytest.approx(dense.r[: dense.readings] @ dense.r[: dense.readings], rel=1e-12)
+
+
+def random_equations(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return G, g, prior sizes and offsets of 9 parameters, of which 3 have no prior."""
+    J = rng.normal(size=(40, 9))
+    sizes = rng.uniform(0.2, 2.0, 9)
+    sizes[[1, 4, 7]] = np.inf
+    return J.T @ J, J.T @ rng.normal(size=40), sizes, np.where(np.isfinite(sizes), rng.normal(size=9), 0.0)
+
+
+@pytest.mark.parametrize("own", [[1, 4, 7], [0, 1, 2], [8], [3, 4, 5, 6]])
+def test_elimination_leaves_the_posterior_as_it_is(own: list[int], rng: np.random.Generator) -> None:
+    """Step, covariance, rank and parameters spent are the same whatever is eliminated first, to rounding."""
+    G, g, sizes, offsets = random_equations(rng)
+    is_own = np.isin(np.arange(9), own)
+    whole: Posterior = posterior(G, g, sizes, offsets)
+    part = eliminate(G, g, is_own, sizes, offsets)
+    rest = replace(
+        posterior(part.G, part.g, sizes[~is_own], offsets[~is_own]),
+        own=(part.eliminated(np.flatnonzero(is_own), np.arange(int((~is_own).sum()))),),
+    )
+    np.testing.assert_allclose(rest.joint_covariance.dense(), whole.covariance, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(rest.step, whole.step[~is_own], rtol=1e-9)
+    np.testing.assert_allclose(rest.own[0].step(rest.step), whole.step[is_own], rtol=1e-9)
+    assert (rest.visible_rank, rest.effective) == (whole.visible_rank, pytest.approx(whole.effective, rel=1e-10))
+
+
+def test_what_nothing_determines_stays_loose_when_it_is_eliminated(rng: np.random.Generator) -> None:
+    """A station's frame that no reading sees has a wide variance, and pulls at nothing else."""
+    G, g, sizes, offsets = random_equations(rng)
+    G[4], G[:, 4], g[4] = 0.0, 0.0, 0.0
+    is_own = np.isin(np.arange(9), [1, 4])
+    whole, part = posterior(G, g, sizes, offsets), eliminate(G, g, is_own, sizes, offsets)
+    np.testing.assert_allclose(part.alone.covariance[1, 1], 1.0, rtol=1e-12)
+    np.testing.assert_allclose(
+        posterior(part.G, part.g, sizes[~is_own], offsets[~is_own]).covariance,
+        whole.covariance[np.ix_(~is_own, ~is_own)],
+        rtol=1e-9,
+    )
+    assert part.alone.visible_rank == 1
+
+
+def test_names_tell_stations_apart(two: Fit) -> None:
+    """The robot's parameters have plain names; each station's have its name before them."""
+    names = two.estimate.names
+    assert names[0] == "joint_1.theta" and len(set(names)) == len(names)
+    assert [n for n in names if n.endswith("base.x")] == ["east/base.x", "west/base.x"]
+    assert [n for n in names if n.endswith("base.x_t")] == ["east/base.x_t", "west/base.x_t"]
+    east = two.estimate.take(n for n in names if not n.startswith("west"))
+    whole = two.estimate.dense_covariance()
+    kept = [i for i, n in enumerate(names) if not n.startswith("west")]
+    scale = np.where(two.estimate.free, two.estimate.sigma, 1.0)[kept]
+    expected = whole[np.ix_(kept, kept)] / np.outer(scale, scale)
+    np.testing.assert_allclose(east.dense_covariance() / np.outer(scale, scale), expected, atol=1e-12)
+
+
+def test_the_order_of_stations_means_nothing(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """To rounding: sums are added in another order."""
+    tables = {"a": tracked(machine, kuka, 0, poses=40), "b": tracked(machine, kuka, 1, poses=50)}
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    first, second = (calibrate(kuka, dict(order), options) for order in (tables.items(), reversed(tables.items())))
+    other = second.estimate.take(first.estimate.names)
+    np.testing.assert_allclose(first.values, other.values, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(first.estimate.sigma, other.sigma, rtol=1e-8)
+
+
+def halves(machine: sim.TrueMachine, robot: Robot) -> tuple[Measurements, list[Measurements], Options]:
+    """Return a table, the same in two parts, and options with frames and noise known, so that both mean the same."""
+    table = tracked(machine, robot, 0, poses=90)
+    first = np.arange(90) < 30
+    options = Options(
+        effects=(*GEOMETRIC, JointElasticity()), base=BASES[0], tools={"tool": TOOLS[0]}, sigma=1e-3, loss="none"
+    )
+    return table, [table.select(first), table.select(~first)], options
+
+
+def test_a_table_in_two_parts_is_the_same_table(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """With base and tool given, two stations with half the rows each are one station with all of them."""
+    table, parts, options = halves(machine, kuka)
+    whole, split = calibrate(kuka, table, options), calibrate(kuka, parts, options)
+    same = split.estimate.take(p.name for p in whole.problem.parameters if p.effect not in ("base_frame", "tool_frame"))
+    expected = whole.estimate.take(same.names)
+    np.testing.assert_allclose(same.values, expected.values, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(same.sigma, expected.sigma, rtol=1e-9)
+
+
+def _score_tests(fit: Fit, candidates: list[Effect], groups: np.ndarray) -> ScoreTests:
+    """Test candidates by one noise for all stations."""
+    estimated = np.full(len(fit.problem.stations), 3e-4)
+    return score_test(replace(fit, solution=replace(fit.solution, estimated=estimated)), candidates, [], groups)
+
+
+def test_score_tests_of_a_table_in_two_parts_are_the_same(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Gram matrices are sums over stations; an effect of the robot has one column for all of them."""
+    table, parts, options = halves(machine, kuka)
+    candidates = [GearEccentricity(name) for name in kuka.joint_names]
+    groups = np.arange(90) % 4
+    one, two = (_score_tests(calibrate(kuka, tables, options), candidates, groups) for tables in (table, parts))
+    for k in range(len(candidates)):
+        assert one.gain([k]) == pytest.approx(two.gain([k]), rel=1e-9)
+        assert one.cross_validated_gain([k]) == pytest.approx(two.cross_validated_gain([k]), rel=1e-8)
+
+
+def test_one_table_by_a_name_needs_no_name(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A mapping, or a list, of one table is that table, its station's options included."""
+    table = tracked(machine, kuka, 0, poses=40)
+    plain = calibrate(kuka, table, Options(effects=GEOMETRIC, sigma=NOISE))
+    named = calibrate(kuka, {"x": table}, Options(effects=GEOMETRIC, stations={"x": StationOptions(sigma=NOISE)}))
+    listed = calibrate(kuka, [table], Options(effects=GEOMETRIC, sigma=NOISE))
+    for other in (named, listed):
+        assert other.estimate.names == plain.estimate.names
+        np.testing.assert_array_equal(other.values, plain.values)
+
+
+@pytest.mark.parametrize("pixels", [False, True])
+def test_tracker_and_camera_know_more_together(pixels: bool, machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A tracker table and a camera table of one arm in one fit predict better than either, and know how well."""
+    noise = 0.1 if pixels else 5e-5
+    tables = {
+        "tracker": tracked(machine, kuka, 0, poses=30),
+        "camera": seen(machine, kuka, pixels=pixels, noise=noise),
+    }
+    own = StationOptions(sigma=noise, setup=Setup(points=GRID, lens=LENS if pixels else None))
+    options = Options(effects=GEOMETRIC, sigma=NOISE, stations={"camera": own})
+    both = calibrate(kuka, tables, options)
+    alone = {name: calibrate(kuka, table, replace(options.at(name), stations={})) for name, table in tables.items()}
+    assert both.solution.converged and 0.8 < both.solution.cost < 1.2
+    shared = [p.name for p in both.problem.parameters if not p.station]
+    for fit in alone.values():
+        told = fit.estimate.take(shared)
+        assert np.all(both.estimate.take(shared).sigma <= told.sigma * (1.0 + 1e-4))
+    # The tracker's poses, many more of them and without noise, in the frames that each fit found for the tracker.
+    far = tracked(machine, kuka, 0, poses=400, noise=0.0, seed=5)
+    station = both.problem.stations[0]
+    names = [p.at("tracker").name if own else p.name for p, own in zip(station.parameters, station.is_own, strict=True)]
+    local = both.estimate.take(names)
+    there = alone["tracker"].readings(far)
+    merged = replace(there, model=station.model)
+    error = merged.residuals(local.values)
+    before = there.residuals(alone["tracker"].values)
+    assert np.sqrt(np.mean(error**2)) < 0.8 * np.sqrt(np.mean(before**2))
+    _, J = station.model.linearise(local.values, merged.conditions)
+    expected = np.einsum("nip,pq,niq->", J, local.dense_covariance(), J)
+    assert 0.5 < np.sum(error**2) / expected < 2.0
+
+
+def test_each_station_has_its_own_noise_and_outliers(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Noise is estimated station by station, and a row is judged by that of its own station."""
+    fine, coarse = tracked(machine, kuka, 0, noise=2e-5), tracked(machine, kuka, 1, noise=4e-4)
+    position = np.array(fine.position)
+    position[7] += 3e-4
+    fit = calibrate(kuka, [replace(fine, position=position), coarse], Options(effects=GEOMETRIC))
+    np.testing.assert_allclose(fit.solution.sigma, [2e-5, 4e-4], rtol=0.2)
+    assert np.flatnonzero(fit.solution.weights == 0.0).tolist() == [7]
+    assert fit.solution.converged and fit.solution.cost == pytest.approx(1.0)
+
+
+def test_exact_readings_of_several_stations_are_fitted_to_rounding(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Without noise nothing is left."""
+    fit = calibrate(kuka, [tracked(machine, kuka, s, poses=40, noise=0.0) for s in (0, 1)], Options(effects=GEOMETRIC))
+    for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
+        assert np.abs(station.residuals(fit.values[places])).max() < 1e-10
+
+
+@pytest.fixture
+def executors() -> Iterator[list[Executor]]:
+    """Return a pool of threads and a pool of processes."""
+    with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2) as processes:
+        yield [threads, processes]
+
+
+def test_results_do_not_depend_on_the_executor(machine: sim.TrueMachine, kuka: Robot, executors: list[Executor]) -> None:
+    """To the last bit: contributions are added in the order of the stations."""
+    tables = [tracked(machine, kuka, s, poses=40) for s in (0, 1)] + [tracked(machine, kuka, 0, poses=30, seed=3)]
+    options = Options(effects=GEOMETRIC)
+    here = calibrate(kuka, tables, options)
+    for executor in executors:
+        there = calibrate(kuka, tables, options, executor=executor)
+        np.testing.assert_array_equal(there.values, here.values)
+        np.testing.assert_array_equal(there.estimate.sigma, here.estimate.sigma)
+
+
+def test_what_needs_one_station_names_those_that_there_are(two: Fit) -> None:
+    """Not the first one, silently."""
+    with pytest.raises(BadInputError, match="there are 2: east, west"):
+        _ = two.station
+
+
+def test_names_and_options_of_stations_are_checked(machine: sim.TrueMachine, kuka: Robot, two: Fit) -> None:
+    """Each has a name of its own, and options are for one of them."""
+    table = tracked(machine, kuka, 0, poses=20)
+    with pytest.raises(BadInputError, match="options are given for the station 'tracker'; expected one of 'a', 'b'"):
+        calibrate(kuka, {"a": table, "b": table}, Options(stations={"tracker": StationOptions(sigma=NOISE)}))
+    east = two.problem.stations[0]
+    with pytest.raises(BadInputError, match="a name of its own"):
+        Problem((east, east))
+    with pytest.raises(BadInputError, match="no tables"):
+        calibrate(kuka, [])
