@@ -67,9 +67,9 @@ class _Argument(click.Argument):
 class Verb(click.Command):
     """A command whose help text has a section for its arguments and for each group of options."""
 
-    def __init__(self, *, headings: Mapping[str, str], **attributes: Any) -> None:
+    def __init__(self, *, headings: Mapping[str, str], ending: Callable[[], str] | None, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self._headings = headings
+        self._headings, self._ending = headings, ending
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write arguments and options, section by section."""
@@ -83,9 +83,20 @@ class Verb(click.Command):
                 with formatter.section(heading):
                     formatter.write_dl(records)
 
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write examples and exit codes, and the ending as it is."""
+        super().format_epilog(ctx, formatter)
+        if self._ending is not None:
+            formatter.write(f"\n{self._ending()}\n")
+
 
 def verb(
-    arguments: type[A], *, examples: str, exits: tuple[Exit, ...] = (), defaults: Mapping[str, Any] | None = None
+    arguments: type[A],
+    *,
+    examples: str,
+    exits: tuple[Exit, ...] = (),
+    defaults: Mapping[str, Any] | None = None,
+    ending: Callable[[], str] | None = None,
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is the help text.
 
@@ -94,6 +105,7 @@ def verb(
         examples: lines to copy, and what else stands at the end of the help text.
         exits: how the verb may end other than done, wrong usage and bad input.
         defaults: name of an option -> its default for this verb, or a tuple of default and words, where it differs.
+        ending: makes lines after the examples, called only when the help text is shown; default: none.
     """
     codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
     meanings = "; ".join(f"{int(code)} {code.meaning}" for code in codes)
@@ -109,6 +121,7 @@ def verb(
             callback=run,
             params=[parameter for _, parameter in parameters],
             headings={str(parameter.name): heading for heading, parameter in parameters},
+            ending=ending,
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
         )

@@ -181,20 +181,3 @@ class SplitOptions:
     split: Literal["random", "blocked"] = option("Hold out rows at random, or whole regions of joint space.", "random")
     holdout: Path | None = option("Validate on this table instead; all rows of DATA are fitted.")
     seed: int = option("Random seed of the hold-out split.", 0)
-
-
-def options(*decorators: Callable[[F], F]) -> Callable[[F], F]:
-    """Stack option decorators into one."""
-
-    def stacked(function: F) -> F:
-        for decorator in reversed(decorators):
-            function = decorator(function)
-        return function
-
-    return stacked
-
-
-output_options = options(
-    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
-    click.option("--quiet", is_flag=True, help="Print neither progress nor notes."),
-)

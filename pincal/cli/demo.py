@@ -6,17 +6,17 @@ the third the robot is told where to go so that it arrives.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
 import numpy as np
 
-from pincal.cli import show_progress
-from pincal.cli.common import output_options
+from pincal.cli.arguments import group, option, verb
+from pincal.cli.common import GeneralOptions
 from pincal.cli.outputs import output_folder, print_json, provenance
 from pincal.cli.simulate_output import write_json
+from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.discover.run import Discovery
@@ -39,13 +39,18 @@ _HIDDEN_FOLDER = "hidden_effect"
 _PROGRAM = 200
 
 
-@click.command(epilog="\b\nExample:\n  pincal demo --out kuka\n")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("pincal-demo"), show_default=True, metavar="DIR")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of poses and noise.")
-@output_options
-def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
+@dataclass(frozen=True, kw_only=True)
+class DemoArguments:
+    """Arguments of demo."""
+
+    out: Path = option("Folder to write to.", Path("pincal-demo"), metavar="DIR")
+    seed: int = option("Random seed of poses and noise.", 1)
+    general: GeneralOptions = group("General")
+
+
+@verb(DemoArguments, examples="Example:\n  pincal demo --out kuka")
+def demo(arguments: DemoArguments) -> Exit:
     """Tell the whole story on the KUKA KR 125/2: nothing to prepare."""
-    show_progress(quiet)
     from pincal.builtin import kuka_urdf_path
     from pincal.calibration.run import run_calibration
     from pincal.cli.fitting import write_results
@@ -57,7 +62,7 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     from pincal.simulate.hidden import hidden_effect
     from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS, PaperMachine
 
-    robot = Robot.from_urdf(kuka_urdf_path())
+    robot, out, seed = Robot.from_urdf(kuka_urdf_path()), arguments.out, arguments.seed
     sound, bad = PaperMachine(), PaperMachine(effects=(hidden_effect("gear_eccentricity", **_HIDDEN),))
     with output_folder(out) as draft, output_folder(out / _HIDDEN_FOLDER) as second:
         (draft / "kuka_kr125_2.urdf").write_bytes(kuka_urdf_path().read_bytes())
@@ -79,14 +84,14 @@ def demo(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
         program = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
         missed = _compensate(second, found, machine=bad, setup=campaign.setup, program=program)
-    if as_json:
+    if arguments.general.as_json:
         results = {name: run.result.to_dict() for name, run in runs.items()}
         print_json(results | {"discovery": found.report, "program_error_mm": missed})
     else:
         _tell(runs, out)
         _tell_hidden(found)
         _tell_program(missed, out)
-    return 0
+    return Exit.DONE
 
 
 def _campaign(robot: Robot, rng: np.random.Generator) -> Campaign:

@@ -1,16 +1,26 @@
-"""Options of ``pincal simulate``: the machine, and the campaign in which it is measured."""
+"""Arguments of ``pincal simulate``: the machine, the sensor, and the campaign in which it is measured."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
-import numpy as np
 
-from pincal.cli.common import ANGLE, LENGTH, Quantity, options
+from pincal.cli.arguments import group, option
+from pincal.cli.common import (
+    ANGLE,
+    LENGTH,
+    GeneralOptions,
+    Quantity,
+    Vector,
+    base_option,
+    robot_argument,
+    tip_option,
+)
 from pincal.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -18,7 +28,7 @@ if TYPE_CHECKING:
 
 
 _BESIDE, _CAMERAS = ("position", "pose", "distance"), ("camera_point", "camera_pixel")
-# Options that only some sensors have; the sensor that those of them which say it all stand for.
+# Options that only some sensors have, and the sensor that some of them imply.
 _GOES_WITH = {
     "sockets": ("socket",),
     "socket_spacing": ("socket",),
@@ -32,11 +42,9 @@ _GOES_WITH = {
     "noise_angle": ("pose",),
 }
 _IMPLIED = {"sockets": "socket", "anchors": "distance", "ball_bar": "distance"}
-_NOISE = {"m": 5e-5, "px": 0.1}
+_NOISE, _NOISE_ANGLE = {"m": 5e-5, "px": 0.1}, 1e-4
 # Images of the paper's object: three blocks on each of two sides, two joint configurations each.
 _PAPER_POSES = 12
-# Columns that a campaign may record of its conditions.
-_RECORDED = ("temperature", "time", "approach")
 
 
 class _Level(click.ParamType[float]):
@@ -84,7 +92,7 @@ class _Lens(click.ParamType[dict[str, float]]):
         return value if isinstance(value, dict) else parse_lens(str(value))
 
 
-class _Loads(click.ParamType[tuple[float, ...]]):
+class _Payloads(click.ParamType[tuple[float, ...]]):
     """Payloads separated by commas."""
 
     name = "payloads"
@@ -109,152 +117,211 @@ class _Share(click.FloatRange):
         return number
 
 
-_SCALE = _Share(min=0.0)
-
-machine_options = options(
-    click.option("--tip", metavar="LINK", help="Link at the end of the arm; the end of the longest chain unless given."),
-    click.option("--base", metavar="LINK", help="Link at its start; the root of the URDF unless given."),
-    click.option("--errors", type=_SCALE, default=1.0, show_default=True, metavar="SCALE",
-                 help="Size of the drawn geometric errors; 1 is typical, 0 none."),
-    click.option("--elastic", type=_SCALE, metavar="SCALE",
-                 help="Compliance of drives and bearings; 1 is typical, 0 rigid.  [default: 1 if the URDF has masses]"),
-    click.option("--moment-frame", type=click.Choice(["paper", "before", "after"]), default="after", show_default=True,
-                 help="Where bearings give way, in the URDF's own joint frames; discover finds out which."),
-    click.option("--masses-off", type=_Share(0.0, 30.0), default=0.0, metavar="PERCENT",
-                 help="Error of the URDF's masses and centres of mass (standard deviation)."),
-    click.option("--gravity", nargs=3, type=float, metavar="X Y Z",
-                 help="In the robot's base frame [m/s^2]; -z unless given."),
-    click.option("--effect", "effects", multiple=True, metavar="NAME[:JOINT][:KEY=VALUE,...]",
-                 help="A hidden effect, see below; any number of them."),
-)  # fmt: skip
-
-campaign_options = options(
-    click.option("--poses", type=int, metavar="N", help="Number of random poses."),
-    click.option("--at", type=click.Path(path_type=Path), metavar="FILE.csv",
-                 help="Joint positions (and payload, temperature, ...) from this table instead."),
-    click.option("--cycles", type=click.IntRange(1, 1000), default=1, show_default=True, metavar="N",
-                 help="Visits of every pose, one round after the other: repeatability (ISO 9283) needs 30."),
-    click.option("--floor", type=float, default=0.0, show_default=True, metavar="Z",
-                 help="Height in the base frame above which random poses keep the arm [m]."),
-    click.option("--no-floor", is_flag=True, help="Random poses anywhere within the joint limits."),
-    click.option("--payload", type=_Loads(), metavar="KG[,KG...]", help="One load or several; no column unless given."),
-    click.option("--payload-order", type=click.Choice(["blocks", "alternating"]), default="blocks", show_default=True,
-                 help="Several loads: one after the other, or in turn."),
-    click.option("--payload-com", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="X Y Z",
-                 help="Centre of mass of the payload in the tip frame [m]."),
-    click.option("--with", "recorded", multiple=True, type=click.Choice(_RECORDED),
-                 help="A column to record, whether an effect needs it or not."),
-    click.option("--hide", multiple=True, type=click.Choice([*_RECORDED, "payload"]),
-                 help="A column that has its effect but is not recorded."),
-    click.option("--seed", type=int, default=0, show_default=True, help="Of the machine, the instrument and all else."),
-    click.option("--pose-seed", type=int, help="Of poses, conditions and noise; that of the machine unless given."),
-)  # fmt: skip
-
-setup_options = options(
-    click.option("--sensor", metavar="KIND",
-                 help="What is measured: position, pose, distance, socket, camera_point or camera_pixel.  "
-                      "[default: position, or what --sockets, --anchors and --ball-bar stand for]"),
-    click.option("--noise", type=_Noise(), metavar="LEVEL",
-                 help="Standard deviation of a coordinate, of the distance, of the point in its socket, or of image "
-                      "coordinates; 0mm for exact readings.  [default: 0.05mm, 0.1px]"),
-    click.option("--noise-angle", type=_Level(ANGLE), default="0.1mrad", show_default=True,
-                 help="Likewise of an orientation (pose)."),
-    click.option("--targets", type=click.IntRange(1, 20), default=1, show_default=True, metavar="K",
-                 help="Number of targets on the tool, each measured in every pose."),
-    click.option("--tool", nargs=3, type=float, metavar="X Y Z",
-                 help="Target, tool point or camera in the tip frame [m]; drawn unless given."),
-    click.option("--instrument", type=click.Choice(["drawn", "base"]), default="drawn", show_default=True,
-                 help="Where it stands: anywhere in the hall, or in the robot's base frame."),
-    click.option("--sockets", type=click.IntRange(1, 100), metavar="K",
-                 help="Number of sockets that the tool point is held in; --poses are shared out among them.  [default: 4]"),
-    click.option("--socket-spacing", type=LENGTH, metavar="LENGTH",
-                 help="Sockets come in pairs so far apart.  [default: 50mm]"),
-    click.option("--anchors", type=click.IntRange(1, 100), metavar="K",
-                 help="Number of fixed points from which distances are measured; one without a name unless given."),
-    click.option("--ball-bar", type=LENGTH, metavar="LENGTH",
-                 help="A bar of this length holds the tool point on a sphere about each anchor; --poses are shared out."),
-    click.option("--object", type=click.Choice(["paper", "grid"]),
-                 help="What the camera sees: two sides with three fields of 25 points each, --poses shared out among "
-                      "them, 12 unless given; or a plane grid of 63 points.  [default: paper]"),
-    click.option("--lens", type=_Lens(), metavar="KEY=VALUE,...",
-                 help="Of the camera: fx fy u0 v0 [px], k1 k2 k3 p1 p2, width height [px]; drawn unless given."),
-    click.option("--points-out", type=click.Path(path_type=Path), metavar="FILE.csv",
-                 help="Write the named points: sockets and anchors in the instrument's frame, an object's in its own."),
-    click.option("--camera-out", type=click.Path(path_type=Path), metavar="FILE.json",
-                 help="Write the camera (camera_pixel)."),
-)  # fmt: skip
+_SCALE, _COUNT = _Share(min=0.0), click.IntRange(1, 100)
+_Recorded = Literal["temperature", "time", "approach"]
 
 
-def settle_options(chosen: dict[str, Any]) -> None:
-    """Fill in what follows from other options: sensor, noise, number of poses.
+@dataclass(frozen=True, kw_only=True)
+class MachineArguments:
+    """The machine that is measured."""
 
-    Args:
-        chosen: Options of the command by name; changed in place.
-
-    Raises:
-        UsageError: If an option has nothing to do with the sensor.
-    """
-    context = click.get_current_context()
-    given = {name for name in chosen if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT}
-    if chosen["sensor"] is None:
-        implied = [kind for name, kind in _IMPLIED.items() if name in given]
-        chosen["sensor"] = implied[0] if implied else "position"
-    sensor = chosen["sensor"]
-    for name in sorted(given & _GOES_WITH.keys()):
-        if sensor not in _GOES_WITH[name]:
-            option = f"--{name.replace('_', '-')}"
-            raise click.UsageError(f"{option} goes with --sensor {' or '.join(_GOES_WITH[name])}, not with {sensor}")
-    if chosen["ball_bar"] is not None and "targets" in given:
-        raise click.UsageError("--ball-bar holds one tool point; leave out --targets")
-    if chosen["points_out"] is not None and not (chosen["anchors"] or chosen["ball_bar"] or sensor not in _BESIDE):
-        raise click.UsageError(
-            f"--points-out: --sensor {sensor} has no named points; expected socket, a camera or --anchors"
-        )
-    if sensor in _CAMERAS and chosen["poses"] is None and chosen["at"] is None and chosen["object"] != "grid":
-        chosen["poses"] = _PAPER_POSES
-    if (chosen["poses"] is None) == (chosen["at"] is None):
-        raise click.UsageError("give either --poses N or --at FILE.csv")
-    if chosen["poses"] is not None and chosen["poses"] < 1:
-        raise BadInputError(f"--poses {chosen['poses']}; expected 1 or more")
-    if chosen["pose_seed"] is None:
-        chosen["pose_seed"] = chosen["seed"]
-    _settle_noise(chosen)
-
-
-def _settle_noise(chosen: dict[str, Any]) -> None:
-    """Put a number in the sensor's own unit in place of the noise."""
-    unit = "px" if chosen["sensor"] == "camera_pixel" else "m"
-    value, given = (_NOISE[unit], unit) if chosen["noise"] is None else chosen["noise"]
-    if given not in (unit, ""):
-        raise click.UsageError(f"--noise: {chosen['sensor']} is measured in {unit}; expected such as {_example(unit)}")
-    chosen["noise"] = value
-
-
-def _example(unit: str) -> str:
-    return "0.1px" if unit == "px" else "0.05mm"
-
-
-def setup_of(chosen: dict[str, Any]) -> SetupOptions:
-    """Return what the options ask of the set-up.
-
-    Args:
-        chosen: Options of the command by name, settled.
-    """
-    from pincal.simulate.sensors import SetupOptions
-
-    wanted = SetupOptions(
-        sigma=chosen["noise"],
-        sigma_angle=chosen["noise_angle"],
-        targets=chosen["targets"],
-        tool=chosen["tool"],
-        at_base=chosen["instrument"] == "base",
-        anchors=chosen["anchors"] or 0,
-        ball_bar=chosen["ball_bar"],
-        lens=chosen["lens"] or {},
-        min_height=None if chosen["no_floor"] else chosen["floor"],
+    tip: str | None = tip_option(words="end of the longest chain")
+    base: str | None = base_option()
+    errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
+    elastic: float | None = option(
+        "Compliance of drives and bearings: 1 is typical, 0 rigid.",
+        metavar="SCALE",
+        type=_SCALE,
+        words="1 if the URDF has masses",
     )
-    given = {"sockets": chosen["sockets"], "spacing": chosen["socket_spacing"], "seen": chosen["object"]}
-    return replace(wanted, **{name: value for name, value in given.items() if value is not None})
+    moment_frame: Literal["paper", "before", "after"] = option(
+        "Frame convention of the bearings' compliance, in the URDF's own joint frames; discover finds out which.", "after"
+    )
+    masses_off: float = option(
+        "Error of the URDF's masses and centres of mass (standard deviation).",
+        0.0,
+        metavar="PERCENT",
+        type=_Share(0.0, 30.0),
+    )
+    gravity: Vector | None = option("Gravity in the robot's base frame [m/s^2].", words="standard gravity along -z")
+    effects: tuple[str, ...] = option(
+        "Hidden effect, see below.", (), metavar="NAME[:JOINT][:KEY=VALUE,...]", name="--effect"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignArguments:
+    """The poses, and the conditions under which they are measured."""
+
+    poses: int | None = option("Number of random poses.", metavar="N")
+    at: Path | None = option("Take joint positions (and payload, temperature, ...) from this table instead.")
+    cycles: int = option(
+        "Measure every pose so many times, one round after the other; ISO 9283 asks for 30.",
+        1,
+        metavar="N",
+        type=click.IntRange(1, 1000),
+    )
+    floor: float = option("Height in the base frame above which random poses keep the arm [m].", 0.0, metavar="Z")
+    no_floor: bool = option("Random poses anywhere within the joint limits.", False)
+    payload: Sequence[float] | None = option("One payload or several.", metavar="KG[,KG...]", type=_Payloads())
+    payload_order: Literal["blocks", "alternating"] = option(
+        "Several payloads: one block of poses after the other, or in turn.", "blocks"
+    )
+    payload_com: Vector = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
+    recorded: tuple[_Recorded, ...] = option("Record this column even if no effect needs it.", (), name="--with")
+    hide: tuple[Literal["temperature", "time", "approach", "payload"], ...] = option(
+        "Do not record this column; it has its effect nevertheless.", ()
+    )
+    seed: int = option("Random seed of the machine, the set-up and everything else.", 0)
+    pose_seed: int | None = option("Random seed of poses, conditions and noise.", words="the value of --seed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorArguments:
+    """What measures the machine."""
+
+    sensor: str | None = option(
+        "Kind of measurement: position, pose, distance, socket, camera_point or camera_pixel.",
+        metavar="KIND",
+        words="position, or what --sockets, --anchors or --ball-bar imply",
+    )
+    noise: tuple[float, str] | None = option(
+        "Standard deviation of a coordinate, a distance, the point in its socket, or image coordinates; 0mm: exact.",
+        metavar="LEVEL",
+        type=_Noise(),
+        words="0.05mm, 0.1px",
+    )
+    noise_angle: float | None = option(
+        "Standard deviation of one orientation component (pose).", type=_Level(ANGLE), words="0.1mrad"
+    )
+    targets: int | None = option(
+        "Number of targets on the tool, each measured in every pose.", metavar="K", type=click.IntRange(1, 20), words="1"
+    )
+    tool: Vector | None = option("Target, tool point or camera position in the tip frame [m].", words="random")
+    instrument: Literal["drawn", "base"] | None = option(
+        "Place of the instrument: random, or the robot's base frame.", words="drawn"
+    )
+    sockets: int | None = option(
+        "Number of sockets for the tool point; they share --poses.", metavar="K", type=_COUNT, words="4"
+    )
+    socket_spacing: float | None = option(
+        "Distance of the two sockets of a pair.", metavar="LENGTH", type=LENGTH, words="50mm"
+    )
+    anchors: int | None = option(
+        "Number of fixed points from which distances are measured.", metavar="K", type=_COUNT, words="one without a name"
+    )
+    ball_bar: float | None = option(
+        "Length of a bar that holds the tool point on a sphere about each anchor; they share --poses.",
+        metavar="LENGTH",
+        type=LENGTH,
+    )
+    object: Literal["paper", "grid"] | None = option(
+        "Calibration object: two sides with three fields of 25 points each, which share --poses (12 by default), or a plane "
+        "grid of 63 points.",
+        words="paper",
+    )
+    lens: dict[str, float] | None = option(
+        "Camera parameters: fx, fy, u0, v0 [px], k1, k2, k3, p1, p2, width, height [px].",
+        metavar="KEY=VALUE,...",
+        type=_Lens(),
+        words="random",
+    )
+    points_out: Path | None = option(
+        "Write the named points: sockets and anchors in the instrument's frame, an object's points in its own."
+    )
+    camera_out: Path | None = option("Write the camera (camera_pixel).", metavar="FILE.json")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateArguments:
+    """Arguments of simulate."""
+
+    robot: str = robot_argument()
+    out: Path = option("Table to write.", MISSING)
+    truth: Path | None = option("Write what was put in: errors, effects, noise, seeds.", metavar="FILE.json")
+    campaign: CampaignArguments = group("Poses and conditions")
+    sensor: SensorArguments = group("Sensor")
+    machine: MachineArguments = group("Machine")
+    general: GeneralOptions = group("General")
+
+    @property
+    def pose_seed(self) -> int:
+        """Seed of poses, conditions and noise."""
+        return self.campaign.seed if self.campaign.pose_seed is None else self.campaign.pose_seed
+
+    @property
+    def floor(self) -> float | None:
+        """Height of the floor [m]; None for no floor."""
+        return None if self.campaign.no_floor else self.campaign.floor
+
+    @property
+    def kind(self) -> str:
+        """The sensor, given or implied by another option."""
+        implied = (kind for name, kind in _IMPLIED.items() if getattr(self.sensor, name) is not None)
+        return self.sensor.sensor or next(implied, "position")
+
+    @property
+    def n_poses(self) -> int | None:
+        """Number of poses; None if they are those of a table."""
+        if self.campaign.poses is None and self.campaign.at is None and self.kind in _CAMERAS:
+            return None if self.sensor.object == "grid" else _PAPER_POSES
+        return self.campaign.poses
+
+    def check(self) -> None:
+        """Refuse options that do not go together.
+
+        Raises:
+            UsageError: If an option has nothing to do with the sensor, or not one source of poses is given.
+            BadInputError: If the number of poses is invalid.
+        """
+        given, kind = self.sensor, self.kind
+        for name in sorted(name for name in _GOES_WITH if getattr(given, name) is not None):
+            if kind not in _GOES_WITH[name]:
+                flag = f"--{name.replace('_', '-')}"
+                raise click.UsageError(f"{flag} goes with --sensor {' or '.join(_GOES_WITH[name])}, not with {kind}")
+        if given.ball_bar is not None and given.targets is not None:
+            raise click.UsageError("--ball-bar holds one tool point; leave out --targets")
+        if given.points_out is not None and kind in _BESIDE and not (given.anchors or given.ball_bar):
+            raise click.UsageError(
+                f"--points-out: --sensor {kind} has no named points; expected socket, a camera or --anchors"
+            )
+        if (self.n_poses is None) == (self.campaign.at is None):
+            raise click.UsageError("give either --poses N or --at FILE.csv")
+        if self.n_poses is not None and self.n_poses < 1:
+            raise BadInputError(f"--poses {self.n_poses}; expected 1 or more")
+
+    def setup_options(self) -> SetupOptions:
+        """Return what is asked of the set-up.
+
+        Raises:
+            UsageError: If the noise is not in the sensor's unit.
+        """
+        from pincal.simulate.sensors import SetupOptions
+
+        given = self.sensor
+        chosen: dict[str, Any] = {
+            "sigma_angle": given.noise_angle,
+            "targets": given.targets,
+            "tool": given.tool,
+            "at_base": given.instrument == "base",
+            "sockets": given.sockets,
+            "spacing": given.socket_spacing,
+            "anchors": given.anchors,
+            "ball_bar": given.ball_bar,
+            "seen": given.object,
+            "lens": given.lens,
+        }
+        wanted = SetupOptions(sigma=self._sigma(), sigma_angle=_NOISE_ANGLE, min_height=self.floor)
+        return replace(wanted, **{name: value for name, value in chosen.items() if value is not None})
+
+    def _sigma(self) -> float:
+        """Return the noise in the sensor's own unit."""
+        unit = "px" if self.kind == "camera_pixel" else "m"
+        value, given = (_NOISE[unit], unit) if self.sensor.noise is None else self.sensor.noise
+        if given not in (unit, ""):
+            example = "0.1px" if unit == "px" else "0.05mm"
+            raise click.UsageError(f"--noise: {self.kind} is measured in {unit}; expected such as {example}")
+        return value
 
 
 def parse_lens(text: str) -> dict[str, float]:
@@ -285,7 +352,7 @@ def parse_lens(text: str) -> dict[str, float]:
         except ValueError:
             raise BadInputError(f"lens {text!r}: {key}={value}; expected a number") from None
         positive = key in ("fx", "fy", "width", "height")
-        if not np.isfinite(found[key]) or (positive and found[key] < 1.0):
+        if not math.isfinite(found[key]) or (positive and found[key] < 1.0):
             raise BadInputError(
                 f"lens {text!r}: {key}={value}; expected a {'number of at least 1' * positive or 'finite number'}"
             )

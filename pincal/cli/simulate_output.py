@@ -14,13 +14,15 @@ from pincal.atomic import replacing
 from pincal.errors import OutputError
 
 if TYPE_CHECKING:
+    from pincal.cli.simulate_options import SimulateArguments
     from pincal.simulate.setup import SensorSetup
 
 
-def summary(truth: dict[str, Any], setup: SensorSetup, *, rows: int) -> str:
-    """Return what was simulated: poses, sensor, noise and hidden effects.
+def summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: SensorSetup, rows: int) -> str:
+    """Return what was simulated, what was written, and the command to go on with.
 
     Args:
+        arguments: Arguments of the command.
         truth: What was put in.
         setup: What measures.
         rows: Number of rows of the table.
@@ -35,31 +37,30 @@ def summary(truth: dict[str, Any], setup: SensorSetup, *, rows: int) -> str:
         unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
         moved = f"moves the target by {entry['moves_target_rms_mm']:.3f} mm rms"
         lines.append(f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}")
+    given = arguments.sensor
+    beside = {"what was put in": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
+    written = "".join(f", {what} to {path}" for what, path in beside.items() if path)
+    lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
     return "\n".join(lines)
 
 
-def next_command(robot: str, out: Path, *, setup: SensorSetup, truth: dict[str, Any], chosen: dict[str, Any]) -> str:
-    """Return the command that discovers the effects from the table.
-
-    Args:
-        robot: The robot as it was given.
-        out: The table.
-        setup: What measures.
-        truth: What was put in.
-        chosen: Options of the command by name.
-    """
-    words = [f"pincal discover {robot} {out} --out results"]
-    words += [f"--{name} {chosen[name]}" for name in ("tip", "base") if chosen[name]]
+def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
+    """Return the command that discovers the effects from the table."""
+    machine, given = arguments.machine, arguments.sensor
+    words = [f"pincal discover {arguments.robot} {arguments.out} --out results"]
+    words += [f"--tip {machine.tip}"] if machine.tip else []
+    words += [f"--base {machine.base}"] if machine.base else []
     words += [f"--noise {_noise(setup)}"] if setup.sigma else []
-    words += [f"--noise-angle {chosen['noise_angle'] * 1e3:g}mrad"] if truth["noise"]["sigma_rad"] else []
-    words += [f"--points {chosen['points_out']}"] if chosen["points_out"] else []
-    words += [f"--camera {chosen['camera_out']}"] if chosen["camera_out"] else []
-    if setup.kind == "socket" and not chosen["points_out"] and len(setup.points) > 1:
+    angle = setup.truth()["noise"]["sigma_rad"]
+    words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []
+    words += [f"--points {given.points_out}"] if given.points_out else []
+    words += [f"--camera {given.camera_out}"] if given.camera_out else []
+    if setup.kind == "socket" and not given.points_out and len(setup.points) > 1:
         (a, first), (b, second) = list(setup.points.items())[:2]
         words.append(f"--socket-distance {a} {b} {np.linalg.norm(first - second):g}")
-    for name in ("payload_com", "gravity"):
-        if chosen[name] not in (None, (0.0, 0.0, 0.0)):
-            words.append(f"--{name.replace('_', '-')} {' '.join(f'{value:g}' for value in chosen[name])}")
+    for name, vector in (("payload-com", arguments.campaign.payload_com), ("gravity", machine.gravity)):
+        if vector not in (None, (0.0, 0.0, 0.0)):
+            words.append(f"--{name} {' '.join(f'{value:g}' for value in vector)}")
     return " ".join(words)
 
 
