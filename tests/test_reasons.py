@@ -1,11 +1,13 @@
 """Reasons and notes are data: every kind has words, and the words hold the figures."""
 
 import string
+from dataclasses import replace
 
 import pytest
 
 from pincal.calibration.notes import Kind, Note, notes_on_replicates
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
+from pincal.validate.lack_of_fit import Degrees, LackOfFit
 
 FULL = {
     "parameters": ("a.d", "b.d", "c.d"),
@@ -54,7 +56,7 @@ def test_a_status_is_its_word_in_the_file() -> None:
     assert Status("at bound") is Status.AT_BOUND
 
 
-LACK = {"F": 3.0, "degrees": {"misfit": 60.0, "pure_error": 870.0}}
+LACK = LackOfFit(F=3.0, p_value=1.0, degrees=Degrees(60.0, 870.0), evenness=1.0, poses=8, pure_error={"sigma_m": 5e-5})
 
 
 @pytest.mark.parametrize(
@@ -70,7 +72,7 @@ LACK = {"F": 3.0, "degrees": {"misfit": 60.0, "pure_error": 870.0}}
 )
 def test_replicates_decide_between_model_and_noise(lack: float | None, declared: float | None, kind: Kind | None) -> None:
     """Lack of fit blames the model; residuals beyond the declared noise without lack of fit blame the noise."""
-    found = notes_on_replicates(None if lack is None else LACK | {"p_value": lack}, declared)
+    found = notes_on_replicates(None if lack is None else replace(LACK, p_value=lack), declared)
     assert [note.kind for note in found] == ([] if kind is None else [kind])
     assert all("F(60, 870) = 3" in str(note) for note in found)
 

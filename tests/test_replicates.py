@@ -20,7 +20,8 @@ from pincal.model.effects import Conditions
 from pincal.model.model import Model
 from pincal.report.verdict import verdict_of
 from pincal.robot.se3 import quaternions
-from pincal.validate.lack_of_fit import evenness, explained_by_uncertainty, lack_of_fit, spread_of, squares_of
+from pincal.validate.lack_of_fit import explained_by_uncertainty, lack_of_fit
+from pincal.validate.pure_error import evenness, spread_of, squares_of
 from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy, replicate_groups
 
 URDF = kuka_urdf_path()
@@ -162,8 +163,8 @@ def test_squares_by_hand(ur10):
     assert (found.total, found.pure) == pytest.approx((1 + 9 + 1 + 4 + 9, 2 + 2))
     assert (found.readings, found.degrees, found.poses) == (15, 9, 2)
     test = lack_of_fit([visits], np.zeros(0), np.array([1e-3]), spent=0.0)
-    assert test["F"] == pytest.approx((24 - 4) / 6 / (4 / 9))
-    assert test["pure_error"]["sigma_m"] == pytest.approx(1e-3 * np.sqrt(4 / 9))
+    assert pytest.approx((24 - 4) / 6 / (4 / 9)) == test.F
+    assert test.pure_error["sigma_m"] == pytest.approx(1e-3 * np.sqrt(4 / 9))
     single = visits_of(ur10, q[[0, 2]], offsets[:2])
     assert lack_of_fit([single], np.zeros(0), np.array([1e-3]), spent=0.0) is None
     exact = visits_of(ur10, q, np.ones((5, 3)))
@@ -207,7 +208,7 @@ def linear_p_values(scatter, runs, *, missing=0.0):
         y = noise + missing * np.sin(6.0 * x[pose])[:, None]
         left = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
         visits = Replicates("train", None, _Linear(left.T, np.ones(80)), pose, np.ones(80, bool))
-        found.append(lack_of_fit([visits], np.zeros(0), np.ones(1), spent=12.0)["p_value"])
+        found.append(lack_of_fit([visits], np.zeros(0), np.ones(1), spent=12.0).p_value)
     return np.array(found)
 
 
@@ -270,11 +271,11 @@ def soft(kuka):
 def test_a_missing_effect_is_told_without_any_declared_noise(kuka, soft):
     """Geometry alone does not fit a robot that bends; with elasticity it does, and RP is the same."""
     lacking = soft.result
-    assert lacking.lack_of_fit["p_value"] < 1e-6 and verdict_of(lacking).judgement == "not adequate"
+    assert lacking.lack_of_fit.p_value < 1e-6 and verdict_of(lacking).judgement == "not adequate"
     assert any("lack of fit" in words for words in lacking.warnings)
     whole = run_calibration(kuka, visited(50, 3, 0, compliance=3e-7), Options(effects=ELASTIC)).result
-    assert whole.lack_of_fit["p_value"] > 1e-3 and verdict_of(whole).judgement == "adequate"
-    assert whole.lack_of_fit["pure_error"]["sigma_m"] == pytest.approx(5e-5, rel=0.15)
+    assert whole.lack_of_fit.p_value > 1e-3 and verdict_of(whole).judgement == "adequate"
+    assert whole.lack_of_fit.pure_error["sigma_m"] == pytest.approx(5e-5, rel=0.15)
     for part in ("train", "test"):
         before, after = (result.iso9283["calibrated"][part] for result in (lacking, whole))
         assert after["AP_mm"]["mean"] < 0.6 * before["AP_mm"]["mean"]
@@ -285,7 +286,7 @@ def test_a_robot_that_repeats_badly_is_not_a_wrong_model(kuka):
     """The declared noise of the instrument is too small for the robot's scatter; visits say that it is not the model."""
     rows = visited(40, 4, 1, scatter=1e-4)
     result = run_calibration(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5)).result
-    assert result.chi2_p_value < 1e-3 < result.lack_of_fit["p_value"]
+    assert result.chi2_p_value < 1e-3 < result.lack_of_fit.p_value
     assert any("repeats poorly" in words for words in result.warnings)
 
 
@@ -341,13 +342,13 @@ def test_chances_are_true_of_calibrations(kuka, scatter):
         )
         calibrated = calibrated_model_of(calibration.fit, {})
         new = visited(20, 4, 1000 + seed, scatter=scatter, machine_seed=seed)
-        tested = replicate_statistics(
+        _, tested = replicate_statistics(
             calibrated.readings(new),
             calibrated.values,
             new,
             sigma=calibrated.sigma,
             covariance=calibrated.covariance,
         )
-        found.append((calibration.result.lack_of_fit["p_value"], tested["lack_of_fit"]["p_value"]))
+        found.append((calibration.result.lack_of_fit.p_value, tested.p_value))
     for p in np.array(found).T:
         assert np.mean(p < 0.05) < 0.11 and np.mean(p < 0.01) < 0.05 and 0.4 < p.mean() < 0.6

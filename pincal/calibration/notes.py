@@ -13,7 +13,7 @@ from pincal.identify.fit import Fit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.validate.accuracy import pose_errors
-from pincal.validate.lack_of_fit import MISFIT, lack_words
+from pincal.validate.lack_of_fit import MISFIT, LackOfFit
 
 # A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
 _FAR = 10.0
@@ -28,7 +28,7 @@ class Kind(Enum):
         "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters: the result is "
         "dominated by the prior; measure more poses"
     )
-    NOT_CONVERGED = "the fit did not converge; check the noise, and look for rows that do not belong to this robot"
+    NOT_CONVERGED = "the fit did not converge ({how}); check the noise, and look for rows that do not belong to this robot"
     NOISE_EXCEEDED = (
         "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is incomplete or the declared "
         "noise is too small; uncertainties are scaled up accordingly"
@@ -84,7 +84,7 @@ def notes_on_fit(fit: Fit, p_value: float | None, outliers: Sequence[int], test:
         outliers: lines of the rows that were rejected.
         test: held-out rows under the calibrated model, if any.
     """
-    found = [] if fit.solution.converged else [Note(Kind.NOT_CONVERGED)]
+    found = [] if fit.solution.converged else [Note(Kind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
     if p_value is not None and p_value < MISFIT:
         found.append(Note(Kind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
     if p_value is not None and p_value > 1.0 - MISFIT:
@@ -114,19 +114,19 @@ def notes_on_held_out(fit: Fit, test: Station | None, table: Measurements) -> li
     return [Note(Kind.FAR_OFF, figures)]
 
 
-def notes_on_replicates(lack: Mapping[str, Any] | None, p_value: float | None) -> list[Note]:
+def notes_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Note]:
     """Return what replicates say of model and noise.
 
     Args:
-        lack: ``lack_of_fit`` of ``result.json``, None without replicates.
+        lack: the test of lack of fit, None without replicates.
         p_value: of chi-square against the declared noise; None if none was declared.
     """
     if lack is None:
         return []
-    if lack["p_value"] < MISFIT:
-        return [Note(Kind.LACK_OF_FIT, {"test": lack_words(lack)})]
+    if lack.is_significant:
+        return [Note(Kind.LACK_OF_FIT, {"test": lack})]
     if p_value is not None and p_value < MISFIT:
-        return [Note(Kind.NOISY_REPLICATES, {"test": lack_words(lack)})]
+        return [Note(Kind.NOISY_REPLICATES, {"test": lack})]
     return []
 
 

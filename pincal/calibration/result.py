@@ -16,7 +16,7 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.validate.accuracy import error_table
-from pincal.validate.lack_of_fit import lack_of_fit
+from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
@@ -86,7 +86,7 @@ class Result:
     error: dict[str, dict[str, dict[str, float]]]
     warnings: tuple[str, ...]
     iso9283: dict[str, Any] | None = None
-    lack_of_fit: dict[str, Any] | None = None
+    lack_of_fit: LackOfFit | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""

@@ -30,7 +30,7 @@ from pincal.report.tables import (
 from pincal.report.words import effect_words, noise_words
 from pincal.tables import Quantity, hanging, one_line
 from pincal.units import format_small
-from pincal.validate.lack_of_fit import lack_words, pure_words
+from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.replicates import cycle_words
 
 __all__ = ["console", "print_design", "print_discovery", "print_notes", "print_precheck", "print_replicates", "print_result"]
@@ -65,19 +65,19 @@ def _summary(result: Result) -> str:
     )
 
 
-def print_replicates(iso: Mapping[str, Any] | None, lack: Mapping[str, Any] | None, out: Console) -> None:
+def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:
     """Print what replicated poses tell; nothing where there are none.
 
     Args:
         iso: ``iso9283`` of ``result.json``.
-        lack: ``lack_of_fit`` of ``result.json``.
+        lack: the test of lack of fit.
         out: where to.
     """
     if iso is not None:
         out.print(iso9283_table(iso))
         out.print(hanging("cycles:", cycle_words(iso)))
     if lack is not None:
-        out.print(hanging("lack of fit:", f"{lack_words(lack)} (by {pure_words(lack)})"))
+        out.print(hanging("lack of fit:", f"{lack} (by {lack.scatter})"))
 
 
 def print_precheck(precheck: DataReport, out: Console) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pincal.cli.arguments import argument, group, verb
@@ -46,18 +46,20 @@ def validate(arguments: ValidateArguments) -> Exit:
     check_table(robot, table, minimum=1)
     problem = calibrated.readings(table)
     error = {"calibrated": {"test": error_table(problem, calibrated.values)}}
-    repeated = replicate_statistics(
+    iso, lack = replicate_statistics(
         problem, calibrated.values, table, sigma=calibrated.sigma, covariance=calibrated.covariance
     )
     beyond = Extrapolation.of(calibrated, problem.conditions, table.rows)
     if arguments.general.as_json:
+        repeated = {} if iso is None else {"iso9283": iso}
+        repeated |= {} if lack is None else {"lack_of_fit": asdict(lack)}
         print_json({"rows": {"test": len(table)}, "error": error} | repeated | beyond.to_dict())
     else:
         from pincal.calibration.tables import error_table as as_table
         from pincal.cli.tables import console, print_replicates
 
         console().print(as_table(error))
-        print_replicates(repeated.get("iso9283"), repeated.get("lack_of_fit"), console())
+        print_replicates(iso, lack, console())
     print_notes(beyond.notes(), quiet=arguments.general.quiet)
     require_accuracy(error["calibrated"]["test"]["mean_mm"], arguments.max_error, rows="new")
     return Exit.DONE

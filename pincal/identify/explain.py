@@ -60,14 +60,14 @@ def explain(fit: Fit) -> tuple[Finding, ...]:
     variance = np.zeros(len(fit.values))
     variance[fit.solution.free] = np.diag(fit.solution.posterior.covariance)
     ratio = np.sqrt(variance) / fit.priors.sizes
-    told = _told_of_frames(fit)
+    frames = _frame_variances(fit)
     return tuple(
-        _frame_finding(fit, i, told[i], variance[i]) if i in told else _finding(fit, nominal, i, float(ratio[i]))
+        _frame_finding(fit, i, frames[i], variance[i]) if i in frames else _finding(fit, nominal, i, float(ratio[i]))
         for i in range(len(fit.values))
     )
 
 
-def _told_of_frames(fit: Fit) -> dict[int, float]:
+def _frame_variances(fit: Fit) -> dict[int, float]:
     """Return, for each free coordinate of base and tool, its variance with all that hides behind it at the nominal."""
     found = fit.solution.posterior
     frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
@@ -81,12 +81,12 @@ def _told_of_frames(fit: Fit) -> dict[int, float]:
     return {int(place[i]): float(v) for i, v in zip(frames, left, strict=True)}
 
 
-def _frame_finding(fit: Fit, i: int, told: float, variance: float) -> Finding:
+def _frame_finding(fit: Fit, i: int, known: float, variance: float) -> Finding:
     """Frames of base and tool are known as well as the parameters that they absorb."""
     parameter = fit.station.parameters[i]
-    if told > (1.0 - _IDENTIFIED**2) * variance:
+    if known > (1.0 - _IDENTIFIED**2) * variance:
         return Finding(parameter.name, Status.IDENTIFIED)
-    return Finding(parameter.name, Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(told)), unit=parameter.unit))
+    return Finding(parameter.name, Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(known)), unit=parameter.unit))
 
 
 def _finding(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> Finding:
@@ -155,10 +155,10 @@ class _Nominal:
         normal = accumulate(problem.select(rows), fit.nominal.values, everything, np.ones(len(rows)))
         G, g = normal.at(fit.solution.sigma)
         free = fit.solution.free
-        told = posterior(G[np.ix_(free, free)], g[free], fit.priors.sizes[free], np.zeros(int(free.sum())))
-        null = told.directions[:, told.information == 0.0]
+        found = posterior(G[np.ix_(free, free)], g[free], fit.priors.sizes[free], np.zeros(int(free.sum())))
+        null = found.directions[:, found.information == 0.0]
         unseen = np.zeros(len(fit.values))
-        unseen[np.flatnonzero(free)[told.has_prior]] = np.sum(null**2, axis=1)
+        unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(null**2, axis=1)
         scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
         G = np.where(np.outer(free, free), G / np.outer(scale, scale), 0.0)
         names, effects = zip(*((p.name, p.effect) for p in problem.parameters), strict=True)

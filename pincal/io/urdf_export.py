@@ -150,18 +150,16 @@ def _notes(model: Model) -> tuple[str, ...]:
     notes = []
     if elastic:
         notes.append(
-            f"{', '.join(elastic)}: a URDF is rigid; how far the arm gives way under its own weight and under a payload "
+            f"{', '.join(elastic)}: a URDF describes a rigid arm; deflection under the arm's own weight and under a payload "
             "is in model.json only"
         )
     if others:
-        notes.append(
-            f"{', '.join(others)}: changes from pose to pose; the URDF has its value at q = 0, model.json all of it"
-        )
+        notes.append(f"{', '.join(others)}: varies from pose to pose; the URDF has its value at q = 0, model.json all of it")
     if "base_frame" in names:
-        notes.append(f"base_frame: where {model.chain.robot.base} stands in the instrument's frame is in model.json only")
+        notes.append(f"base_frame: the pose of {model.chain.robot.base} in the instrument's frame is in model.json only")
     if "tool_frame" in names:
         targets = ", ".join(model.chain.targets)
-        notes.append(f"tool_frame: where the target ({targets}) sits on {model.chain.robot.tip} is in model.json only")
+        notes.append(f"tool_frame: the pose of the target ({targets}) on {model.chain.robot.tip} is in model.json only")
     return tuple(notes)
 
 

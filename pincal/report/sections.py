@@ -43,7 +43,6 @@ from pincal.report.illustrations import (
 from pincal.report.verdict import Judgement, next_steps, verdict_of
 from pincal.report.words import noise_words
 from pincal.tables import Tone
-from pincal.validate.lack_of_fit import lack_words, pure_words
 from pincal.validate.replicates import cycle_words
 
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
@@ -216,8 +215,8 @@ def _replicates(result: Result) -> list[Block]:
         )
         blocks += [Paragraph(text), iso9283_table(iso)]
     if lack:
-        scatter = f"Repeated measurements of a pose scatter by {pure_words(lack)}, whatever the model."
-        blocks.append(Paragraph(rich("{} {} {}.", bold("Lack of fit."), scatter, lack_words(lack))))
+        scatter = f"Repeated measurements of a pose scatter by {lack.scatter}, whatever the model."
+        blocks.append(Paragraph(rich("{} {} {}.", bold("Lack of fit."), scatter, lack)))
     return blocks
 
 

@@ -106,7 +106,7 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
         judgement = Judgement.NOT_ADEQUATE if result.chi2_p_value < MISFIT else Judgement.ADEQUATE
         return Verdict(judgement, Ground.DECLARED_NOISE, ratio=result.chi2_reduced**0.5)
     if result.lack_of_fit is not None:
-        judgement = Judgement.NOT_ADEQUATE if result.lack_of_fit["p_value"] < MISFIT else Judgement.ADEQUATE
+        judgement = Judgement.NOT_ADEQUATE if result.lack_of_fit.is_significant else Judgement.ADEQUATE
         return Verdict(judgement, Ground.REPLICATES)
     return Verdict(Judgement.NOT_JUDGED, Ground.NOTHING)
 

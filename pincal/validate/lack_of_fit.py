@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
-from pincal.identify.normal import accumulate, block_rows
+from pincal.identify.normal import accumulate
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.units import format_readable
-from pincal.validate.replicates import Replicates, groups, iso9283, replicate_groups
+from pincal.validate.pure_error import Squares, evenness, squares_of
+from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
 MISFIT = 1e-3
 """Significance level at which residuals count as too large for the noise, in every test of this kind.
@@ -30,103 +31,56 @@ _ROUNDINGS = 10.0
 
 
 @dataclass(frozen=True)
-class Squares:
-    """Sums of squared residuals in units of the variances, and of the differences between replicates.
+class Degrees:
+    """Effective degrees of freedom of the misfit and of the pure error."""
+
+    misfit: float
+    pure_error: float
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """Outcome of the F test of lack of fit; ``str()`` gives it in words. The fields are those of ``result.json``.
 
     Attributes:
-        total: sum of squares.
-        readings: number of readings in it.
-        pure: sum of squares about the poses' means.
-        degrees: its degrees of freedom.
+        F: mean square of the misfit over that of the pure error.
+        p_value: probability of an F as large if the model is complete.
+        degrees: effective degrees of freedom, corrected for readings that scatter unevenly.
+        evenness: that correction, see :func:`evenness`.
         poses: number of poses with replicates.
-        by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each block.
-        spread: of :func:`spread_of`.
+        pure_error: standard deviation of one component between replicates, by block of readings ("sigma_m" [m], ...).
+
+    Example:
+        >>> str(LackOfFit(1.02, 0.4, Degrees(60.0, 870.0), 1.0, 8, {"sigma_m": 5.02e-5}))
+        'F(60, 870) = 1.02, p 0.4: the residuals are within the scatter between replicates'
     """
 
-    total: float
-    readings: int
-    pure: float
-    degrees: int
+    F: float
+    p_value: float
+    degrees: Degrees
+    evenness: float
     poses: int
-    by_block: np.ndarray
-    spread: np.ndarray
+    pure_error: Mapping[str, float]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the model is incomplete."""
+        return self.p_value < MISFIT
+
+    def __str__(self) -> str:
+        test = f"F({self.degrees.misfit:.0f}, {self.degrees.pure_error:.0f}) = {self.F:.3g}, p {self.p_value:.2g}"
+        if self.is_significant:
+            return f"{test}: the residuals exceed the scatter between replicates; the model is incomplete"
+        return f"{test}: the residuals are within the scatter between replicates"
+
+    @property
+    def scatter(self) -> str:
+        """The scatter between replicates of a pose in words."""
+        sizes = [format_readable(sigma, name.removeprefix("sigma_")) for name, sigma in self.pure_error.items()]
+        return f"{' and '.join(sizes)} per coordinate at {self.poses} poses"
 
 
-def squares_of(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray) -> Squares:
-    """Return the squares of the rows that are no outliers.
-
-    Args:
-        rows_of: rows of one part; replicates of a pose in another part are not compared with them.
-        values: shape (P,).
-        sigma: shape (blocks,), standard deviations of one component.
-    """
-    rows = np.flatnonzero(rows_of.counted)
-    weight = rows_of.problem.weights[rows] ** 2
-    residuals = rows_of.problem.residuals(values)[:, rows]
-    _, pose = np.unique(rows_of.pose[rows], return_inverse=True)
-    count, mass = np.bincount(pose), np.bincount(pose, weight)
-    again = count > 1
-    degrees = int((count[again] - 1).sum())
-    means = np.stack([np.bincount(pose, weight * component) / mass for component in residuals])
-    apart = np.sqrt(weight) * (residuals - means[:, pose])
-    blocks = block_rows(rows_of.problem)
-    by_block = np.array([((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks])
-    scale = np.repeat(sigma, [b.stop - b.start for b in blocks])[:, None]
-    return Squares(
-        total=float((weight * (residuals / scale) ** 2).sum()),
-        readings=residuals.size,
-        pure=float((by_block[:, 0] / sigma**2).sum()),
-        degrees=int(by_block[:, 1].sum()),
-        poses=int(again.sum()),
-        by_block=by_block,
-        spread=spread_of(apart / scale, pose),
-    )
-
-
-def spread_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    r"""Return what says how evenly readings scatter over poses and components, to be added over tables.
-
-    With S the covariance in a pose of n = f + 1 > 2 replicates, unbiased
-    :math:`\widehat{tr \Sigma^2} = \frac{f^2}{(f - 1)(f + 2)} (tr S^2 - (tr S)^2 / f)`.
-
-    Args:
-        apart: shape (m, N), differences from the poses' means.
-        pose: shape (N,), numbers of the poses.
-
-    Returns:
-        Sums over the poses of tr S, of the estimate of tr Sigma^2, of the variance of tr S, and of m; shape (4,).
-    """
-    sums = np.zeros(4)
-    for rows in groups(pose):
-        f = len(rows) - 1
-        if f > 1:
-            S = apart[:, rows] @ apart[:, rows].T / f
-            square = f**2 / ((f - 1.0) * (f + 2.0)) * (np.sum(S * S) - np.trace(S) ** 2 / f)
-            sums += [np.trace(S), square, 2.0 * square / f, len(S)]
-    return sums
-
-
-def evenness(spread: np.ndarray) -> float:
-    """Return the factor on the degrees of freedom of sums of squares of readings that scatter unevenly or together.
-
-    A robot scatters more where it is stretched out, and its errors in x, y and z go together; sums of squares then vary
-    more than those of independent readings (Box, Ann. Math. Stat. 25, 1954, Eq. 3.1).
-
-    Args:
-        spread: shape (4,), sums of :func:`spread_of`.
-
-    Returns:
-        1 where all readings scatter alike and each by itself, down to 1 / readings.
-    """
-    trace, square, variance, readings = spread
-    if square <= 0.0:
-        return 1.0
-    return float(np.clip((trace**2 - variance) / (readings * square), 1.0 / readings, 1.0))
-
-
-def lack_of_fit(
-    parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarray, *, spent: float
-) -> dict[str, Any] | None:
+def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarray, *, spent: float) -> LackOfFit | None:
     r"""Test whether the residuals of the fitted rows exceed the scatter between replicates: an F test.
 
     .. math:: F = \frac{(SS - SS_{pure}) / (N - p - f_{pure})}{SS_{pure} / f_{pure}}
@@ -141,9 +95,7 @@ def lack_of_fit(
         spent: number p of parameters that the data pay for.
 
     Returns:
-        What ``result.json`` has under this key: F, its p value and degrees of freedom, their correction, number of poses
-        with replicates, and the standard deviation of one component between replicates. None where no pose has replicates,
-        or they differ by no more than rounding.
+        The outcome; None where no pose has replicates, or they differ by no more than rounding.
     """
     squares = [squares_of(part, values, sigma) for part in parts]
     fitted = squares[0]
@@ -152,7 +104,7 @@ def lack_of_fit(
 
 def lack_of_prediction(
     rows_of: Replicates, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray
-) -> dict[str, Any] | None:
+) -> LackOfFit | None:
     r"""Test whether the residuals of rows that were not fitted exceed what noise and calibration uncertainty allow.
 
     Their covariance is that of the noise, estimated from the replicates, plus that of the calibrated values:
@@ -191,54 +143,29 @@ def _is_enough(parts: Sequence[Squares], problem: Station) -> bool:
     return any(size > _ROUNDINGS * block.rounding for size, block in zip(sizes, problem.sensor.blocks, strict=True))
 
 
-def _f_test(parts: Sequence[Squares], problem: Station, misfit: float, degrees: float) -> dict[str, Any] | None:
+def _f_test(parts: Sequence[Squares], problem: Station, misfit: float, degrees: float) -> LackOfFit | None:
     if not _is_enough(parts, problem) or degrees < 1.0:
         return None
     free = sum(part.degrees for part in parts)
     ratio = max(misfit, 0.0) / degrees / (sum(part.pure for part in parts) / free)
     even = evenness(np.sum([part.spread for part in parts], axis=0))
     blocks = np.sum([part.by_block for part in parts], axis=0)
-    return {
-        "F": float(ratio),
-        "p_value": float(fdtrc(even * degrees, even * free, ratio)),
-        "degrees": {"misfit": float(even * degrees), "pure_error": float(even * free)},
-        "evenness": even,
-        "poses": sum(part.poses for part in parts),
-        "pure_error": {
+    return LackOfFit(
+        F=float(ratio),
+        p_value=float(fdtrc(even * degrees, even * free, ratio)),
+        degrees=Degrees(float(even * degrees), float(even * free)),
+        evenness=even,
+        poses=sum(part.poses for part in parts),
+        pure_error={
             f"sigma_{block.unit}": float(np.sqrt(squares / count))
             for block, (squares, count) in zip(problem.sensor.blocks, blocks, strict=True)
         },
-    }
-
-
-def lack_words(found: Mapping[str, Any]) -> str:
-    """Return the outcome of the test in words.
-
-    Example:
-        >>> lack_words({"F": 1.02, "p_value": 0.4, "degrees": {"misfit": 60.0, "pure_error": 870.0}})
-        'F(60, 870) = 1.02, p 0.4: the residuals are within the scatter between replicates'
-    """
-    degrees = found["degrees"]
-    test = f"F({degrees['misfit']:.0f}, {degrees['pure_error']:.0f}) = {found['F']:.3g}, p {found['p_value']:.2g}"
-    if found["p_value"] < MISFIT:
-        return f"{test}: the residuals exceed the scatter between replicates; the model is incomplete"
-    return f"{test}: the residuals are within the scatter between replicates"
-
-
-def pure_words(found: Mapping[str, Any]) -> str:
-    """Return the scatter between replicates of a pose in words.
-
-    Example:
-        >>> pure_words({"pure_error": {"sigma_m": 5.02e-5, "sigma_rad": 1e-4}, "poses": 8})
-        '0.0502 mm and 0.1 mrad per coordinate at 8 poses'
-    """
-    sizes = [format_readable(sigma, name.removeprefix("sigma_")) for name, sigma in found["pure_error"].items()]
-    return f"{' and '.join(sizes)} per coordinate at {found['poses']} poses"
+    )
 
 
 def replicate_statistics(
     problem: Station, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     """Return accuracy, repeatability and lack of fit of rows that a model has not seen, where they hold replicates.
 
     Args:
@@ -249,11 +176,7 @@ def replicate_statistics(
         covariance: shape (P, P), of the values.
 
     Returns:
-        ``iso9283`` and ``lack_of_fit`` as in ``result.json``, those that there are.
+        ``iso9283`` as in ``result.json``, and the test of lack of fit; None for what the rows do not show.
     """
     rows_of = Replicates("test", table, problem, replicate_groups([table])[0], np.ones(len(table), bool))
-    found = {
-        "iso9283": iso9283([rows_of], {"calibrated": values}),
-        "lack_of_fit": lack_of_prediction(rows_of, values, sigma, covariance),
-    }
-    return {name: value for name, value in found.items() if value is not None}
+    return iso9283([rows_of], {"calibrated": values}), lack_of_prediction(rows_of, values, sigma, covariance)

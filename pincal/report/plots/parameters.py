@@ -29,22 +29,22 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
         ValueError: if none is identified.
     """
     known = [p for p in parameters if p.unit == unit and p.status == "identified" and p.sigma]
-    told = [p for p in known if p.name.rsplit(".", 1)[1] not in FRAME_SYMBOLS]
-    if not told:
+    drawn = [p for p in known if p.name.rsplit(".", 1)[1] not in FRAME_SYMBOLS]
+    if not drawn:
         raise ValueError(f"no identified parameter in {unit} to draw")
     (factor, name), title = readable_unit(unit), _TITLES[unit]
-    told.sort(key=lambda p: -abs(p.value - p.nominal))
-    told = told[:_MOST]
-    names = [plain(p.name, _LONGEST) for p in reversed(told)]
-    figure = canvas(1.1 + _PER_ROW * len(told), left=0.3 + _LETTER * max(map(len, names)))
+    drawn.sort(key=lambda p: -abs(p.value - p.nominal))
+    drawn = drawn[:_MOST]
+    names = [plain(p.name, _LONGEST) for p in reversed(drawn)]
+    figure = canvas(1.1 + _PER_ROW * len(drawn), left=0.3 + _LETTER * max(map(len, names)))
     axes = figure.subplots()
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
-    for i, p in enumerate(reversed(told)):
+    for i, p in enumerate(reversed(drawn)):
         change, half = (p.value - p.nominal) * factor, 1.96 * (p.sigma or 0.0) * factor
         sure = abs(change) > half
         axes.errorbar(change, i, xerr=half, fmt="o", color=AFTER if sure else MUTED, mfc=AFTER if sure else "none",
                       markersize=4.5, elinewidth=1.4)  # fmt: skip
-    axes.set_ylim(-0.7, len(told) - 0.3)
+    axes.set_ylim(-0.7, len(drawn) - 0.3)
     dress(axes, x=f"calibrated minus nominal [{name}]", title=title)
-    axes.set_yticks(range(len(told)), names, fontsize=SMALL, color=INK)
+    axes.set_yticks(range(len(drawn)), names, fontsize=SMALL, color=INK)
     return figure
