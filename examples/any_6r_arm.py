@@ -19,12 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from pincal import (
     GEOMETRIC,
+    CalibratedModel,
     Chain,
     Conditions,
     Model,
     Options,
     Robot,
-    calibrated_model_of,
     calibrated_urdf,
     load_model,
     measurements_from_arrays,
@@ -122,7 +122,7 @@ def calibrate_and_judge(folder: Path, seed: int) -> None:
     fit, result = calibration.fit, calibration.result
     export = calibrated_urdf(fit.model, fit.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
-    save_model(folder / "model.json", calibrated_model_of(fit, {"seed": seed}))
+    save_model(folder / "model.json", CalibratedModel.of(fit, {"seed": seed}))
 
     reloaded = load_model(folder / "model.json")
     predicted = reloaded.predict(Conditions.at(other))[:, :, 3]

@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 from pincal import (
     ELASTIC,
     GEOMETRIC,
+    CalibratedModel,
     Conditions,
     Options,
     Robot,
-    calibrated_model_of,
     compensate_poses,
     measurements_from_arrays,
     run_calibration,
@@ -97,7 +97,7 @@ def main() -> None:
     print(f"KUKA KR 125/2, {MEASURED} poses measured with {1e3 * NOISE:g} mm noise, a program of {PROGRAM} other poses")
     report("as programmed", np.linalg.norm(cell.see(other, others) - wanted[:, :, 3], axis=1))
     for name, found in (("geometry and elasticity", fit), ("discovery", discovery.trail.final)):
-        corrected = compensate_poses(calibrated_model_of(found, {}), wanted, program)
+        corrected = compensate_poses(CalibratedModel.of(found, {}), wanted, program)
         errors = np.linalg.norm(cell.see(corrected.q, others) - wanted[:, :, 3], axis=1)
         report(f"corrected by {name}", errors)
     elastic = ("joint_elasticity", "bearing_elasticity")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal import Fit, Model, Options, Robot, calibrate, calibrated_model_of, explain, measurements_from_arrays
+from pincal import CalibratedModel, Fit, Model, Options, Robot, calibrate, explain, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.options import Stages
 from pincal.measure.measurements import Measurements
@@ -152,7 +152,7 @@ def print_table_one() -> None:
     q = plan_poses(ARM, MEASURED, rng)
     exact, noisy = fit(measure(q)), fit(measure(q, rng), sigma=NOISE)
     real, nominal = true_values(exact.model), np.array([p.nominal for p in exact.model.parameters])
-    model = calibrated_model_of(noisy, {})
+    model = CalibratedModel.of(noisy, {})
     print(f"\nTable I [rad, m, rad/(N m)]: identified from exact measurements, and from ones with {NOISE * 1e3:g} mm noise")
     print(f"  {'parameter':14s} {'real':>12s} {'initial':>12s} {'exact':>12s} {'with noise':>12s}")
     for i, finding in enumerate(explain(noisy)):
@@ -203,7 +203,7 @@ def check_uncertainties(draws: int) -> None:
         off = told.directions[:, strong].T @ ((found.values - truth.values)[free] / found.priors.sizes[free])
         combinations.append(np.abs(off) < INTERVAL / np.sqrt(1.0 + told.information[strong]))
         problem = found.readings(measure(other))
-        sigma = calibrated_model_of(found, {}).position_sigma(problem.conditions)
+        sigma = CalibratedModel.of(found, {}).position_sigma(problem.conditions)
         predictions.append(np.abs(problem.residuals(found.values)) < INTERVAL * sigma.T)
     covered = [100.0 * float(np.concatenate([c.ravel() for c in found]).mean()) for found in (combinations, predictions)]
     print(f"\n(b) Measurements with {NOISE * 1e3:g} mm noise, {draws} draws")

@@ -14,7 +14,8 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pincal.calibration.calibrated import CalibratedModel, calibrated_model_of, load_model, save_model
+    from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
+    from pincal.calibration.fit import Fit, calibrate
     from pincal.calibration.run import Calibration, run_calibration
     from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
     from pincal.compensate.frames import false_targets
@@ -22,9 +23,7 @@ if TYPE_CHECKING:
     from pincal.design.reach import Limits, SensorSetup
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
-    from pincal.identify.calibrate import calibrate
     from pincal.identify.explain import explain
-    from pincal.identify.fit import Fit
     from pincal.identify.options import Options
     from pincal.identify.repeat import bootstrap, cross_validate, monte_carlo
     from pincal.io.urdf_export import calibrated_urdf
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from pincal.measure.named_points import KnownDistance
     from pincal.measure.setup import Setup
     from pincal.measure.table import read_measurements
-    from pincal.model.augmented import augmented_model, calibrated_model
+    from pincal.model.augmented import augmented_model, pinocchio_model
     from pincal.model.chain import Chain
     from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
     from pincal.model.model import Model
@@ -42,7 +41,8 @@ if TYPE_CHECKING:
 
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
 _HOMES = {
-    "pincal.calibration.calibrated": ("CalibratedModel", "calibrated_model_of", "load_model", "save_model"),
+    "pincal.calibration.calibrated": ("CalibratedModel", "load_model", "save_model"),
+    "pincal.calibration.fit": ("Fit", "calibrate"),
     "pincal.calibration.run": ("Calibration", "run_calibration"),
     "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
     "pincal.compensate.frames": ("false_targets",),
@@ -50,10 +50,8 @@ _HOMES = {
     "pincal.design.reach": ("Limits", "SensorSetup"),
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
-    "pincal.identify.calibrate": ("calibrate",),
-    "pincal.identify.fit": ("Fit",),
-    "pincal.identify.options": ("Options",),
     "pincal.identify.explain": ("explain",),
+    "pincal.identify.options": ("Options",),
     "pincal.identify.repeat": ("bootstrap", "cross_validate", "monte_carlo"),
     "pincal.io.urdf_export": ("calibrated_urdf",),
     "pincal.measure.lens": ("Lens",),
@@ -61,7 +59,7 @@ _HOMES = {
     "pincal.measure.named_points": ("KnownDistance",),
     "pincal.measure.setup": ("Setup",),
     "pincal.measure.table": ("read_measurements",),
-    "pincal.model.augmented": ("augmented_model", "calibrated_model"),
+    "pincal.model.augmented": ("augmented_model", "pinocchio_model"),
     "pincal.model.chain": ("Chain",),
     "pincal.model.effects": ("ELASTIC", "GEOMETRIC", "Conditions", "Effect", "Term"),
     "pincal.model.model": ("Model",),
@@ -70,7 +68,12 @@ _HOMES = {
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 # Names of 0.1.0, for one release.
-_RENAMED = {"Gap": "KnownDistance", "Rig": "SensorSetup"}
+_RENAMED = {
+    "Gap": "KnownDistance",
+    "Rig": "SensorSetup",
+    "calibrated_model": "pinocchio_model",
+    "calibrated_model_of": "CalibratedModel.of",
+}
 
 __all__ = [
     "ELASTIC",
@@ -102,8 +105,6 @@ __all__ = [
     "augmented_model",
     "bootstrap",
     "calibrate",
-    "calibrated_model",
-    "calibrated_model_of",
     "calibrated_urdf",
     "compensate_poses",
     "compensate_program",
@@ -114,6 +115,7 @@ __all__ = [
     "load_model",
     "measurements_from_arrays",
     "monte_carlo",
+    "pinocchio_model",
     "read_measurements",
     "run_calibration",
     "run_discovery",
@@ -125,9 +127,11 @@ def __getattr__(name: str) -> Any:
     if name in _RENAMED:
         warnings.warn(f"pincal.{name} is now pincal.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
         name = _RENAMED[name]
+    name, _, part = name.partition(".")
     if name not in _HOME:
         raise AttributeError(f"module 'pincal' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    found = getattr(importlib.import_module(_HOME[name]), name)
+    return getattr(found, part) if part else found
 
 
 def __dir__() -> list[str]:

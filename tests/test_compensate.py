@@ -16,7 +16,8 @@ from scipy.optimize import minimize
 import pincal
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel, Covered, save_model
+from pincal.calibration.calibrated import CalibratedModel, estimate_of, save_model
+from pincal.calibration.covered import Covered
 from pincal.cli import main
 from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
 from pincal.compensate.frames import base_in_instrument, false_targets, program_poses
@@ -25,7 +26,7 @@ from pincal.compensate.solve_ik import STATUSES
 from pincal.compensate.targets import read_targets
 from pincal.errors import BadInputError
 from pincal.measure.table import write_table
-from pincal.model.augmented import calibrated_model
+from pincal.model.augmented import pinocchio_model
 from pincal.model.catalogue import Backlash, BaseDrift, GearEccentricity, GearRatio, TransmissionError
 from pincal.model.chain import Chain
 from pincal.model.effects import (
@@ -70,9 +71,8 @@ def known(model: Model, values: np.ndarray, kind: str = "pose", payload_centre: 
     """Return a calibrated model without having calibrated."""
     n, P = model.chain.robot.n_joints, model.n_parameters
     covered = Covered(np.tile([-9.0, 9.0], (n, 1)), np.array([0.0, 200.0]))
-    return CalibratedModel(
-        model, values, 1e-12 * np.eye(P), model.parameters, kind, payload_centre, covered, np.full(1, 5e-5), {}
-    )
+    estimate = estimate_of(model.parameters, values, 1e-12 * np.eye(P))
+    return CalibratedModel(model, estimate, kind, payload_centre, covered, np.full(1, 5e-5), {})
 
 
 def erring(robot: Robot, effects: tuple[Effect, ...], rng: np.random.Generator, size: float = 1e-3) -> CalibratedModel:
@@ -125,7 +125,7 @@ def test_calibrated_pinocchio_model_is_where_the_nominal_one_should_be(robot: Ro
     """Pinocchio's kinematics of the calibrated robot, as commanded, are those of the nominal one, as programmed."""
     calibrated, wanted = erring(robot, GEOMETRIC, rng), program(robot, 40, rng)
     found = compensate_program(calibrated, wanted)
-    model = calibrated_model(calibrated.model, calibrated.values)
+    model = pinocchio_model(calibrated.model, calibrated.values)
     data, tip, base = model.createData(), model.getFrameId(robot.tip), model.getFrameId(robot.base)
     reached = []
     for q in found.q:
@@ -225,7 +225,7 @@ def test_a_machine_that_errs_in_more_than_the_model_knows_arrives() -> None:
     given = replace(Conditions.at(other, payload_centre=COM), payload=load)
     # What the nominal robot would do, its base and tool measured in.
     wanted = fit.model.predict(fit.nominal.values[: fit.model.n_parameters], given)
-    found = compensate_poses(pincal.calibrated_model_of(fit, {}), wanted, given)
+    found = compensate_poses(pincal.CalibratedModel.of(fit, {}), wanted, given)
     before, after = (np.linalg.norm(seen(q, load, 0.0) - wanted[:, :, 3], axis=1).mean() for q in (other, found.q))
 
     # One pose of the program is stretched out, with nothing left to correct it by.

@@ -10,7 +10,7 @@ import pytest
 from discovery_cases import SIGMA, Case, draw_case
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
-from pincal.calibration.calibrated import calibrated_model_of, load_model, save_model
+from pincal.calibration.calibrated import CalibratedModel, estimate_of, load_model, save_model
 from pincal.cli import main
 from pincal.discover.locate import _window, levers, locate
 from pincal.discover.loop import ALPHA
@@ -123,7 +123,7 @@ def test_gap_is_the_error_on_rows_that_nobody_saw(found: Discovery) -> None:
 def test_model_file_predicts_with_the_new_effect(tmp_path: Path, found: Discovery) -> None:
     """A model read back predicts what the fit predicts, the effect that was found included."""
     fit = found.calibration.fit
-    save_model(tmp_path / "model.json", calibrated_model_of(fit, {}))
+    save_model(tmp_path / "model.json", CalibratedModel.of(fit, {}))
     back = load_model(tmp_path / "model.json")
     conditions = fit.station.conditions
 
@@ -363,13 +363,12 @@ def test_a_curve_keeps_its_end_value(periodic: bool, kuka: Robot) -> None:
 
 def _model_with(fit: Any, effect: Any) -> Any:
     model = fit.model.with_effects([*fit.model.effects, effect])
-    bare = calibrated_model_of(fit, {})
+    bare = CalibratedModel.of(fit, {})
     more = model.n_parameters - fit.model.n_parameters
     padded = np.zeros((model.n_parameters, model.n_parameters))
     padded[: len(bare.values), : len(bare.values)] = bare.covariance
-    return replace(
-        bare, model=model, values=np.append(bare.values, np.full(more, 1e-4)), covariance=padded, parameters=model.parameters
-    )
+    values = np.append(bare.values, np.full(more, 1e-4))
+    return replace(bare, model=model, estimate=estimate_of(model.parameters, values, padded), nominal_values=None)
 
 
 def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.model import effects as catalogue
-from pincal.model.augmented import augmented_model, calibrated_model, joint_placements
+from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.kernels import BLOCK, FRAME
@@ -685,7 +685,7 @@ def test_calibrated_pinocchio_model_has_the_same_tip(
     values = values_of(model, conditions, rng)
     rigid = model.with_effects(GEOMETRIC)
     expected = rigid.predict(values[: rigid.n_parameters], conditions)
-    calibrated = calibrated_model(model, values)
+    calibrated = pinocchio_model(model, values)
     data = calibrated.createData()
     found = []
     for q in conditions.q:
@@ -702,7 +702,7 @@ def test_calibrated_pinocchio_model_has_the_same_tip(
 def test_nominal_values_leave_the_pinocchio_model_as_it_is(robot: Robot) -> None:
     """With no deviations every joint of the calibrated model stands where the URDF has it."""
     model = Model(Chain.of(robot), GEOMETRIC)
-    calibrated, nominal = calibrated_model(model, np.zeros(model.n_parameters)), robot.pinocchio_model()
+    calibrated, nominal = pinocchio_model(model, np.zeros(model.n_parameters)), robot.pinocchio_model()
     for joint in robot.joint_names:
         i = nominal.getJointId(joint)
         np.testing.assert_allclose(

@@ -13,7 +13,7 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel, calibrated_model_of, load_model, save_model
+from pincal.calibration.calibrated import CalibratedModel, estimate_of, load_model, save_model
 from pincal.errors import ModelFileError, OutputError
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
@@ -64,7 +64,7 @@ def fit() -> Fit:
 @pytest.fixture(scope="module")
 def calibrated(fit: Fit) -> CalibratedModel:
     """Return its model."""
-    return calibrated_model_of(fit, PROVENANCE)
+    return CalibratedModel.of(fit, PROVENANCE)
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_a_model_read_again_predicts_the_same_to_the_last_bit(
     kind: str, options: Options | None, fit: Fit, tmp_path: Path
 ) -> None:
     """Poses, their uncertainty and everything else come back with no difference at all."""
-    model = calibrated_model_of(fit if options is None else simulated_fit(kind, options), PROVENANCE)
+    model = CalibratedModel.of(fit if options is None else simulated_fit(kind, options), PROVENANCE)
     save_model(tmp_path / "model.json", model)
     again = load_model(tmp_path / "model.json")
     conditions = poses(model)
@@ -120,7 +120,7 @@ def test_a_model_read_again_predicts_the_same_to_the_last_bit(
     assert again.outside(conditions) == model.outside(conditions)
     for name in ("values", "covariance", "payload_centre", "sigma"):
         assert np.array_equal(getattr(again, name), getattr(model, name)), name
-    assert again.parameters == model.parameters
+    assert again.estimate.parameters == model.estimate.parameters
     assert again.sensor_kind == kind
     assert again.provenance == PROVENANCE
     assert again.model.effects == model.model.effects
@@ -159,7 +159,7 @@ def test_a_model_predicts_where_no_urdf_and_no_pinocchio_is(tmp_path: Path) -> N
     robot = Robot.from_urdf(urdf)
     fit = simulated_fit("position", Options(effects=GEOMETRIC))
     chain = replace(fit.model.chain, robot=robot)
-    model = replace(calibrated_model_of(fit, {}), model=fit.model.with_chain(chain))
+    model = replace(CalibratedModel.of(fit, {}), model=fit.model.with_chain(chain))
     file = tmp_path / "model.json"
     save_model(file, model)
     urdf.unlink()
@@ -285,9 +285,8 @@ def shaped(calibrated: CalibratedModel) -> CalibratedModel:
     return replace(
         calibrated,
         model=model,
-        values=np.append(calibrated.values, 1e-3),
-        covariance=covariance,
-        parameters=model.parameters,
+        estimate=estimate_of(model.parameters, np.append(calibrated.values, 1e-3), covariance),
+        nominal_values=None,
     )
 
 
@@ -336,7 +335,7 @@ def _keys(value: Any, way: tuple[str | int, ...] = ()) -> Iterator[tuple[str | i
 def test_every_missing_key_is_named(path: Path) -> None:
     """Whatever key is taken out, the error says which and in which file; fields of effects and the URDF may be missing."""
     text = path.read_text()
-    ways = [way for way in _keys(json.loads(text)) if way[-1] not in ("symbols", "urdf")]
+    ways = [way for way in _keys(json.loads(text)) if way[-1] not in ("symbols", "urdf", "nominal_values")]
 
     assert len(ways) > 40
     for way in ways:
@@ -457,8 +456,9 @@ def test_a_place_that_can_not_be_written_is_named(calibrated: CalibratedModel, t
 def test_a_model_that_can_not_be_written_leaves_the_old_file(calibrated: CalibratedModel, path: Path) -> None:
     """Numbers that are not finite are refused before the file is touched; no draft stays."""
     before = path.read_bytes()
+    broken = replace(calibrated.estimate, values=np.full(len(calibrated.values), np.nan))
     with pytest.raises(OutputError, match="not finite"):
-        save_model(path, replace(calibrated, values=np.full(len(calibrated.values), np.nan)))
+        save_model(path, replace(calibrated, estimate=broken))
 
     assert path.read_bytes() == before
     assert [entry.name for entry in path.parent.iterdir()] == ["model.json"]

@@ -12,7 +12,7 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated import calibrated_model_of, load_model, save_model
+from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
 from pincal.calibration.run import run_calibration
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
 from pincal.identify.calibrate import calibrate
@@ -157,7 +157,7 @@ def test_a_known_distance_sets_the_scale(machine: sim.TrueMachine, kuka: Robot) 
         lengths.append(fit.values[fit.model.index("joint_2.a")])
     alone = calibrate(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5))
     place = alone.model.index("joint_2.a")
-    sigma = [float(np.sqrt(calibrated_model_of(f, {}).covariance[place, place])) for f in (alone, fit)]
+    sigma = [float(np.sqrt(CalibratedModel.of(f, {}).covariance[place, place])) for f in (alone, fit)]
 
     assert lengths[1] - lengths[0] == pytest.approx(1e-3, rel=0.3)
     assert sigma[0] > 3.0 * sigma[1]
@@ -198,7 +198,7 @@ def test_model_file_reads_further_rows(case: str, machine: sim.TrueMachine, kuka
     make, setup = TABLES[case]
     table = make(machine, kuka)
     fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=setup))
-    save_model(tmp_path / "model.json", calibrated_model_of(fit, {}))
+    save_model(tmp_path / "model.json", CalibratedModel.of(fit, {}))
     back = load_model(tmp_path / "model.json")
 
     np.testing.assert_array_equal(back.readings(table).residuals(back.values), fit.station.residuals(fit.values))
@@ -285,7 +285,7 @@ def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, 
 def test_a_camera_that_was_found_can_be_given(machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
     """Lens and mount of a calibrated model come back from its camera file, and hold in another calibration."""
     table = seen(machine, kuka, poses=16, pixels=True)
-    model = calibrated_model_of(calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(points=GRID))), {})
+    model = CalibratedModel.of(calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(points=GRID))), {})
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(model.camera()))
     lens, mount = read_lens(path), read_mount(path)
@@ -298,7 +298,7 @@ def test_a_camera_that_was_found_can_be_given(machine: sim.TrueMachine, kuka: Ro
     assert not fit.solution.free[[fit.model.index(f"camera.{symbol}") for symbol in ("x", "rz")]].any()
     with pytest.raises(BadInputError, match="calibrated with socket, not with images"):
         held = calibrate(kuka, contacts(machine, kuka, each=12), Options(effects=GEOMETRIC))
-        calibrated_model_of(held, {}).camera()
+        CalibratedModel.of(held, {}).camera()
 
 
 def test_too_few_views_are_refused_however_many_points_they_have(machine: sim.TrueMachine, kuka: Robot) -> None:

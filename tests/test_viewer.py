@@ -12,7 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel, Covered, save_model
+from pincal.calibration.calibrated import CalibratedModel, estimate_of, save_model
+from pincal.calibration.covered import Covered
 from pincal.cli import main
 from pincal.cli.view import view
 from pincal.errors import BadInputError, OutputError
@@ -55,7 +56,8 @@ def machine(
         values[model.index(name)] = value
     covered = Covered(np.tile([-1.5, 1.5], (robot.n_joints, 1)), np.array([0.0, 10.0]))
     covariance = 1e-8 * np.eye(len(values))
-    return CalibratedModel(model, values, covariance, model.parameters, kind, np.zeros(3), covered, np.array([5e-5]), {})
+    estimate = estimate_of(model.parameters, values, covariance)
+    return CalibratedModel(model, estimate, kind, np.zeros(3), covered, np.array([5e-5]), {})
 
 
 def measured(calibrated: CalibratedModel, rng: np.random.Generator, n: int = 40, **columns: np.ndarray) -> Measurements:
@@ -97,7 +99,7 @@ def test_arrows_lead_from_the_prediction_to_the_measurement(kuka: Robot, rng: np
 def test_before_has_base_and_tool_fitted(kuka: Robot, rng: np.random.Generator) -> None:
     """Of a robot whose only error stands in base and tool nothing is left before."""
     calibrated = machine(kuka, rng)
-    frames = np.array([p.effect in ("base_frame", "tool_frame") for p in calibrated.parameters])
+    frames = np.array([p.effect in ("base_frame", "tool_frame") for p in calibrated.estimate.parameters])
     calibrated.values[~frames] = 0.0
     found = deviation_fields(calibrated, measured(calibrated, rng), grid=60)
 

@@ -1,13 +1,21 @@
-"""The calibrated model and its file, ``model.json``: all that a prediction needs, without the URDF."""
+"""The calibrated model, the one object to predict with, and its file ``model.json``."""
 
 from __future__ import annotations
 
+import html
 import os
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from pincal.atomic import write_whole
+from pincal.calibration.covered import Covered, Outside, OutsideCurve, outside_curves
+from pincal.calibration.tables import estimate_table
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station, conditions_of, station_of
@@ -22,103 +30,234 @@ from pincal.io.model_file import (
     write_model_file,
 )
 from pincal.io.strict_json import Fault
+from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
-from pincal.model.catalogue import TransmissionError
-from pincal.model.catalogue.unnamed import Unnamed, variable
-from pincal.model.effects import Conditions
+from pincal.model.augmented import pinocchio_model
+from pincal.model.effects import Conditions, Effect
 from pincal.model.model import Model
-from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.parameters import FRAME_SYMBOLS, Covariance, Estimate, Parameter
 from pincal.robot.se3 import placed
+from pincal.tables import Table
 
-# What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
-_MARGIN_PART, _MARGIN = 0.02, 1e-3
+if TYPE_CHECKING:
+    import pinocchio as pin
+
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
 _PIECE = 4096
 
 
-class Outside(NamedTuple):
-    """A value beyond the training rows: row index, joint name or "payload", the value and their range [rad, m or kg]."""
+class Calibrated(ABC):
+    """What a calibration is good for, whether it was made just now or read from a file."""
 
-    row: int
-    name: str
-    value: float
-    lower: float
-    upper: float
+    @abstractmethod
+    def to_model(self) -> CalibratedModel:
+        """Return the calibrated model, all that a prediction needs."""
+
+    @abstractmethod
+    def parameter_table(self) -> Table:
+        """Return the parameters with their standard deviations."""
+
+    @abstractmethod
+    def summary(self) -> str:
+        """Return what was calibrated and how well, in a few lines."""
+
+    @overload
+    def predict(
+        self,
+        at: Conditions | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+        return_sigma: Literal[False] = False,
+    ) -> np.ndarray: ...
+
+    @overload
+    def predict(
+        self, at: Conditions | ArrayLike, *, payload: float = 0.0, target: str | None = None, return_sigma: Literal[True]
+    ) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def predict(
+        self,
+        at: Conditions | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+        return_sigma: bool = False,
+    ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """Return the target's poses in the instrument's frame (of contacts: in the robot's base frame).
+
+        Args:
+            at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N poses, for models that need
+                temperature, time or the direction of approach.
+            payload: mass at the tip [kg]; not with conditions.
+            target: name of the target; the first one unless given; not with conditions.
+            return_sigma: whether to return the standard deviation of the position, too.
+
+        Returns:
+            Rotation and translation [m], shape (N, 3, 4), and with ``return_sigma`` the standard deviation of the position,
+            shape (N, 3) [m], see :meth:`position_sigma`.
+
+        Raises:
+            BadInputError: if the joint positions have another shape, or there is no such target.
+        """
+        model = self.to_model()
+        conditions = at if isinstance(at, Conditions) else model.conditions_at(at, payload=payload, target=target)
+        poses = model.model.predict(model.model_values, conditions)
+        return (poses, self.position_sigma(conditions)) if return_sigma else poses
+
+    def position_sigma(self, conditions: Conditions) -> np.ndarray:
+        r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the instrument's axes.
+
+        :math:`\sqrt{\mathrm{diag}(J C J^T)}`: what the calibration leaves unknown, without the noise of a measurement.
+        """
+        found = self.to_model()
+        n = found.model.n_parameters
+        C = found.covariance[:n, :n]
+        out = np.empty((len(conditions), 3))
+        for start in range(0, len(conditions), _PIECE):
+            rows = slice(start, start + _PIECE)
+            _, J = found.model.linearise(found.model_values, conditions.select(rows))
+            out[rows] = np.einsum("nip,nip->ni", J @ C, J)
+        return np.sqrt(np.maximum(out, 0.0))
+
+    @property
+    def parameters(self) -> Table:
+        """The parameters with their standard deviations, as a table."""
+        return self.parameter_table()
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the values, shape (P, P); zero rows and columns for those that were not fitted."""
+        return self.to_model().dense_covariance
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``model.json``, from which :func:`pincal.load_model` returns the calibrated model.
+
+        Raises:
+            OutputError: if the place can't be written to, or a number is not finite.
+        """
+        save_model(path, self.to_model())
+
+    def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
+        """Return the robot's URDF with the calibrated geometry, and write it to a file if one is named.
+
+        Raises:
+            RobotFileError: if the model has no URDF.
+            OutputError: if the place can't be written to.
+        """
+        found = self.to_model()
+        export = calibrated_urdf(found.model, found.values)
+        if path is not None:
+            write_whole(path, export.text)
+        return export
+
+    def to_pinocchio(self) -> pin.Model:
+        """Return the robot's Pinocchio model with the calibrated geometry; elastic effects are not in it."""
+        found = self.to_model()
+        return pinocchio_model(found.model, found.model_values)
+
+    def _repr_html_(self) -> str:
+        lines = "<br>".join(html.escape(line) for line in self.summary().splitlines())
+        return f"<p>{lines}</p>{self.parameters._repr_html_()}"
 
 
-class OutsideCurve(NamedTuple):
-    """Rows beyond the range in which a curve of the model was seen; there it keeps its end value.
-
-    Attributes:
-        effect, joint: the curve.
-        variable: what it follows: a joint's name, "time", "temperature" or "payload".
-        rows: how many rows lie beyond.
-        lowest, highest: of the variable over all rows.
-        lower, upper: the range that was seen.
-    """
-
-    effect: str
-    joint: str
-    variable: str
-    rows: int
-    lowest: float
-    highest: float
-    lower: float
-    upper: float
-
-
-@dataclass(frozen=True)
-class Covered:
-    """What the training rows cover: ``q``, shape (n, 2), least and largest joint positions, and ``payload``, shape (2,)."""
-
-    q: np.ndarray
-    payload: np.ndarray
-
-    @classmethod
-    def of(cls, conditions: Conditions) -> Covered:
-        """Return what some rows cover."""
-        q, payload = conditions.q, conditions.payload
-        return cls(np.column_stack([q.min(axis=0), q.max(axis=0)]), np.array([payload.min(), payload.max()]))
-
-
-@dataclass(frozen=True)
-class CalibratedModel:
+@dataclass(frozen=True, repr=False)
+class CalibratedModel(Calibrated):
     """A calibrated robot, ready to predict.
 
     Attributes:
         model: chain and effects.
-        values: shape (P,), the model's parameters and then the sensor's own, as deviations from the nominal.
-        covariance: shape (P, P), of the values; zero rows and columns for those that were not fitted.
-        parameters: names, units and nominal values, in the same order.
+        estimate: the model's parameters and then the sensor's own, with values and covariance.
         sensor_kind: what was measured: "position", "pose", "distance" and so on.
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
         covered: the range of the training rows.
         sigma: shape (blocks,), noise of one component of each block of readings that the fit used [m, rad].
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         setup: named points and the camera that it was calibrated with.
+        nominal_values: shape (P,), the values with only base and tool fitted; None where nobody knows them.
 
     Example:
         >>> from pincal.model.chain import Chain
         >>> from pincal.robot.robot import Robot
         >>> model = Model(Chain.of(Robot.from_urdf("ur10")), ())
         >>> covered = Covered(np.tile([-1.0, 1.0], (6, 1)), np.array([0.0, 5.0]))
-        >>> nothing, none = np.zeros(0), np.zeros((0, 0))
-        >>> ur10 = CalibratedModel(model, nothing, none, (), "position", np.zeros(3), covered, np.array([1e-4]), {})
+        >>> nothing = estimate_of((), np.zeros(0), np.zeros((0, 0)))
+        >>> ur10 = CalibratedModel(model, nothing, "position", np.zeros(3), covered, np.array([1e-4]), {})
         >>> ur10.outside(Conditions.at(np.zeros((1, 6)), payload=8.0))
         [Outside(row=0, name='payload', value=8.0, lower=0.0, upper=5.0)]
+        >>> ur10.predict(np.zeros(6)).shape, ur10
+        ((1, 3, 4), CalibratedModel('ur10': 0 parameters, position))
     """
 
     model: Model
-    values: np.ndarray
-    covariance: np.ndarray
-    parameters: tuple[Parameter, ...]
+    estimate: Estimate
     sensor_kind: str
     payload_centre: np.ndarray
     covered: Covered
     sigma: np.ndarray
     provenance: dict[str, Any]
     setup: Setup = field(default_factory=Setup)
+    nominal_values: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, fit: Fit, provenance: dict[str, Any] | None = None) -> CalibratedModel:
+        """Return the calibrated model of a fit.
+
+        Args:
+            fit: the fit.
+            provenance: where it came from, in types that JSON knows.
+        """
+        station = fit.station
+        covariance = np.zeros((len(fit.values), len(fit.values)))
+        covariance[np.ix_(fit.solution.free, fit.solution.free)] = fit.solution.posterior.covariance
+        return cls(
+            model=fit.model,
+            estimate=estimate_of(station.parameters, fit.values.copy(), covariance),
+            sensor_kind=station.sensor.kind,
+            payload_centre=np.array(fit.options.payload_centre, float),
+            covered=Covered.of(station.conditions),
+            sigma=np.array(fit.solution.sigma, float),
+            provenance=dict(provenance or {}),
+            setup=fit.options.setup,
+            nominal_values=fit.nominal.values.copy(),
+        )
+
+    def __repr__(self) -> str:
+        robot = self.model.chain.robot.name
+        return f"CalibratedModel({robot!r}: {len(self.estimate)} parameters, {self.sensor_kind})"
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values of all parameters, shape (P,), as deviations from the nominal."""
+        return self.estimate.values
+
+    @property
+    def model_values(self) -> np.ndarray:
+        """Values of the model's parameters; the sensor's own left out."""
+        return self.values[: self.model.n_parameters]
+
+    @cached_property
+    def dense_covariance(self) -> np.ndarray:
+        """The covariance as a matrix, shape (P, P)."""
+        return self.estimate.dense_covariance()
+
+    def to_model(self) -> CalibratedModel:
+        """Return the model itself."""
+        return self
+
+    def parameter_table(self) -> Table:
+        """Return value and standard deviation of each parameter."""
+        return estimate_table(self.estimate)
+
+    def summary(self) -> str:
+        """Return which robot it is, what it was calibrated with and how many parameters were found."""
+        robot = self.model.chain.robot
+        effects = ", ".join(dict.fromkeys(effect.name for effect in self.model.effects))
+        return (
+            f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip}, calibrated with {self.sensor_kind} "
+            f"measurements\n{int(self.estimate.free.sum())} of {len(self.estimate)} parameters fitted: {effects}"
+        )
 
     def readings(self, measurements: Measurements) -> Station:
         """Return the model over measurements.
@@ -141,93 +280,70 @@ class CalibratedModel:
         """
         return conditions_of(self.model, measurements, np.array(self.payload_centre))
 
+    def conditions_at(self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None) -> Conditions:
+        """Return the conditions of joint positions that share a payload [kg] and a target.
+
+        Raises:
+            BadInputError: if the joint positions have another shape, or there is no such target.
+        """
+        positions, n = np.atleast_2d(np.asarray(q, float)), self.model.chain.robot.n_joints
+        if positions.ndim != 2 or positions.shape[1] != n:
+            raise BadInputError(f"joint positions have shape {np.shape(q)}; expected (N, {n}), one row per pose")
+        targets = self.model.chain.targets
+        if target is not None and target not in targets:
+            raise BadInputError(f"target {target!r} is not in the model; expected one of {', '.join(targets)}")
+        found = Conditions.at(positions, payload=payload, payload_centre=self.payload_centre)
+        return replace(found, target=np.full(len(positions), 0 if target is None else targets.index(target)))
+
     def camera(self) -> dict[str, Any]:
         """Return the camera, as :func:`pincal.io.camera_file.read_camera` reads it from JSON.
 
         Raises:
             BadInputError: if the model was not calibrated with images.
         """
-        places = {p.name.removeprefix("camera."): i for i, p in enumerate(self.parameters) if p.effect.startswith("lens")}
+        places = {p.name.removeprefix("camera."): p for p in self.estimate.parameters if p.effect.startswith("lens")}
         if not places:
             raise BadInputError(f"this model was calibrated with {self.sensor_kind}, not with images: it has no camera")
-        tool = self.values[[self.model.index(f"camera.{symbol}") for symbol in FRAME_SYMBOLS]]
+        tool = np.array([self.estimate[f"camera.{symbol}"] for symbol in FRAME_SYMBOLS])
         mount = placed(self.model.chain.tool_rotations[0], tool)
-        lens = {name: self.parameters[i].nominal + float(self.values[i]) for name, i in places.items()}
+        lens = {name: parameter.nominal + self.estimate[parameter.name] for name, parameter in places.items()}
         return {**lens, "T_tip_camera": mount.tolist()}
-
-    def predict(self, conditions: Conditions) -> np.ndarray:
-        """Return the target's poses in the instrument's frame, shape (N, 3, 4): rotation and translation [m]."""
-        return self.model.predict(self.values[: self.model.n_parameters], conditions)
-
-    def position_sigma(self, conditions: Conditions) -> np.ndarray:
-        r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the instrument's axes.
-
-        :math:`\sqrt{\mathrm{diag}(J C J^T)}`: what the calibration leaves unknown, without the noise of a measurement.
-        """
-        n = self.model.n_parameters
-        C = self.covariance[:n, :n]
-        out = np.empty((len(conditions), 3))
-        for start in range(0, len(conditions), _PIECE):
-            rows = slice(start, start + _PIECE)
-            _, J = self.model.linearise(self.values[:n], conditions.select(rows))
-            out[rows] = np.einsum("nip,nip->ni", J @ C, J)
-        return np.sqrt(np.maximum(out, 0.0))
 
     def outside(self, conditions: Conditions) -> list[Outside]:
         """Return, row by row, what lies beyond the range of the training rows, where nobody has checked the model."""
-        names = (*self.model.chain.robot.joint_names, "payload")
-        values = np.column_stack([conditions.q, conditions.payload])
-        lower, upper = np.vstack([self.covered.q, self.covered.payload]).T
-        margin = _MARGIN_PART * (upper - lower) + _MARGIN
-        beyond = (values < lower - margin) | (values > upper + margin)
-        return [
-            Outside(int(i), names[j], float(values[i, j]), float(lower[j]), float(upper[j])) for i, j in np.argwhere(beyond)
-        ]
+        return self.covered.outside(self.model.chain.robot.joint_names, conditions)
 
     def outside_curves(self, conditions: Conditions) -> list[OutsideCurve]:
         """Return the curves that some rows ask for beyond the range in which they were seen.
 
         A curve found in one range says nothing of another (it may even do harm there), so it keeps its end value.
         """
-        found = []
-        for effect in self.model.effects:
-            if isinstance(effect, TransmissionError):
-                name = effect.joint
-            elif isinstance(effect, Unnamed) and effect.shape == "curve":
-                name = effect.depends_on
-            else:
-                continue
-            x = variable(self.model.chain, conditions, name)
-            margin = _MARGIN_PART * (effect.upper - effect.lower) + _MARGIN
-            beyond = int(np.sum((x < effect.lower - margin) | (x > effect.upper + margin)))
-            if beyond:
-                asked = float(x.min()), float(x.max())
-                found.append(OutsideCurve(effect.name, effect.joint, name, beyond, *asked, effect.lower, effect.upper))
-        return found
+        return outside_curves(self.model, conditions)
+
+    def with_effects(self, is_kept: Callable[[Effect], bool]) -> CalibratedModel:
+        """Return the model as it stands with some effects left out, nothing fitted again."""
+        gone = [effect for effect in self.model.effects if not is_kept(effect)]
+        names = {p.name for effect in gone for p in effect.parameters(self.model.chain)}
+        kept = np.array([name not in names for name in self.estimate.names], bool)
+        return replace(
+            self,
+            model=self.model.with_effects([effect for effect in self.model.effects if is_kept(effect)]),
+            estimate=self.estimate.drop(names),
+            nominal_values=None if self.nominal_values is None else self.nominal_values[kept],
+        )
 
 
-def calibrated_model_of(fit: Fit, provenance: dict[str, Any]) -> CalibratedModel:
-    """Return the calibrated model of a fit.
+def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance: np.ndarray) -> Estimate:
+    """Return an estimate of parameters from a covariance over all of them, zero for those that were not fitted.
 
     Args:
-        fit: the fit.
-        provenance: where it came from, in types that JSON knows.
+        parameters: the P parameters.
+        values: shape (P,), deviations from the nominal.
+        covariance: shape (P, P).
     """
-    problem, free = fit.station, fit.solution.free
-    covariance = np.zeros((len(free), len(free)))
-    covariance[np.ix_(free, free)] = fit.solution.posterior.covariance
-    return CalibratedModel(
-        model=fit.model,
-        values=fit.values.copy(),
-        covariance=covariance,
-        parameters=problem.parameters,
-        sensor_kind=problem.sensor.kind,
-        payload_centre=np.array(fit.options.payload_centre, float),
-        covered=Covered.of(problem.conditions),
-        sigma=np.array(fit.solution.sigma, float),
-        provenance=dict(provenance),
-        setup=fit.options.setup,
-    )
+    free = np.diag(covariance) > 0.0
+    prior = np.array([parameter.size for parameter in parameters])
+    return Estimate(tuple(parameters), values, free, Covariance.of(covariance[np.ix_(free, free)]), prior)
 
 
 def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> None:
@@ -255,17 +371,17 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
     file = read_model_file(path)
+    parameters = [entry.parameter() for entry in file.parameters]
     return CalibratedModel(
         model=file.model.model(),
-        values=file.values,
-        covariance=file.covariance,
-        parameters=tuple(entry.parameter() for entry in file.parameters),
+        estimate=estimate_of(parameters, file.values, file.covariance),
         sensor_kind=file.sensor_kind,
         payload_centre=file.payload_centre,
         covered=Covered(file.covered.q, file.covered.payload),
         sigma=file.sigma,
         provenance=file.provenance,
         setup=file.setup.setup(),
+        nominal_values=file.nominal_values,
     )
 
 
@@ -278,9 +394,10 @@ def _file_of(calibrated: CalibratedModel) -> ModelFile:
         sigma=c.sigma,
         payload_centre=c.payload_centre,
         covered=CoveredEntry(q=c.covered.q, payload=c.covered.payload),
-        parameters=tuple(ParameterEntry.of(parameter) for parameter in c.parameters),
+        parameters=tuple(ParameterEntry.of(parameter) for parameter in c.estimate.parameters),
         values=c.values,
         covariance=c.covariance,
         model=ModelEntry.of(c.model),
         setup=SetupEntry.of(c.setup),
+        nominal_values=c.nominal_values,
     )

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.calibration.fit import Fit, calibrate
 from pincal.calibration.notes import notes_on_data
 from pincal.calibration.result import Result, result_of
-from pincal.identify.calibrate import calibrate, doubts_of_known
-from pincal.identify.fit import Fit
+from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.options import Options
 from pincal.identify.split import Split, hold_out
 from pincal.identify.station import Station

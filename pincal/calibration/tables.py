@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from pincal.calibration.result import ParameterRow
+from pincal.parameters import Estimate
 from pincal.tables import Cell, Column, Kind, Quantity, Table, Tone, fixed, show_sigma, show_unit, show_value
 from pincal.validate.replicates import ANGLE_WORDS
 
@@ -68,6 +71,29 @@ def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters
         (f"The coordinates of {hidden // 3} named points are left out here; result.json has them.",) if hidden else (),
         tuple(_TONES[row.status] for row in shown),
     )
+
+
+def estimate_table(estimate: Estimate) -> Table:
+    """Return nominal value, calibrated value and standard deviation of each parameter; a dash for those not fitted."""
+    columns = (
+        Column("parameter", kind=Kind.NAME),
+        Column("unit", kind=Kind.LABEL, show=show_unit),
+        Column("nominal", kind=Kind.NUMBER, show=show_value),
+        Column("value", kind=Kind.NUMBER, show=show_value),
+        Column("sigma", kind=Kind.NUMBER, show=show_sigma),
+    )
+    numbers = zip(estimate.parameters, estimate.values, estimate.fitted_sigma, strict=True)
+    rows = tuple(
+        (
+            p.name,
+            p.unit,
+            Quantity(p.nominal, p.unit),
+            Quantity(p.nominal + float(value), p.unit),
+            Quantity(float(sigma), p.unit) if np.isfinite(sigma) else None,
+        )
+        for p, value, sigma in numbers
+    )
+    return Table("Parameters", columns, rows)
 
 
 def _parameter_cells(row: ParameterRow) -> tuple[Cell, ...]:

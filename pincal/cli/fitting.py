@@ -107,12 +107,12 @@ def write_results(
     Returns:
         What the URDF could not carry, in words.
     """
-    from pincal.calibration.calibrated import calibrated_model_of, save_model
+    from pincal.calibration.calibrated import CalibratedModel, save_model
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import write_report
 
     fit = calibration.fit
-    model = calibrated_model_of(fit, origin)
+    model = CalibratedModel.of(fit, origin)
     save_model(folder / "model.json", model)
     _write_json(folder / "result.json", calibration.result.to_dict())
     if discovery is not None:

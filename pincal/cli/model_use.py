@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from pincal.calibration.calibrated import CalibratedModel, Outside, OutsideCurve
+    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.covered import Outside, OutsideCurve
     from pincal.model.effects import Conditions
 
 # Rows outside the calibrated range that are listed one by one.

@@ -94,13 +94,13 @@ def compensate_poses(
         >>> from pincal.model.chain import Chain
         >>> from pincal.model.effects import JointOffset
         >>> from pincal.model.model import Model
-        >>> from pincal.calibration.calibrated import Covered
+        >>> from pincal.calibration.calibrated import estimate_of
+        >>> from pincal.calibration.covered import Covered
         >>> from pincal.robot.robot import Robot
         >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), (JointOffset(),))
         >>> offset, covered = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0]), Covered(np.zeros((6, 2)), np.zeros(2))
-        >>> known = CalibratedModel(
-        ...     model, offset, np.zeros((6, 6)), model.parameters, "pose", np.zeros(3), covered, np.zeros(1), {}
-        ... )
+        >>> estimate = estimate_of(model.parameters, offset, np.zeros((6, 6)))
+        >>> known = CalibratedModel(model, estimate, "pose", np.zeros(3), covered, np.zeros(1), {})
         >>> program = Conditions.at(np.array([[0.3, 1.2, -1.1, 0.4, 0.7, -0.5]]))
         >>> found = compensate_program(known, program)
         >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))

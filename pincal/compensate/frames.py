@@ -40,17 +40,10 @@ def nominal_model(calibrated: CalibratedModel) -> CalibratedModel:
 def _with_effects(
     calibrated: CalibratedModel, is_kept: Callable[[Effect], bool], base_rotation: np.ndarray
 ) -> CalibratedModel:
-    model = calibrated.model
-    sizes = [len(effect.parameters(model.chain)) for effect in model.effects]
-    places = np.flatnonzero(np.repeat([is_kept(effect) for effect in model.effects], sizes))
-    chain = model.chain.with_references(base_rotation, model.chain.tool_rotations)
-    return replace(
-        calibrated,
-        model=model.with_chain(chain).with_effects([effect for effect in model.effects if is_kept(effect)]),
-        values=calibrated.values[places],
-        covariance=calibrated.covariance[np.ix_(places, places)],
-        parameters=tuple(calibrated.parameters[p] for p in places),
-    )
+    found = calibrated.with_effects(is_kept)
+    chain = found.model.chain.with_references(base_rotation, found.model.chain.tool_rotations)
+    model = found.model.with_chain(chain)
+    return replace(found, model=model, estimate=found.estimate.take(model.names), nominal_values=None)
 
 
 def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:

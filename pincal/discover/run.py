@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.calibration.result import result_of
 from pincal.calibration.run import Calibration, run_calibration
 from pincal.discover.loop import History, Step, discover_effects, is_of_loads, least_gain, place_of, sampled
@@ -117,7 +118,7 @@ def run_discovery(
     held = trail.final.readings(first.test) if len(first.test) else None
     seconds = time.perf_counter() - begun
     result = result_of(trail.final, held, seconds=seconds, tables=(first.train, first.test), notes=notes)
-    final = replace(first, fit=trail.final, result=result, notes=notes)
+    final = replace(first, fit=CalibratedFit.of(trail.final), result=result, notes=notes)
     gaps, traces = gaps_of(trail, final.test), partial_residuals(trail)
     return Discovery(final, trail, discovery_report(final, trail, traces), gaps, traces)
 

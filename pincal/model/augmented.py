@@ -113,7 +113,7 @@ def _placements(
     return placed, step @ chain.robot.frames.T_last_tip, turning
 
 
-def calibrated_model(model: Model, values: np.ndarray) -> pin.Model:
+def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:
     """Return the robot's own ``pin.Model`` with the joint and tip frames where the calibrated geometry puts them.
 
     It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`, so that other code takes it as

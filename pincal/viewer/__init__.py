@@ -6,12 +6,13 @@ Example:
     >>> from pincal.model.chain import Chain
     >>> from pincal.model.effects import GEOMETRIC
     >>> from pincal.model.model import Model
-    >>> from pincal.calibration.calibrated import CalibratedModel, Covered
+    >>> from pincal.calibration.calibrated import CalibratedModel, estimate_of
+    >>> from pincal.calibration.covered import Covered
     >>> from pincal.robot.robot import Robot
     >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
     >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
-    >>> none = np.zeros((len(values), len(values)))
-    >>> kuka = CalibratedModel(model, values, none, model.parameters, "position", np.zeros(3), covered, np.ones(1), {})
+    >>> estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
+    >>> kuka = CalibratedModel(model, estimate, "position", np.zeros(3), covered, np.ones(1), {})
     >>> [layer.name for layer in deviation_fields(kuka, grid=50).layers]  # doctest: +ELLIPSIS
     ['workspace/nominal to calibrated', 'workspace/explained by joint_offset', ...]
 """

@@ -192,13 +192,15 @@ def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.n
 
 
 def _is_frame(calibrated: CalibratedModel) -> np.ndarray:
-    return np.array([p.effect in EXTRINSICS for p in calibrated.parameters], bool)
+    return np.array([p.effect in EXTRINSICS for p in calibrated.estimate.parameters], bool)
 
 
 def _nominal_from_data(
     calibrated: CalibratedModel, measurements: Measurements, held_out: np.ndarray | None
 ) -> tuple[np.ndarray, list[str]]:
     """Return the values with only base and tool fitted, to the rows that the calibration was fitted to."""
+    if calibrated.nominal_values is not None:
+        return calibrated.nominal_values, []
     problem = calibrated.readings(measurements)
     fitted = np.ones(len(problem), bool) if held_out is None else ~held_out
     if fitted.sum() < min(len(problem), 6):
@@ -260,26 +262,9 @@ def at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, kn
 
 def _without_unknown(calibrated: CalibratedModel, known: dict[str, float]) -> tuple[CalibratedModel, list[str]]:
     """Return the model without the effects whose conditions nobody knows, and their names."""
-    model, start = calibrated.model, 0
-    kept: list[Effect] = []
-    rows: list[int] = []
-    left_out: list[str] = []
-    for effect in model.effects:
-        stop = start + len(effect.parameters(model.chain))
-        if any(need in ("temperature", "time") and need not in known for need in effect.needs):
-            left_out.append(_effect_name(effect))
-        else:
-            kept.append(effect)
-            rows += range(start, stop)
-        start = stop
-    if not left_out:
-        return calibrated, []
-    rows += range(start, len(calibrated.values))
-    reduced = replace(
-        calibrated,
-        model=model.with_effects(kept),
-        values=calibrated.values[rows],
-        covariance=calibrated.covariance[np.ix_(rows, rows)],
-        parameters=tuple(calibrated.parameters[i] for i in rows),
-    )
-    return reduced, left_out
+
+    def is_known(effect: Effect) -> bool:
+        return not any(need in ("temperature", "time") and need not in known for need in effect.needs)
+
+    left_out = [_effect_name(effect) for effect in calibrated.model.effects if not is_known(effect)]
+    return (calibrated.with_effects(is_known) if left_out else calibrated), left_out

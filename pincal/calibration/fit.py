@@ -1,0 +1,96 @@
+"""A calibration of a robot from a table, as the object that a user works with."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.result import parameter_rows
+from pincal.calibration.tables import parameter_table
+from pincal.identify import calibrate as identify
+from pincal.identify import fit as identified
+from pincal.identify.calibrate import Tables
+from pincal.identify.options import Options
+from pincal.robot.robot import Robot
+from pincal.tables import Table
+
+
+@dataclass(frozen=True, repr=False)
+class Fit(identified.Fit, Calibrated):
+    """A calibrated robot with all that the identification knows of it.
+
+    It predicts and is saved and exported as a :class:`pincal.CalibratedModel` is; beside that it has problem and solution.
+    """
+
+    @classmethod
+    def of(cls, found: identified.Fit) -> Fit:
+        """Return what an identification found, with the methods of a calibrated model."""
+        return cls(**{field.name: getattr(found, field.name) for field in fields(identified.Fit)})
+
+    def __repr__(self) -> str:
+        rms = float(np.sqrt(self.solution.cost))
+        return f"Fit({self.model.chain.robot.name!r}: {len(self.problem)} rows, residuals {rms:.3g} times the noise)"
+
+    def to_model(self) -> CalibratedModel:
+        """Return the calibrated model, all that a prediction needs."""
+        return CalibratedModel.of(self)
+
+    def parameter_table(self) -> Table:
+        """Return value and standard deviation of each parameter, whether the data identify it, and if not, why."""
+        return parameter_table(parameter_rows(self))
+
+    def summary(self) -> str:
+        """Return what was calibrated, whether the fit converged and what is left of the residuals."""
+        sigma = ", ".join(
+            f"{size:.3g} {block.unit}" for block, size in zip(self.problem.blocks, self.solution.sigma, strict=True)
+        )
+        state = "converged" if self.solution.converged else "did not converge"
+        return (
+            f"{self.to_model().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
+            f"noise {sigma}, identifiable rank {self.solution.posterior.identifiable_rank}"
+        )
+
+
+def calibrate(
+    robot: Robot, measurements: Tables, options: Options | None = None, *, executor: Executor | None = None
+) -> Fit:
+    """Calibrate a robot from measured poses.
+
+    Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has base,
+    targets and noise of its own, and all have the robot in common.
+
+    Args:
+        robot: the arm.
+        measurements: training rows, one table or several, perhaps by the names of their stations; hold rows back before the
+            call to validate on them.
+        options: how to calibrate; defaults as documented there.
+        executor: evaluates the stations side by side; default: one after the other.
+
+    Returns:
+        The fit, ready to predict; look at ``solution.converged``.
+
+    Raises:
+        BadInputError: if an elastic effect is asked of an arm without masses.
+        MeasurementError: if the rows are too few to tell the parameters and the noise.
+
+    Example:
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> from pincal.measure.measurements import measurements_from_arrays
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> from pincal.simulate import Instrument, TrueMachine
+        >>> robot = Robot.from_urdf(kuka_urdf_path())
+        >>> rng = np.random.default_rng(1)
+        >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+        >>> machine = machine.draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+        >>> q = robot.random_configurations(60, rng)
+        >>> columns = Instrument(targets=(0.1, 0.0, 0.2)).measure(machine, q)
+        >>> position = np.column_stack([columns[c] for c in "xyz"])
+        >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
+        >>> fit = calibrate(robot, table, Options(effects=GEOMETRIC))
+        >>> bool(np.abs(fit.predict(q)[:, :, 3] - position).max() < 1e-9)
+        True
+    """
+    return Fit.of(identify.calibrate(robot, measurements, options, executor=executor))
