@@ -16,6 +16,8 @@ import numpy as np
 from pincal import GEOMETRIC, Chain, Conditions, Effect, Options, Parameter, Robot, Term, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.run import run_discovery
+from pincal.model.effect import Locus
+from pincal.model.registry import register
 from pincal.simulate import Arm, Instrument, Poses, TrueMachine, plan_poses
 from pincal.simulate.effect import DeformingEffect
 from pincal.simulate.state import Deformation, Loads
@@ -25,6 +27,7 @@ NOISE, POSES = 5e-5, 250  # standard deviation of one coordinate [m], number of 
 PULL = 2e-5  # turn of joint 5 when joint 4 has turned by one radian [rad]
 
 
+@register
 @dataclass(frozen=True)
 class HosePull(Effect):
     """A short hose: the joint turns by p q_wound^2, as the hose stretches with the square of the angle that winds it up."""
@@ -32,6 +35,12 @@ class HosePull(Effect):
     joint: str
     wound: str
     name: ClassVar[str] = "hose_pull"
+    meaning: ClassVar[str] = "a hose that is too short pulls at the joint when another one winds it up"
+
+    @property
+    def locus(self) -> Locus:
+        """The joint's drive, by the position of the joint that winds the hose up."""
+        return Locus(self.joint, "drive", self.wound)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Turn of the joint at one radian of winding [rad]; ``size`` says how far it may move the joint at all."""

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.loop import History, discover_effects, place_of
+from pincal.discover.loop import History, discover_effects
 from pincal.discover.nuisance import MassError, compliances_of
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
@@ -545,7 +545,7 @@ def _words(name: Name) -> str:
 
 def name_of(effect: Any) -> Name:
     """Return the name of an effect; of a nameless one its joint alone."""
-    joint, source = place_of(effect)
+    _, joint, source = effect.heading
     return effect.name, joint, source
 
 

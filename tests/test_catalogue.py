@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
-from collections.abc import Callable
+import pkgutil
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
-from pincal.io.effect_entry import known_effects
+from pincal.io.effect_entry import effect_from_entry, effect_to_entry, known_effects
 from pincal.io.model_file import ModelEntry, restored
 from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.model import catalogue
@@ -40,8 +42,11 @@ from pincal.model.catalogue import (
 )
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain, MomentFrame
+from pincal.model.conditions import Situation
+from pincal.model.effect import Discoverable, Reducible
 from pincal.model.effects import ELASTIC, BaseFrame, Conditions, Effect, JointElasticity, JointOffset, ToolFrame
 from pincal.model.model import Model
+from pincal.model.registry import meaning_of
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot, find_file
 
@@ -84,6 +89,12 @@ EFFECTS: dict[str, Make] = {
     "base_drift": lambda j: BaseDrift(1500.0),
     "base_drift without turning": lambda j: BaseDrift(turns=False),
     "measurement_scale": lambda j: MeasurementScale(),
+    "unnamed": lambda j: Unnamed(j[1], "gamma_x", j[2]),
+    "unnamed waves": lambda j: Unnamed(j[1], "drive", j[2], "waves", order=3),
+    "unnamed product": lambda j: Unnamed(j[1], "drive", j[2], "product"),
+    "unnamed step": lambda j: Unnamed(j[2], "drive", j[2], "step", place=0.1),
+    "unnamed kink": lambda j: Unnamed(j[2], "drive", j[2], "kink", place=0.1),
+    "unnamed of time": lambda j: Unnamed(j[1], "s_y", "time", lower=0.0, upper=3e4),
 }
 
 
@@ -142,11 +153,57 @@ def units_of(model: Model, conditions: Conditions) -> np.ndarray:
 
 def test_every_effect_of_the_catalogue_is_under_test(kuka: Robot) -> None:
     """An effect that is added without being added here fails this test; all are known by name to model files."""
-    classes = {c for c in vars(catalogue).values() if isinstance(c, type)}
+    classes = set(in_catalogue())
 
     assert {type(make(kuka.joint_names)) for make in EFFECTS.values()} == classes
     assert classes <= set(known_effects().values())
     assert {c.__name__ for c in classes} | {"candidates", "untestable"} == set(catalogue.__all__)
+
+
+def in_catalogue() -> Iterator[type[Effect]]:
+    """Yield every effect that a module of the catalogue defines, registered or not."""
+    for module in pkgutil.iter_modules(catalogue.__path__, catalogue.__name__ + "."):
+        for found in vars(importlib.import_module(module.name)).values():
+            if isinstance(found, type) and issubclass(found, Effect) and found.__module__ == module.name:
+                yield found
+
+
+@pytest.mark.parametrize("name", known_effects())
+def test_an_effect_says_all_of_itself(robot: Robot, name: str, rng: np.random.Generator) -> None:
+    """By being registered a class is under this test: its words, its places on an arm, its variants, its form in files."""
+    cls, chain = known_effects()[name], chain_of(robot)
+    assert cls.name == name and cls.meaning and cls.meaning == meaning_of(name)
+    if not issubclass(cls, Discoverable):
+        return
+    situation = Situation(chain, conditions_of(robot, 600, rng), (1e-8, 2e-8, 2e-7) * robot.n_joints)
+    found = list(cls.candidates(situation))
+    effects = [form for candidate in found for form in (candidate.effect, *candidate.forms)]
+
+    assert found and all(type(effect) is cls for effect in effects)
+    assert len({candidate.effect.identity for candidate in found}) == len(found)
+    for candidate in found:
+        assert {form.identity for form in candidate.forms} == {candidate.effect.identity}
+        assert len(set(candidate.forms)) == len(candidate.forms)
+        assert candidate.effect.locus.joint in {None, *robot.joint_names}
+        assert json.loads(json.dumps(candidate.effect.describe())) == candidate.effect.describe()
+    for effect in effects:
+        assert effect_from_entry(json.loads(json.dumps(effect_to_entry(effect)))) == effect
+        if isinstance(effect, Reducible):
+            assert effect.reduced(situation).identity == effect.identity
+            assert len(effect.reduced(situation).parameters(chain)) <= len(effect.parameters(chain))
+
+
+def test_effects_are_the_same_whatever_their_resolution() -> None:
+    """Identity tells places, variables, orders and frames apart, and nothing else."""
+    coarse, fine = (TransmissionError("a", -1.0, upper, size) for upper, size in ((1.0, 8), (2.0, 20)))
+    wobbles = {AxisWobble("a", order, frame).identity for order in (1, 2) for frame in ("before", "after")}
+
+    assert coarse.identity == fine.identity != TransmissionError("b", -1.0, 1.0).identity
+    assert len(wobbles) == 4
+    assert JointCoupling("a", "b").identity != JointCoupling("a", "c").identity
+    assert Unnamed("a", "drive", "a", "step", place=0.1).identity == Unnamed("a", "drive", "a", "step", place=0.2).identity
+    assert JointCoupling("a", "b").heading == ("joint_coupling", "a", "b")
+    assert Unnamed("a", "drive", "b").heading == ("unnamed", "a", None)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -597,7 +654,7 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     found, n = candidates(chain, conditions), robot.n_joints
     counts = {name: sum(effect.name == name for effect in found) for name in {effect.name for effect in found}}
 
-    assert set(counts) == {name.split()[0] for name in EFFECTS}
+    assert set(counts) == {name.split()[0] for name in EFFECTS} - {"unnamed"}
     assert counts["joint_coupling"] == n * (n - 1) and counts["gear_eccentricity"] == 2 * n
     assert counts["axis_wobble"] == 4 * n and counts["backlash"] == counts["thermal_offset"] == n
     first = robot.joint_names[0]

@@ -22,7 +22,9 @@ from pincal.io.effect_entry import known_effects
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain
+from pincal.model.effect import Locus
 from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
+from pincal.model.registry import register
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 from pincal.simulate import Instrument, TrueMachine, plan_poses
@@ -252,6 +254,7 @@ def test_outside_names_rows_joints_and_ranges(fit: Fit, calibrated: CalibratedMo
     assert found[1][2:] == (q[2, 4], lower[4], upper[4])
 
 
+@register
 @dataclass(frozen=True)
 class ShapedEffect(Effect):
     """An effect with every sort of field that a file has to carry."""
@@ -263,6 +266,12 @@ class ShapedEffect(Effect):
     knots: np.ndarray | None = None
     is_signed: bool = False
     name: ClassVar[str] = "shaped_effect"
+    meaning: ClassVar[str] = "an effect of these tests"
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, by its own position."""
+        return Locus(self.joint, "drive", self.joint)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """One parameter an order."""

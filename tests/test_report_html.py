@@ -16,7 +16,7 @@ from pincal.discover.run import Discovery
 from pincal.identify.reasons import Cause, Reason
 from pincal.report.advice import narrow_joints, unidentified_groups
 from pincal.report.blocks import Paragraph, Section
-from pincal.report.glossary import EFFECTS
+from pincal.report.glossary import effect_meaning
 from pincal.report.html import SECTIONS, report_page, write_report
 from pincal.report.sections import Subject
 from pincal.report.verdict import next_steps, verdict_of
@@ -163,7 +163,7 @@ def test_a_discovery_is_told_step_by_step(found: Discovery, tmp_path: Path) -> N
     for entry in found.report["where"]:
         assert entry["statement"] in text
     for entry in found.report["effects"]:
-        assert entry["effect"] in text and EFFECTS[entry["effect"]] in text
+        assert entry["effect"] in text and effect_meaning(entry["effect"]) in text
     assert page.count("without and with it") == len(found.traces) and "Error on held-out rows after each step" in page
     assert "noise alone" in text and "chance that noise looks like this" in text
 

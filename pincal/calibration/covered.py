@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.model.catalogue import TransmissionError
-from pincal.model.catalogue.unnamed import Unnamed, variable
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions, recorded_variable
 from pincal.model.model import Model
 
 # What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
@@ -81,16 +79,14 @@ def outside_curves(model: Model, conditions: Conditions) -> list[OutsideCurve]:
     """Return the curves of a model that some rows ask for beyond the range in which they were seen."""
     found = []
     for effect in model.effects:
-        if isinstance(effect, TransmissionError):
-            name = effect.joint
-        elif isinstance(effect, Unnamed) and effect.shape == "curve":
-            name = effect.depends_on
-        else:
+        at = effect.locus
+        if at.span is None or at.follows is None or at.joint is None:
             continue
-        x = variable(model.chain, conditions, name)
-        margin = _MARGIN_PART * (effect.upper - effect.lower) + _MARGIN
-        beyond = int(np.sum((x < effect.lower - margin) | (x > effect.upper + margin)))
+        lower, upper = at.span
+        x = recorded_variable(model.chain, conditions, at.follows)
+        margin = _MARGIN_PART * (upper - lower) + _MARGIN
+        beyond = int(np.sum((x < lower - margin) | (x > upper + margin)))
         if beyond:
             asked = float(x.min()), float(x.max())
-            found.append(OutsideCurve(effect.name, effect.joint, name, beyond, *asked, effect.lower, effect.upper))
+            found.append(OutsideCurve(effect.name, at.joint, at.follows, beyond, *asked, lower, upper))
     return found

@@ -10,12 +10,14 @@ from pincal.design.request import DesignRequest
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import Conditions
+from pincal.robot.robot import Robot
 
 
 @dataclass(frozen=True)
 class PoseBuilder:
     """How joint positions become conditions: loads, directions of approach and targets."""
 
+    robot: Robot
     options: Options
     request: DesignRequest
 
@@ -32,7 +34,7 @@ class PoseBuilder:
     def at(self, q: np.ndarray, rng: np.random.Generator) -> Conditions:
         """Return poses with the loads in turn and, where it matters, random directions of approach."""
         n, loads = len(q), self._loads
-        approach = rng.choice([-1.0, 1.0], q.shape) if self.request.has_approach else None
+        approach = rng.choice([-1.0, 1.0], q.shape) if self.request.has_approach(self.robot) else None
         centre = np.array(self.options.payload_centre, float)
         return Conditions(q, np.zeros(n, int), loads[np.arange(n) % len(loads)], centre, approach=approach)
 
@@ -41,7 +43,9 @@ class PoseBuilder:
         n, targets = len(table), self.targets
         index = np.array([targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int)
         payload = np.full(n, self._loads[0]) if table.payload is None else np.asarray(table.payload)
-        approach = np.zeros(table.q.shape) if table.approach is None and self.request.has_approach else table.approach
+        approach = (
+            np.zeros(table.q.shape) if table.approach is None and self.request.has_approach(self.robot) else table.approach
+        )
         centre = np.array(self.options.payload_centre, float)
         return Conditions(table.q, index, payload, centre, table.temperature, table.time, approach)
 

@@ -276,7 +276,7 @@ def _settings(study: Study, request: DesignRequest) -> tuple[str, ...]:
     has = {
         "target": len(study.design_model.model.chain.targets) > 1,
         "payload": request.payloads is not None,
-        "approach": request.has_approach,
+        "approach": request.has_approach(study.design_model.model.chain.robot),
     }
     return tuple(name for name, is_there in has.items() if is_there)
 

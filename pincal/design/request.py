@@ -7,9 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from pincal.design.rivals import needs_approach
 from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
+from pincal.model.catalogue.candidates import needs_column
+from pincal.robot.robot import Robot
 
 Criterion = Literal["task", "determinant"]
 
@@ -64,10 +65,9 @@ class DesignRequest:
         """Smallest number of candidates that will do."""
         return max(self.poses or 1, 2)
 
-    @property
-    def has_approach(self) -> bool:
-        """Whether the direction from which joints arrive is part of the design."""
-        return any(needs_approach(text) for text in self.tell_apart or ())
+    def has_approach(self, robot: Robot) -> bool:
+        """Return whether the direction from which joints arrive is part of the design."""
+        return any(needs_column(text, "approach", robot) for text in self.tell_apart or ())
 
     def _check_numbers(self) -> None:
         if self.poses is None and self.accuracy is None:

@@ -104,7 +104,7 @@ class Study:
         log.info("drawing %d candidates within the constraints", request.n_candidates)
         drawn = reach.draw(request.n_candidates, rng[0])
         _check_draw(drawn, request)
-        poses = PoseBuilder(options, request)
+        poses = PoseBuilder(reach.robot, options, request)
         candidates = poses.at(drawn.q, rng[1])
         rivals = _rivals(reach, options, request, candidates=candidates)
         known = None if request.measured is None else poses.of(request.measured)

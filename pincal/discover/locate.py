@@ -15,13 +15,13 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from pincal.discover.generic import spline_basis
 from pincal.discover.nuisance import MassError
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
-from pincal.model.catalogue.places import nominal_moments
+from pincal.model.basis import spline_basis
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term
+from pincal.model.conditions import Conditions, Situation, recorded_variable, varies
+from pincal.model.effect import Effect, Locus, Term
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 # Chance that sound data show a place at all.
@@ -48,6 +48,12 @@ class Motions(Effect):
 
     coordinates: tuple[int, ...]
     name: ClassVar[str] = "motions"
+    meaning: ClassVar[str] = "coordinates of the chain move by themselves"
+
+    @property
+    def locus(self) -> Locus:
+        """Any coordinates."""
+        return Locus()
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """One a coordinate."""
@@ -335,7 +341,7 @@ def _spots(chain: Chain) -> dict[Spot, int]:
 def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place, np.ndarray]]:
     """Yield places and their whitened columns, shape (k, m N), from how the readings move with each coordinate."""
     names, conditions = fit.model.chain.robot.joint_names, fit.station.conditions
-    slow = [v for v in ("payload", "temperature", "time") if _varies(getattr(conditions, v))]
+    slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
     bases = {v: _basis(_variable(fit, None, v), _SLOW_SIZE) for v in slow}
     bases |= {name: _basis(_variable(fit, name, name), _SIZE) for name in names}
     for joint in names:
@@ -359,7 +365,7 @@ def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
     for size in _OWN_SIZES:
         if np.ptp(q) and size <= len(q) // _ROWS:
             yield joint, _basis(q, size)
-    if conditions.approach is not None and _varies(approach := _variable(fit, joint, "approach")):
+    if conditions.approach is not None and varies(approach := _variable(fit, joint, "approach")):
         yield "approach", approach[None]
     if not fit.model.chain.robot.massless:
         yield "load", _basis(_variable(fit, joint, "load"), _SIZE)
@@ -375,22 +381,12 @@ def _at(
         yield Place(joint, acts_on, variable, 0.0, motion, None, 0.0), columns.reshape(len(moved) * len(basis), -1)
 
 
-def _varies(column: np.ndarray | None) -> bool:
-    return column is not None and bool(np.any(column != column[:1]))
-
-
 def _variable(fit: Fit, joint: str | None, name: str) -> np.ndarray:
     """Return a variable at the rows of a fit, shape (N,)."""
-    conditions, names = fit.station.conditions, fit.model.chain.robot.joint_names
-    if name in names:
-        return np.asarray(conditions.q[:, names.index(name)])
-    if name == "approach":
-        assert conditions.approach is not None and joint is not None
-        return np.asarray(conditions.approach[:, names.index(joint)])
     if name == "load":
         assert joint is not None
-        return np.asarray(nominal_moments(fit.model.chain, conditions)[:, 3 * names.index(joint) + 2])
-    return np.asarray(getattr(conditions, name))
+        return Situation(fit.model.chain, fit.station.conditions).moment(joint)
+    return recorded_variable(fit.model.chain, fit.station.conditions, name, joint=joint)
 
 
 def _basis(x: np.ndarray, size: int) -> np.ndarray:

@@ -8,30 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.discover.generic import generic_candidates
-from pincal.discover.nuisance import compliances_of, score_test_beside_masses
+from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.resolution import curves_over, refined, resolved
 from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
 from pincal.identify.problem import Problem
-from pincal.model.catalogue import (
-    AxisWobble,
-    BaseDrift,
-    GearEccentricity,
-    GearRatio,
-    GravityCompensator,
-    JointCoupling,
-    LinkBending,
-    LoadBacklash,
-    NonlinearElasticity,
-    PayloadError,
-    TransmissionError,
-)
-from pincal.model.catalogue import candidates as catalogue_candidates
-from pincal.model.catalogue.places import nominal_moments
-from pincal.model.catalogue.unnamed import Unnamed
-from pincal.model.effects import BearingElasticity, Effect, JointElasticity
+from pincal.model.catalogue.candidates import elasticity, testable
+from pincal.model.catalogue.unnamed import nameless_candidates
+from pincal.model.effect import Curve, Effect, Family
 
 log = logging.getLogger(__name__)
 
@@ -49,10 +34,6 @@ _PLAINER = 2.0
 _HINT = 0.3
 # Names that take part when the nameless are tried.
 _CLOSE = 12
-# Widths of the transition of load backlash that are tried, over the usual one.
-_WIDTHS = (0.3, 1.0, 3.0)
-# Torques at which a drive stiffens that are tried, over the largest.
-_STIFF = (0.1, 0.3)
 # Chance above which an effect adds nothing to another.
 _ADDS_NOTHING = 1e-3
 # Chance below which an effect adds something even to another that is as cheap.
@@ -61,14 +42,11 @@ _TOLD_APART = 1e-5
 _SURE = 12.0
 _MOST_STEPS = 14
 _MOST_RIVALS = 6
-_FIRST_SIZES = (8, 12, 18, 26, 44, 80)
 # An effect that takes less off the squares than this share, and less than this many, matters to nobody.
 _SHARE, _GAIN = 0.01, 100.0
 # Readings from which effects are chosen and fitted; in the end all fit them, and resolve their curves. What takes 100 off
 # the squares of more readings than these still takes enough off theirs.
 _ENOUGH = 12000
-# Effects that follow the position of one joint.
-_OF_POSITION = (AxisWobble, GearEccentricity, GearRatio, GravityCompensator, JointCoupling)
 
 
 @dataclass(frozen=True)
@@ -145,13 +123,7 @@ def _noise_of(step: Step) -> tuple[float, float]:
 
 
 def _words(effects: Sequence[Effect]) -> str:
-    return ", ".join(" ".join(filter(None, (e.name, place_of(e)[0]))) for e in effects)
-
-
-def place_of(effect: Effect) -> tuple[str | None, str | None]:
-    """Return the joint on which an effect acts, and its source joint; None for the whole arm."""
-    fields = vars(effect)
-    return fields.get("joint"), fields.get("source")
+    return ", ".join(" ".join(filter(None, e.heading[:2])) for e in effects)
 
 
 def sampled(fit: Fit) -> tuple[Fit, np.ndarray]:
@@ -168,59 +140,28 @@ def _candidates(fit: Fit, extra: Sequence[Effect], elastic: bool) -> list[Effect
     """Return what may be added: what the data can test and the model does not have yet."""
     present = fit.model.effects
     found: list[Effect] = []
-    has_elasticity = any(isinstance(e, JointElasticity) for e in present)
+    has_elasticity = has_compliance(present)
     for effect in [*_catalogue(fit), *extra]:
-        if effect in present or _same(effect, present) or (is_of_loads(effect) and not (elastic and has_elasticity)):
+        if effect in present or _same(effect, present) or (effect.is_of_loads and not (elastic and has_elasticity)):
             continue
         found.append(effect)
     return found
 
 
-def is_of_loads(effect: Effect) -> bool:
-    """Return whether an effect comes beside elasticity, which every arm has."""
-    elastic = isinstance(effect, JointElasticity | BearingElasticity)
-    return (effect.uses_moments and not elastic) or isinstance(effect, LinkBending | PayloadError)
+def has_compliance(effects: Sequence[Effect]) -> bool:
+    """Return whether linear elasticity is among effects."""
+    return any(effect.family is Family.ELASTICITY for effect in effects)
 
 
 def _catalogue(fit: Fit) -> Iterator[Effect]:
-    """Return the catalogue's candidates, each in the variants that are worth telling apart."""
-    for effect in catalogue_candidates(fit.model.chain, fit.station.conditions):
-        yield from _variants(fit, effect)
-
-
-def _variants(fit: Fit, effect: Effect) -> Iterator[Effect]:
-    """Return an effect as it is or, of what data show in different detail, from a few parameters to many."""
-    if isinstance(effect, TransmissionError):
-        yield from curves_over(fit, effect.joint, _FIRST_SIZES)
-    elif isinstance(effect, BaseDrift):
-        yield from (replace(effect, turns=False), effect)
-    elif isinstance(effect, LoadBacklash):
-        yield from (replace(effect, transition=width * effect.transition) for width in _WIDTHS)
-    elif isinstance(effect, NonlinearElasticity):
-        yield effect
-        i = fit.model.chain.robot.joint_names.index(effect.joint)
-        largest = float(np.abs(nominal_moments(fit.model.chain, fit.station.conditions)[:, 3 * i + 2]).max())
-        yield from (replace(effect, stiffening=part * largest) for part in _STIFF if largest > 0.0)
-    elif isinstance(effect, PayloadError):
-        k = tuple(compliances_of(fit.model, fit.values).tolist())
-        yield from (PayloadError(compliances=k, shifted=shifted) for shifted in (False, True)) if any(k) else ()
-    else:
-        yield effect
+    """Return the candidates, each in the variants that are worth telling apart."""
+    for candidate in testable(situation_of(fit)):
+        yield from candidate.forms
 
 
 def _same(effect: Effect, present: Sequence[Effect]) -> bool:
     """Return whether the model has this effect already, perhaps of another size."""
-    return any(_key(effect) == _key(other) for other in present)
-
-
-def _key(effect: Effect) -> tuple[object, ...]:
-    fields = vars(effect)
-    return _name(effect) + tuple(fields.get(name) for name in ("order", "frame", "depends_on", "acts_on", "shape"))
-
-
-def _name(effect: Effect) -> tuple[object, ...]:
-    """Return by what an effect is called in a report."""
-    return effect.name, *place_of(effect)
+    return any(effect.identity == other.identity for other in present)
 
 
 def _generics(fit: Fit, near: str | None) -> list[Effect]:
@@ -229,34 +170,22 @@ def _generics(fit: Fit, near: str | None) -> list[Effect]:
     at = names.index(near) if near in names else None
     joints = names if at is None else names[max(at - 1, 0) : at + 2]
     present = fit.model.effects
-    every = generic_candidates(fit.model.chain, fit.station.conditions, joints)
+    every = nameless_candidates(fit.model.chain, fit.station.conditions, joints)
     return [e for e in every if not _same(e, present)]
 
 
 def _next_step(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> Step | None:
-    if elastic and not any(isinstance(e, JointElasticity) for e in fit.model.effects):
-        block = _elasticity(fit)
+    if elastic and not has_compliance(fit.model.effects):
+        block = elasticity(situation_of(fit))
         found = score_test_beside_masses(fit, groups, block)
-        score = found.score((0, 1), 1)
+        score = found.score(range(len(block)), 1)
         if score.p_value < _ELASTIC:
-            return _accept(fit, block, _Choice(block[0], score, (), found, (0, 1)))
+            return _accept(fit, block, _Choice(block[0], score, (), found, tuple(range(len(block)))))
     choice = _choose(fit, groups, extra, alpha, elastic)
     if choice is None:
         return None
     effect = choice.effect
-    return _accept(fit, [resolved(fit, effect, groups) if isinstance(effect, TransmissionError) else effect], choice)
-
-
-def _elasticity(fit: Fit) -> list[Effect]:
-    """Return the elasticity that these poses excite.
-
-    About a vertical axis gravity has a moment only as far as the base is not level. Any tilt goes, since the base's own
-    makes up for it, so that such a compliance could take the place of a true effect of that joint's position.
-    """
-    names = fit.model.chain.robot.joint_names
-    felt = fit.model.with_effects([JointElasticity()]).largest_basis(fit.station.conditions)[1]
-    joints = tuple(name for name, here in zip(names, felt, strict=True) if here)
-    return [JointElasticity() if len(joints) == len(names) else JointElasticity(joints), BearingElasticity()]
+    return _accept(fit, [resolved(fit, effect, groups) if isinstance(effect, Curve) else effect], choice)
 
 
 @dataclass(frozen=True)
@@ -292,8 +221,8 @@ class _CandidateTable:
     def of(cls, fit: Fit, effects: Sequence[Effect], groups: np.ndarray, alpha: float) -> _CandidateTable:
         """Test candidates, named and nameless ones; each kind shares the chance of a false name."""
         found = score_test_beside_masses(fit, groups, effects)
-        nameless = np.array([isinstance(e, Unnamed) for e in effects], bool)
-        n = {kind: len({_key(e) for e, no in zip(effects, nameless, strict=True) if no == kind}) for kind in (False, True)}
+        nameless = np.array([e.is_nameless for e in effects], bool)
+        n = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
         scores = [found.score([i], n[bool(no)]) for i, no in enumerate(nameless)]
         return cls(
             found,
@@ -328,10 +257,10 @@ def least_gain(squares: float, *, declared: bool) -> float:
 
 def _surcharge(effect: Effect) -> float:
     """Return by how much an effect has to be better than a name of the catalogue."""
-    if not isinstance(effect, Unnamed):
+    if not effect.is_nameless:
         return 0.0
     # What turns a joint across its axis often turns a neighbour about its own, which is the plainer of the two.
-    return _BETTER if effect.acts_on == "drive" else _BETTER + _PLAINER
+    return _BETTER if effect.locus.acts_on == "drive" else _BETTER + _PLAINER
 
 
 def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float, elastic: bool) -> _Choice | None:
@@ -339,7 +268,7 @@ def _choose(fit: Fit, groups: np.ndarray, extra: Sequence[Effect], alpha: float,
     names = _CandidateTable.of(fit, _candidates(fit, extra, elastic), groups, alpha)
     best = next((i for i in names.passed()[:5] if _predicts(names.found, i)), None)
     curve = None if best is None else _promoted(names, best)
-    near = None if best is None else place_of(names.found.effects[best])[0]
+    near = None if best is None else names.found.effects[best].locus.joint
     close = [] if best is None else [best, *(i for i in np.argsort(names.costs)[:_CLOSE] if i != best)]
     together = [*(names.found.effects[i] for i in close), *_generics(fit, near)]
     both = _CandidateTable.of(fit, together, np.zeros_like(groups), alpha)
@@ -364,12 +293,13 @@ def _finished(fit: Fit, steps: list[Step], first: Fit, groups: np.ndarray) -> tu
     if thinned:
         solution = replace(fit.solution, weights=first.solution.weights)
         whole = replace(fit, problem=Problem((first.station.with_model(fit.model),)), solution=solution)
-        wider = {curve: curves_over(whole, curve.joint, [curve.size])[0] for curve in _curves_of(steps)}
+        wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(steps)}
         fit, steps = refit(whole, _exchanged(fit.options.effects, wider), rough=True), _with_curves(steps, wider)
     chosen = {curve: refined(without(fit, curve), curve, groups) for curve in _curves_of(steps)}
     finer = {curve: other for curve, other in chosen.items() if other != curve}
     if finer:
-        log.info("resolved again: %s", ", ".join(f"{c.joint} {c.size} to {other.size}" for c, other in finer.items()))
+        pairs = (f"{c.locus.joint} {c.resolution} to {other.resolution}" for c, other in finer.items())
+        log.info("resolved again: %s", ", ".join(pairs))
     elif not thinned:
         return fit, steps
     bare = fit
@@ -379,16 +309,16 @@ def _finished(fit: Fit, steps: list[Step], first: Fit, groups: np.ndarray) -> tu
     return refit(bare, _exchanged(fit.options.effects, finer)), _with_curves(steps, finer)
 
 
-def _curves_of(steps: Sequence[Step]) -> list[TransmissionError]:
+def _curves_of(steps: Sequence[Step]) -> list[Curve]:
     """Return the curves that were found; those that the user gave stay as they are."""
-    return [e for step in steps for e in step.effects if isinstance(e, TransmissionError)]
+    return [e for step in steps for e in step.effects if isinstance(e, Curve)]
 
 
-def _exchanged(effects: Sequence[Effect], by: dict[TransmissionError, TransmissionError]) -> tuple[Effect, ...]:
-    return tuple(by.get(e, e) if isinstance(e, TransmissionError) else e for e in effects)
+def _exchanged(effects: Sequence[Effect], by: dict[Curve, Curve]) -> tuple[Effect, ...]:
+    return tuple(by.get(e, e) if isinstance(e, Curve) else e for e in effects)
 
 
-def _with_curves(steps: Sequence[Step], by: dict[TransmissionError, TransmissionError]) -> list[Step]:
+def _with_curves(steps: Sequence[Step], by: dict[Curve, Curve]) -> list[Step]:
     return [replace(step, effects=_exchanged(step.effects, by)) for step in steps]
 
 
@@ -409,22 +339,21 @@ def _each_name_once(effects: Sequence[Effect], best: Effect) -> tuple[Effect, ..
     """Return effects without those that a report would call the same as an earlier one or as the best."""
     names: dict[tuple[object, ...], Effect] = {}
     for effect in effects:
-        names.setdefault(_name(effect), effect)
-    names.pop(_name(best), None)
+        names.setdefault(effect.heading, effect)
+    names.pop(best.heading, None)
     return tuple(names.values())[:_MOST_RIVALS]
 
 
 def _is_own_curve(effect: Effect) -> bool:
     """Return whether an effect is a simple curve of the joint's own position, about its own axis."""
-    if isinstance(effect, Unnamed):
-        return effect.acts_on == "drive" and effect.depends_on == effect.joint
-    return isinstance(effect, GearEccentricity | GearRatio | GravityCompensator)
+    at = effect.locus
+    is_about_axis = at.acts_on in ("drive", "gamma_z")
+    return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve)
 
 
 def _curves_like(effect: Effect, names: _CandidateTable) -> list[int]:
     """Return the drive curves of the same joint as a simple one."""
-    joint, effects = place_of(effect)[0], names.found.effects
-    return [i for i, e in enumerate(effects) if isinstance(e, TransmissionError) and e.joint == joint]
+    return [i for i, e in enumerate(names.found.effects) if isinstance(e, Curve) and e.locus.joint == effect.locus.joint]
 
 
 def _beyond(names: _CandidateTable, best: int) -> tuple[float, int]:
@@ -435,7 +364,7 @@ def _beyond(names: _CandidateTable, best: int) -> tuple[float, int]:
     simple = [best] + [
         i
         for i, e in enumerate(names.found.effects)
-        if _is_own_curve(e) and place_of(e) == place_of(effect) and names.costs[i] < names.costs[best] + 2.5 * _TIE
+        if _is_own_curve(e) and e.locus.joint == effect.locus.joint and names.costs[i] < names.costs[best] + 2.5 * _TIE
     ]
     curves = _curves_like(effect, names)
     chances = [(max(names.found.gain_given(i, j).p_value for j in simple) * len(curves), i) for i in curves]
@@ -451,7 +380,7 @@ def _promoted(names: _CandidateTable, best: int) -> int | None:
     pairs = [
         names.found.judge(*names.found.gain([best, i]), n).ebic
         for i in range(n)
-        if i != best and not isinstance(names.found.effects[i], TransmissionError)
+        if i != best and not isinstance(names.found.effects[i], Curve)
     ]
     return curve if names.costs[curve] < min(pairs, default=np.inf) else None
 
@@ -474,19 +403,19 @@ def _revised(
     fit: Fit, steps: list[Step], groups: np.ndarray, choose: Callable[[Fit], _Choice | None]
 ) -> tuple[Fit, list[Step]]:
     """Name each effect once more beside all the others, which were not there when it was named."""
-    named = [s for s in steps if not isinstance(s.effects[0], JointElasticity)]
+    named = [s for s in steps if s.effects[0].family is not Family.ELASTICITY]
     for step in named if len(named) > 1 else []:
         (effect,) = step.effects
         rest = without(fit, effect)
         choice = choose(rest)
         if choice is None:
             continue
-        if _key(choice.effect) == _key(effect):
+        if choice.effect.identity == effect.identity:
             new = replace(step, equivalent=choice.equivalent)
         else:
             log.info("%s is %s beside what was found later", _words([effect]), _words([choice.effect]))
             other = choice.effect
-            other = resolved(rest, other, groups) if isinstance(other, TransmissionError) else other
+            other = resolved(rest, other, groups) if isinstance(other, Curve) else other
             new = replace(_accept(rest, [other], choice), before=step.before)
             fit = new.after
         steps = [new if s is step else s for s in steps]
@@ -498,7 +427,7 @@ def _merged(fit: Fit, steps: list[Step]) -> list[Step]:
 
     A name that leaves something of its own variable unexplained where it acts is only the nearest that the catalogue has.
     """
-    for rest in [s for s in steps if isinstance(s.effects[0], Unnamed)]:
+    for rest in [s for s in steps if s.effects[0].is_nameless]:
         part = next((s for s in steps if s is not rest and _is_part(s.effects[0], rest, fit)), None)
         if part is None:
             continue
@@ -515,25 +444,26 @@ def _merged(fit: Fit, steps: list[Step]) -> list[Step]:
 
 def _with_whole_curves(fit: Fit, steps: list[Step]) -> list[Step]:
     """Add, to two simple curves of one joint's position, that together they may be one irregular one."""
-    simple = [place_of(s.effects[0]) for s in steps if _is_own_curve(s.effects[0])]
+    simple = [s.effects[0].locus.joint for s in steps if _is_own_curve(s.effects[0])]
+    curves = {e.locus.joint: e for e in reversed(list(_catalogue(fit))) if isinstance(e, Curve)}
     out = []
     for step in steps:
         effect = step.effects[0]
-        if _is_own_curve(effect) and simple.count(place_of(effect)) > 1:
-            curves = curves_over(fit, str(place_of(effect)[0]), _FIRST_SIZES[:1])
-            step = replace(step, equivalent=_each_name_once([*curves, *step.equivalent], effect))
+        joint = effect.locus.joint
+        if _is_own_curve(effect) and simple.count(joint) > 1 and joint in curves:
+            step = replace(step, equivalent=_each_name_once([curves[joint], *step.equivalent], effect))
         out.append(step)
     return out
 
 
 def _is_part(effect: Effect, rest: Step, fit: Fit) -> bool:
     """Return whether an effect follows the same variable, on the same joint or a neighbour, as a term without a name."""
-    (term, *_), fields = rest.effects, vars(effect)
-    if isinstance(effect, Unnamed) or not isinstance(term, Unnamed) or not isinstance(effect, _OF_POSITION):
+    term, names = rest.effects[0].locus, fit.model.chain.robot.joint_names
+    at = effect.locus
+    if effect.family is not Family.CAUSE or at.joint is None or term.joint is None or at.follows not in names:
         return False
-    names = fit.model.chain.robot.joint_names
-    apart = abs(names.index(term.joint) - names.index(effect.joint))
-    return bool(apart <= 1 and term.depends_on == fields.get("source", effect.joint))
+    apart = abs(names.index(term.joint) - names.index(at.joint))
+    return bool(apart <= 1 and term.follows == at.follows)
 
 
 def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> tuple[Fit, list[Step]]:
@@ -545,7 +475,7 @@ def _backward(fit: Fit, steps: list[Step], groups: np.ndarray, alpha: float) -> 
         for effect in step.effects:
             smaller = without(smaller, effect)
         tested = score_test_beside_masses(smaller, groups, list(step.effects))
-        limit = _ELASTIC if isinstance(step.effects[0], JointElasticity) else alpha / 10.0
+        limit = _ELASTIC if step.effects[0].family is Family.ELASTICITY else alpha / 10.0
         if tested.score(range(len(step.effects)), 1).p_value > limit:
             log.info("dropped %s: what was found later explains it", _words(step.effects))
             fit = refit(fit, smaller.options.effects)

@@ -12,7 +12,9 @@ from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Compliance, Conditions, Effect, Term
+from pincal.model.conditions import MOMENT, Conditions, Situation
+from pincal.model.effect import Effect, Family, Locus, Term
+from pincal.model.effects import Compliance
 from pincal.model.kernels import Payload, Values
 from pincal.model.model import Model
 from pincal.parameters import Parameter
@@ -37,12 +39,19 @@ class MassError(Effect):
     compliance: np.ndarray
     coordinates: np.ndarray
     name: ClassVar[str] = "mass_error"
+    meaning: ClassVar[str] = "masses and centres of mass of the links differ from the URDF"
+    family: ClassVar[Family] = Family.LOAD
 
     @classmethod
     def of(cls, model: Model, values: np.ndarray) -> MassError | None:
         """Return the effect for a model's present compliances, None for a rigid model."""
         k = compliances_of(model, values)
         return cls(k, model.rigid_coordinates(values)) if k.any() else None
+
+    @property
+    def locus(self) -> Locus:
+        """All elastic rotations."""
+        return Locus(acts_on="gamma", follows=MOMENT)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Relative error of mass, and of the first moment along x, y, z in units of mass times link size."""
@@ -100,6 +109,12 @@ def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
             joint, symbol = parameter.name.rsplit(".", 1)
             k[3 * joints.index(joint) + "xyz".index(symbol[-1])] = values[model.index(parameter.name)]
     return k
+
+
+def situation_of(fit: Fit) -> Situation:
+    """Return where effects look for what they could do beyond a fit."""
+    compliances = tuple(compliances_of(fit.model, fit.values).tolist())
+    return Situation(fit.model.chain, fit.station.conditions, compliances)
 
 
 def score_test_beside_masses(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> ScoreTests:

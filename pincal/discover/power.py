@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
-from pincal.discover.loop import ALPHA, least_gain, place_of
-from pincal.discover.nuisance import MassError, compliances_of
+from pincal.discover.loop import ALPHA, least_gain
+from pincal.discover.nuisance import MassError, situation_of
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit
 from pincal.identify.problem import Problem
-from pincal.model.catalogue import PayloadError, TransmissionError
-from pincal.model.effects import Conditions, Effect
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Curve, Effect, Reducible
 from pincal.model.model import Model
 
 # Chance with which an effect of the size that is called detectable is found.
@@ -26,8 +26,6 @@ _FEWEST = 10.0
 _HOPELESS = 1e7
 # Shapes of an effect of several parameters that are tried, all directions alike.
 _SHAPES = 400
-# Pieces of the drive curve whose size is foretold: as smooth as the loop tries.
-_CURVE_SIZE = 8
 # Non-centrality above which two effects count as told apart.
 TOLD_APART = 30.0
 # A design has to do better than the same poses once more, by this factor.
@@ -77,29 +75,20 @@ def minimum_detectable(
             unless given.
         alpha: chance of a false name.
     """
-    tested = [_foretold(effect, fit) for effect in effects]
+    situation = situation_of(fit)
+    tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
     masses = MassError.of(fit.model, fit.values)
     found = score_test(quiet, tested, [masses] if masses else [], np.zeros(len(fit.station), int))
     if found.dof < _FEWEST:
         return [Detectable(e, "", "", None, None, None, _too_few(found)) for e in effects]
-    groups = len({(e.name, *place_of(e), vars(e).get("order"), vars(e).get("frame")) for e in effects})
+    groups = len({effect.identity for effect in effects})
     return [row for i in range(len(tested)) for row in _sizes(fit, found, i, alpha, groups)]
 
 
 def _too_few(found: ScoreTests) -> str:
     return f"{found.readings} readings leave {found.dof:.0f} degrees of freedom to judge by; measure more poses"
-
-
-def _foretold(effect: Effect, fit: Fit) -> Effect:
-    """Return a drive curve with few pieces, a payload's error by its mass, anything else as it is."""
-    if isinstance(effect, TransmissionError):
-        q = fit.station.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
-        return TransmissionError.over(effect.joint, q, _CURVE_SIZE)
-    if isinstance(effect, PayloadError) and np.any(k := compliances_of(fit.model, fit.values)):
-        return PayloadError(compliances=tuple(k.tolist()))
-    return effect
 
 
 def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> Iterator[Detectable]:
@@ -131,7 +120,7 @@ def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> It
 
 def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str, str, np.ndarray]:
     """Return what the size of some parameters means, its unit, and the parameters of vectors of size 1, shape (p, k)."""
-    if isinstance(effect, TransmissionError):
+    if isinstance(effect, Curve):
         return "rms of the curve", unit, _unit_curves(effect, fit)
     if "N m" in unit:
         # Micro-radians say more than compliances.
@@ -141,12 +130,12 @@ def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str,
     return effect.parameters(fit.model.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))
 
 
-def _unit_curves(effect: TransmissionError, fit: Fit) -> np.ndarray:
+def _unit_curves(effect: Curve, fit: Fit) -> np.ndarray:
     """Return coefficients, shape (size, k), of orthogonal curves whose rms about their mean over the poses is 1."""
-    q = fit.station.conditions.q[:, fit.model.chain.robot.joint_names.index(effect.joint)]
-    basis = effect.basis(q)
+    terms = effect.terms(fit.model.chain, fit.station.conditions, None)
+    basis = np.stack([term.basis for term in terms if term.basis is not None])
     basis = basis - basis.mean(axis=1, keepdims=True)
-    values, vectors = np.linalg.eigh(basis @ basis.T / len(q))
+    values, vectors = np.linalg.eigh(basis @ basis.T / basis.shape[1])
     seen = values > 1e-6 * values[-1]
     return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
 

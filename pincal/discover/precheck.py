@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.discover.loop import ALPHA, place_of
+from pincal.discover.loop import ALPHA
 from pincal.discover.power import POWER, minimum_detectable
 from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.explain import explain
@@ -194,8 +194,8 @@ def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
 
 def _which(effect: Effect) -> tuple[str, str | None, str | None, int | None, str | None]:
     """Return name, joint, source, order and frame of an effect."""
-    joint, source = place_of(effect)
-    return effect.name, joint, source, vars(effect).get("order"), vars(effect).get("frame")
+    at = effect.locus
+    return *effect.heading, at.order, at.frame
 
 
 def _ranges(robot: Robot, measurements: Measurements) -> tuple[JointRange, ...]:

@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.calibration.result import result_of
 from pincal.calibration.run import Calibration, run_calibration
-from pincal.discover.loop import History, Step, discover_effects, is_of_loads, least_gain, place_of, sampled
+from pincal.discover.loop import History, Step, discover_effects, least_gain, sampled
 from pincal.discover.power import deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
 from pincal.discover.shrink import PartialResidual, StageError, gap_of, gaps_of, partial_residuals, period_of
@@ -26,9 +26,9 @@ from pincal.identify.options import Options
 from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import untestable
-from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import MomentFrame
-from pincal.model.effects import ELASTIC, GEOMETRIC, Effect, JointElasticity
+from pincal.model.effect import Effect, Family
+from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -149,7 +149,7 @@ def _other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentF
     effects = fit.options.effects
     if not any(effect.uses_moments for effect in effects):
         return []
-    brought = {e for step in trail.steps for e in step.effects if is_of_loads(e) or isinstance(e, Unnamed)}
+    brought = {e for step in trail.steps for e in step.effects if e.is_of_loads or e.is_nameless}
     plain = [effect for effect in effects if effect not in brought]
     rough = len(rows) < len(trail.final.station)
     cost = _fit_cost(refit(fit, effects, rough=rough))
@@ -172,7 +172,7 @@ def _misfit(fit: Fit) -> float:
 
 def _cost(trail: History) -> float:
     """Return the extended Bayesian information criterion of all that was found."""
-    named = sum(not isinstance(step.effects[0], JointElasticity) for step in trail.steps)
+    named = sum(step.effects[0].family is not Family.ELASTICITY for step in trail.steps)
     return _fit_cost(trail.final) + 2.0 * named * float(np.log(max(len(trail.last.effects), 2)))
 
 
@@ -199,7 +199,7 @@ def discovery_report(calibration: Calibration, trail: History, traces: tuple[Par
     after = _gap(calibration, final)
     misfit = _is_misfit(final)
     unexplained = float(np.sqrt(max(final.solution.estimated[0] ** 2 - sigma**2, 0.0) * size) * to_mm)
-    periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.name == "unnamed"}
+    periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
     effects = [entry for step in trail.steps for entry in _entries(calibration, trail, step, periods)]
     return {
         "noise_floor_mm": floor,
@@ -232,32 +232,19 @@ def _entries(
         "gap_before_mm": _gap(calibration, step.before)["mean_mm"],
         "gap_after_mm": _gap(calibration, step.after)["mean_mm"],
     }
-    if isinstance(step.effects[0], JointElasticity):
+    if step.effects[0].family is Family.ELASTICITY:
         return [entry | gap | {"equivalent": [], "tell_apart": ""} for entry in elastic_entries(trail.final)]
     effect = step.effects[0]
     period = periods.get(effect)
     rival = step.equivalent[0] if step.equivalent else None
     decide = "" if rival is None else deciding_measurement(step.before, step.criticism, step.index[0], rival)
     return [
-        _identity(effect)
+        effect.describe()
         | ({} if period is None else {"period": period})
         | {"parameters": _parameters(trail.final, effect), "p_value": step.score.p_value}
         | gap
-        | {"equivalent": [_identity(e) for e in step.equivalent], "tell_apart": decide}
+        | {"equivalent": [e.describe() for e in step.equivalent], "tell_apart": decide}
     ]
-
-
-def _identity(effect: Effect) -> dict[str, Any]:
-    """Return name, joint and whatever else tells an effect from its likes."""
-    joint, source = place_of(effect)
-    entry: dict[str, Any] = {"effect": effect.name, "joint": joint}
-    if source is not None:
-        entry["source"] = source
-    for key in ("order", "depends_on", "acts_on", "shape", "place"):
-        value = vars(effect).get(key, getattr(effect, key, None))
-        if value is not None:
-            entry[key] = value
-    return entry
 
 
 def _parameters(fit: Fit, effect: Effect) -> dict[str, dict[str, Any]]:
@@ -281,8 +268,8 @@ def _scatter_entry(scatter: Scatter, fit: Fit) -> dict[str, Any]:
 def _not_testable(trail: History) -> list[dict[str, Any]]:
     """Return what these data can't test, with the reason."""
     final = trail.final
-    found = [_identity(e) | {"reason": reason} for e, reason in untestable(final.model.chain, final.station.conditions)]
+    found = [e.describe() | {"reason": reason} for e, reason in untestable(final.model.chain, final.station.conditions)]
     for i, effect in enumerate(trail.last.effects):
         if trail.last.gain([i])[1] == 0:
-            found.append(_identity(effect) | {"reason": "the fitted model absorbs all of it in these poses (rank zero)"})
+            found.append(effect.describe() | {"reason": "the fitted model absorbs all of it in these poses (rank zero)"})
     return found

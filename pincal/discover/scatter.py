@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.discover.locate import levers
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
-from pincal.model.effects import JointOffset
 
 # Twice the log-likelihood that scatter of a joint has to gain; in sound data it stays below about 6 (DISCOVERY 3.6).
 _ENOUGH = 25.0
@@ -63,7 +63,7 @@ def visits(problem: Station) -> np.ndarray:
 def _of_joint(fit: Fit, i: int, visit: np.ndarray) -> Scatter:
     rows = block_rows(fit.station)[0]
     residuals = fit.station.residuals(fit.values)[rows] * fit.station.weights
-    lever = lever_of_joint(fit, fit.model.chain.robot.joint_names[i])[rows] * fit.station.weights
+    lever = levers(fit, (int(fit.model.chain.drives[i]),))[0][rows] * fit.station.weights
     sound = fit.solution.weights > 0.0
     r, a = residuals[:, sound], lever[:, sound]
     a2 = np.bincount(visit[sound], np.sum(a**2, axis=0))
@@ -82,14 +82,3 @@ def _of_joint(fit: Fit, i: int, visit: np.ndarray) -> Scatter:
     sigma2 = (across2 + np.sum(along2 / spread)) / readings
     sigma = float(np.sqrt(_RATIOS[best] * sigma2 / np.mean(a2)))
     return Scatter(fit.model.chain.robot.joint_names[i], sigma, float(max(gains[best], 0.0)))
-
-
-def lever_of_joint(fit: Fit, joint: str) -> np.ndarray:
-    """Return how the readings move with a joint's position, shape (m, N); the model has to hold the joint offsets."""
-    chain = fit.model.chain
-    name = JointOffset().parameters(chain)[chain.robot.joint_names.index(joint)].name
-    free = np.array([parameter.name == name for parameter in fit.station.parameters])
-    out = np.zeros((sum(block.size for block in fit.station.sensor.blocks), len(fit.station)))
-    for piece, _, jacobian in fit.station.linearise(fit.values, free):
-        out[:, piece] = jacobian[0]
-    return out

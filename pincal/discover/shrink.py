@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pincal.discover.locate import levers
-from pincal.discover.loop import History, place_of
+from pincal.discover.loop import History
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.measure.measurements import Measurements
-from pincal.model.catalogue import Backlash, GravityCompensator
-from pincal.model.effects import Effect, JointElasticity
+from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
+from pincal.model.effect import Effect
+from pincal.model.effects import Compliance
 from pincal.validate.accuracy import error_table
 
 # Periods that have to be seen, and the part of the excess that one tone has to explain, before a curve is called periodic.
@@ -97,18 +98,16 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
     An effect on one coordinate of the chain is seen through this coordinate's lever, any other along the way by which it
     moves the target.
     """
-    joint, _ = place_of(effect)
-    names = [parameter.name for parameter in effect.parameters(fit.model.chain)]
-    if isinstance(effect, JointElasticity):
-        joint = _stiffest(fit, effect)
-        names = [f"{joint}.k_z"]
+    shown = replace(effect, joints=(_stiffest(fit, effect),)) if isinstance(effect, Compliance) else effect
+    joint = shown.locus.joint
+    names = [parameter.name for parameter in shown.parameters(fit.model.chain)]
     idle = fit.values.copy()
     idle[[fit.model.index(name) for name in names]] = 0.0
     rows = fit.solution.weights > 0.0
     scale = _scale(fit)[:, rows]
     without, left = (fit.station.residuals(values)[:, rows] * scale for values in (idle, fit.values))
     change = without - left
-    coordinate = _coordinate(fit, effect, joint)
+    coordinate = _coordinate(fit, shown)
     if coordinate is None:
         length = np.linalg.norm(change, axis=0)
         direction = change / np.maximum(length, 1e-300)
@@ -122,7 +121,7 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
         parts = [np.sum(lever * r, axis=0) / np.maximum(weights, 1e-300) for r in (without, left)]
         fitted = np.sum(lever * change, axis=0) / np.maximum(weights, 1e-300)
         unit = "m" if joint is not None and _is_prismatic(fit, joint) else "rad"
-    variable, x_unit, x = _explaining(fit, effect, joint)
+    variable, x_unit, x = _explaining(fit, shown)
     return PartialResidual(effect, joint, variable, x_unit, x[rows], parts[0], parts[1], fitted, weights, unit)
 
 
@@ -134,7 +133,7 @@ def _scale(fit: Fit) -> np.ndarray:
     return out
 
 
-def _stiffest(fit: Fit, effect: JointElasticity) -> str:
+def _stiffest(fit: Fit, effect: Compliance) -> str:
     """Return the joint whose compliance is furthest from zero, in units of its standard deviation."""
     found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
     return found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))].rsplit(".", 1)[0]
@@ -145,36 +144,28 @@ def _is_prismatic(fit: Fit, joint: str) -> bool:
     return robot.joint_types[robot.joint_names.index(joint)] == "prismatic"
 
 
-def _coordinate(fit: Fit, effect: Effect, joint: str | None) -> int | None:
+def _coordinate(fit: Fit, effect: Effect) -> int | None:
     """Return the one coordinate that an effect moves, None if there are several."""
     chain = fit.model.chain
-    if isinstance(effect, JointElasticity):
-        assert joint is not None
-        return chain.joint(chain.robot.joint_names.index(joint), "gamma_z")
     first = np.zeros(1, int)
     moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], fit.station.conditions.select(first))
     moved = {term.coordinate for term in effect.terms(chain, fit.station.conditions.select(first), moments)}
     return moved.pop() if len(moved) == 1 else None
 
 
-def _explaining(fit: Fit, effect: Effect, joint: str | None) -> tuple[str, str, np.ndarray]:
+def _explaining(fit: Fit, effect: Effect) -> tuple[str, str, np.ndarray]:
     """Return the name, the unit and the values of the variable that an effect follows, shape (N,)."""
-    conditions, names = fit.station.conditions, fit.model.chain.robot.joint_names
-    depends = vars(effect).get("depends_on") or vars(effect).get("source")
-    if isinstance(effect, Backlash) and conditions.approach is not None:
-        return "approach", "", conditions.approach[:, names.index(effect.joint)]
-    for name, unit in (("temperature", "deg C"), ("time", "s"), ("payload", "kg")):
-        column = getattr(conditions, name)
-        if column is not None and (depends == name or (depends is None and name in effect.needs)):
-            return name, unit, np.asarray(column)
-    if effect.uses_moments and depends is None and not isinstance(effect, GravityCompensator):
-        i = 0 if joint is None else names.index(joint)
+    conditions, chain, at = fit.station.conditions, fit.model.chain, effect.locus
+    names = chain.robot.joint_names
+    if at.follows == MOMENT:
+        i = 0 if at.joint is None else names.index(at.joint)
         moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], conditions)
         # Of the whole arm the moment on joint 1 that tilts it.
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
-        return "moment", "N m", both if joint is None else moments[:, 3 * i + 2]
-    source = depends or joint or names[0]
-    return source, "m" if _is_prismatic(fit, source) else "rad", conditions.q[:, names.index(source)]
+        return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]
+    name = at.follows or at.joint or names[0]
+    unit = COLUMN_UNITS.get(name) if name not in names else "m" if _is_prismatic(fit, name) else "rad"
+    return name, unit or "", recorded_variable(chain, conditions, name, joint=at.joint)
 
 
 def period_of(trace: PartialResidual) -> float | None:
@@ -187,7 +178,7 @@ def period_of(trace: PartialResidual) -> float | None:
     width = float(np.ptp(x))
     if width <= 0.0 or len(x) < 20:
         return None
-    if (order := vars(trace.effect).get("order")) is not None:
+    if (order := trace.effect.locus.order) is not None:
         period = 2.0 * np.pi / order
         return float(period) if width >= _PERIODS * period else None
     y = y - np.sum(w * y) / np.sum(w)
@@ -214,7 +205,7 @@ def gap_names(gaps: tuple[StageError, ...]) -> list[str]:
     """Return what each gap's model is called."""
     names = ["at the start"]
     for gap in gaps[1:]:
-        added = ", ".join(_title(effect, place_of(effect)[0]) for effect in gap.effects)
+        added = ", ".join(_title(effect, effect.locus.joint) for effect in gap.effects)
         names.append(f"+ {added}" if added else "all together")
     return names
 
@@ -226,6 +217,6 @@ def partial_residual_title(trace: PartialResidual) -> str:
 
 def _title(effect: Effect, joint: str | None) -> str:
     of = "" if joint is None else f" of {joint}"
-    source = vars(effect).get("source") or vars(effect).get("depends_on")
+    source = effect.locus.follows if effect.is_nameless else effect.locus.source
     by = f" by {source}" if source and source != joint else ""
     return f"{effect.name}{of}{by}"

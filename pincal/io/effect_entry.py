@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import Field, fields
 from difflib import get_close_matches
 from typing import Any
@@ -10,30 +10,31 @@ from typing import Any
 import msgspec
 import numpy as np
 
-# Imported for its classes, which known_effects finds.
+# Imported for its classes, which it registers.
 import pincal.model.catalogue  # noqa: F401
 from pincal.io.arrays import array_of
 from pincal.io.strict_json import MISSING, Fault, explained, what_is
-from pincal.model.effects import Effect
+from pincal.model.effect import Effect
+from pincal.model.registry import EFFECTS
 
 SCHEMA: dict[str, Any] = {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
 
 
-def known_effects() -> dict[str, type[Effect]]:
-    """Return the effects by name: every one that an imported module defines."""
-    return {cls.name: cls for cls in _below(Effect) if "name" in vars(cls)}
-
-
-def _below(cls: Any) -> Iterator[type[Effect]]:
-    for child in cls.__subclasses__():
-        yield child
-        yield from _below(child)
+def known_effects() -> Mapping[str, type[Effect]]:
+    """Return the registered effects by name, those of plugins among them."""
+    return EFFECTS.known()
 
 
 def effect_to_entry(effect: Effect) -> dict[str, Any]:
-    """Return an effect's name and fields in types that JSON knows; an array is ``{"array": ...}``."""
+    """Return an effect's name and fields in types that JSON knows; an array is ``{"array": ...}``.
+
+    An effect that is not pincal's own comes with the module that defines it. Reading never imports that module: a user has
+    to name it, as a plugin.
+    """
+    module = type(effect).__module__
+    origin = {} if module.split(".")[0] == "pincal" else {"module": module}
     values = {field.name: getattr(effect, field.name) for field in _fields(effect)}
-    return {"name": effect.name, **msgspec.to_builtins(values, enc_hook=_plain)}
+    return {"name": effect.name, **origin, **msgspec.to_builtins(values, enc_hook=_plain)}
 
 
 def effect_from_entry(entry: Any) -> Effect:
@@ -50,10 +51,12 @@ def effect_from_entry(entry: Any) -> Effect:
     if not isinstance(name, str):
         raise Fault(what_is(name, "a text"), "a text", key=".name")
     if name not in known:
+        if isinstance(module := entry.get("module"), str):
+            raise Fault(f"effect {name!r} is not pincal's own", f"its module to be loaded: --plugin {module}", key=".name")
         near = get_close_matches(name, known, n=3, cutoff=0.5)
         names = ", ".join(near + sorted(set(known) - set(near)))
         raise Fault(f"unknown effect {name!r}", f"one of {names} (a newer pincal may know it)", key=".name")
-    given = {key: value for key, value in entry.items() if key != "name"}
+    given = {key: value for key, value in entry.items() if key not in ("name", "module")}
     wanted = [field.name for field in _fields(known[name])]
     for key in given.keys() - set(wanted):
         raise Fault(f"{name} has no such field", f"only {', '.join(wanted) or 'the name'}", key=f".{key}")

@@ -1,127 +1,42 @@
-"""Effects: physical causes, each with named parameters and what they add to the coordinates of the chain.
+"""The effects that a model is made of: geometry, linear elasticity, and where base and tool are.
 
-An effect knows no chain but by the names of coordinates, and the chain knows no effect. Coordinates are sums over effects,
-
-    x_k(pose) = nominal_k + sum over terms of  basis(pose) * parameter,
-
-so the order of effects means nothing, and a new effect is one small class: its parameters and its terms.
+The catalogue (:mod:`pincal.model.catalogue`) holds what a discovery looks for beyond these.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from pincal.model.chain import Chain
+from pincal.model.conditions import MOMENT, UNFELT, Conditions, Situation
+from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, Term
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
+
+__all__ = [
+    "ELASTIC",
+    "GEOMETRIC",
+    "AxisDistortion",
+    "BaseFrame",
+    "BearingElasticity",
+    "Compliance",
+    "Conditions",
+    "Effect",
+    "JointElasticity",
+    "JointOffset",
+    "LinkGeometry",
+    "Term",
+    "ToolFrame",
+]
 
 # Size of real errors by kind [rad, m], used as prior where the data can't tell. The paper (IV.C) knows of deviations of
 # up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
 BENDING_SIZE = 1e-3
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """What is known of each of N poses before anything is measured.
-
-    Attributes:
-        q: shape (N, n), joint positions [rad or m].
-        target: shape (N,), index into the chain's targets.
-        payload: shape (N,), mass at the tip [kg].
-        payload_centre: shape (3,), its centre of mass in the tip frame [m].
-        temperature: shape (N,) [deg C], or None.
-        time: shape (N,) [s], or None.
-        approach: shape (N, n), direction from which each joint arrived (-1, 0, 1), or None.
-    """
-
-    q: np.ndarray
-    target: np.ndarray
-    payload: np.ndarray
-    payload_centre: np.ndarray
-    temperature: np.ndarray | None = None
-    time: np.ndarray | None = None
-    approach: np.ndarray | None = None
-
-    @classmethod
-    def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
-        """Return the conditions of bare joint positions, shape (N, n), with one payload [kg] and the first target."""
-        q = np.atleast_2d(np.asarray(q, float))
-        n = len(q)
-        return cls(q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float))
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def select(self, rows: slice | np.ndarray) -> Conditions:
-        """Return the conditions of some rows."""
-        pick = [None if v is None else v[rows] for v in (self.temperature, self.time, self.approach)]
-        return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
-
-
-@dataclass(frozen=True)
-class Term:
-    """What one parameter adds to one coordinate: ``basis * parameter``.
-
-    Attributes:
-        parameter: index among the effect's parameters.
-        coordinate: index in the chain.
-        basis: shape (N,), or None for 1 at every pose.
-        moment: index 3 i + component of the static moment that the basis is a function of, or None.
-        slope: shape (N,), derivative of the basis by this moment; None for 1. Only with ``moment``.
-    """
-
-    parameter: int
-    coordinate: int
-    basis: np.ndarray | None = None
-    moment: int | None = None
-    slope: np.ndarray | None = None
-
-
-class Effect(ABC):
-    """A physical cause of deviations from the nominal robot.
-
-    Attributes:
-        name: its name in reports and files.
-        scope: whose parameters it has: the robot's, or those of a station, the set-up of an instrument and its targets.
-        uses_moments: whether its terms need the static moments.
-        needs: what must be recorded of the poses: "temperature", "time", "approach", "payload".
-        alike: whether its basis functions are one function in several places, as those of a curve: one that the poses
-            hardly touch is as large as the others then, and its coefficient no larger.
-    """
-
-    name: ClassVar[str]
-    scope: ClassVar[Scope] = "robot"
-    uses_moments: ClassVar[bool] = False
-    alike: ClassVar[bool] = False
-    needs: ClassVar[tuple[str, ...]] = ()
-
-    @abstractmethod
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Return the effect's parameters for this chain."""
-
-    @abstractmethod
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Return what each parameter adds to which coordinate.
-
-        Args:
-            chain: the chain.
-            conditions: the N poses.
-            moments: shape (N, 3 n), static moments [N m]; None for an effect that does not use them.
-        """
-
-    def missing(self, conditions: Conditions) -> tuple[str, ...]:
-        """Return what the effect needs and these poses lack: columns that are absent or the same in all rows."""
-        return tuple(column for column in self.needs if not _varies(getattr(conditions, column)))
-
-
-def _varies(column: np.ndarray | None) -> bool:
-    return column is not None and bool(np.any(column != column[:1]))
 
 
 def _constants(name: str, chain: Chain, joints: Iterable[int], symbols: dict[str, float]) -> tuple[Parameter, ...]:
@@ -150,6 +65,13 @@ class JointOffset(Effect):
     """The zero of each joint is off by a constant (paper: theta_i; d_i of a prismatic joint)."""
 
     name: ClassVar[str] = "joint_offset"
+    meaning: ClassVar[str] = "the zero of a joint's scale is off"
+    family: ClassVar[Family] = Family.GEOMETRY
+
+    @property
+    def locus(self) -> Locus:
+        """The drives of all joints."""
+        return Locus(acts_on="drive")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """One offset a joint, named theta (d for a prismatic joint)."""
@@ -170,6 +92,13 @@ class LinkGeometry(Effect):
     """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1))."""
 
     name: ClassVar[str] = "link_geometry"
+    meaning: ClassVar[str] = "lengths and angles of the links differ from the drawing"
+    family: ClassVar[Family] = Family.GEOMETRY
+
+    @property
+    def locus(self) -> Locus:
+        """All links."""
+        return Locus(acts_on="link")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """d, a, alpha of each joint; theta in place of d for a prismatic joint, whose d is its joint offset."""
@@ -195,7 +124,14 @@ class AxisDistortion(Effect):
     """The axis of motion is tilted by s_x, s_y before the joint turns (paper, Eq. (2))."""
 
     name: ClassVar[str] = "axis_distortion"
+    meaning: ClassVar[str] = "joint axes are slightly tilted (the paper's s_x, s_y)"
+    family: ClassVar[Family] = Family.GEOMETRY
     _symbols: ClassVar[dict[str, float]] = {"s_x": ANGLE_SIZE, "s_y": ANGLE_SIZE}
+
+    @property
+    def locus(self) -> Locus:
+        """The axes of all joints."""
+        return Locus(acts_on="tilt")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """s_x, s_y of each joint [rad]."""
@@ -207,15 +143,27 @@ class AxisDistortion(Effect):
 
 
 @dataclass(frozen=True)
-class Compliance(Effect):
-    """Elastic rotations gamma_l = k_l n_l about chosen axes of some joints (paper, III.B)."""
+class Compliance(Discoverable):
+    """Elastic rotations gamma_l = k_l n_l about chosen axes of some joints (paper, III.B).
+
+    Attributes:
+        joints: the joints; all unless given.
+        axes: the axes about which they turn, some of "xyz".
+    """
 
     joints: tuple[str, ...] | None = None
-    axes: ClassVar[str] = ""
+    axes: ClassVar[str]
+    family: ClassVar[Family] = Family.ELASTICITY
     uses_moments: ClassVar[bool] = True
 
+    @property
+    def locus(self) -> Locus:
+        """The elastic rotations of its joints, which follow the moments there."""
+        only = self.joints[0] if self.joints is not None and len(self.joints) == 1 else None
+        return Locus(only, f"gamma_{self.axes}" if len(self.axes) == 1 else "tilt", MOMENT)
+
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One compliance an axis and joint [rad/(N m)]."""
+        """One compliance per axis and joint [rad/(N m)]."""
         return tuple(
             Parameter(f"{chain.robot.joint_names[i]}.k_{axis}", "rad/(N m)", self.name, 0.0, BENDING_SIZE)
             for i in self._indices(chain)
@@ -242,7 +190,20 @@ class JointElasticity(Compliance):
     """Each drive gives way about its own axis: gamma_z = k_z n_z."""
 
     name: ClassVar[str] = "joint_elasticity"
+    meaning: ClassVar[str] = "the drive twists under the load on its axis"
     axes: ClassVar[str] = "z"
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield the elasticity of all drives that these poses load.
+
+        About a vertical axis gravity has a moment only as far as the base is not level. Any tilt goes, since the base's own
+        makes up for it, so that such a compliance could take the place of a true effect of that joint's position.
+        """
+        heaviest = UNFELT * np.abs(situation.moments).max(initial=0.0)
+        joints = situation.joints
+        felt = tuple(joint for joint in joints if np.abs(situation.moment(joint)).max(initial=0.0) > heaviest)
+        yield Candidate(cls() if len(felt) == len(joints) else cls(felt))
 
 
 @dataclass(frozen=True)
@@ -250,7 +211,13 @@ class BearingElasticity(Compliance):
     """Each bearing gives way across its axis: gamma_x = k_x n_x, gamma_y = k_y n_y."""
 
     name: ClassVar[str] = "bearing_elasticity"
+    meaning: ClassVar[str] = "the bearing tilts under load across its axis"
     axes: ClassVar[str] = "xy"
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield the elasticity of all bearings."""
+        yield Candidate(cls())
 
 
 @dataclass(frozen=True)
@@ -263,7 +230,14 @@ class BaseFrame(Effect):
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS
     name: ClassVar[str] = "base_frame"
+    meaning: ClassVar[str] = "where the robot stands before the instrument"
+    family: ClassVar[Family] = Family.EXTRINSICS
     scope: ClassVar[Scope] = "station"
+
+    @property
+    def locus(self) -> Locus:
+        """The base."""
+        return Locus(acts_on="base")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """x, y, z [m] and small angles rx, ry, rz [rad] about the chain's reference orientation."""
@@ -280,7 +254,14 @@ class ToolFrame(Effect):
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS[:3]
     name: ClassVar[str] = "tool_frame"
+    meaning: ClassVar[str] = "where the target sits on the tool"
+    family: ClassVar[Family] = Family.EXTRINSICS
     scope: ClassVar[Scope] = "station"
+
+    @property
+    def locus(self) -> Locus:
+        """The targets."""
+        return Locus(acts_on="tool")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """x, y, z [m], and for poses rx, ry, rz [rad], of every target."""

@@ -11,7 +11,8 @@ import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term, ToolFrame
+from pincal.model.conditions import UNFELT, Conditions
+from pincal.model.effect import Effect, Term
 from pincal.model.kernels import Compliances, Payload, Terms, Values
 from pincal.parameters import Parameter
 
@@ -20,8 +21,6 @@ from pincal.parameters import Parameter
 _EQUILIBRIUM_ROUNDS = 20
 _SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
-# A moment below this part of the largest is there only because the base is not quite level.
-_UNFELT = 1e-3
 # Parameters that act on one coordinate by a basis function from which their column is shared.
 _WORTH_SHARING = 6
 
@@ -82,7 +81,8 @@ class Model:
     @property
     def has_tool_orientation(self) -> bool:
         """Whether the model knows how the target is oriented on the tool, not only where it is."""
-        return any(isinstance(effect, ToolFrame) and len(effect.symbols) > 3 for effect in self.effects)
+        tools = [effect for effect in self.effects if effect.locus.acts_on == "tool"]
+        return any(parameter.unit == "rad" for effect in tools for parameter in effect.parameters(self.chain))
 
     @property
     def n_parameters(self) -> int:
@@ -216,7 +216,7 @@ class Model:
         for p, term in state.terms:
             size = 1.0 if term.basis is None else float(np.abs(term.basis).max(initial=0.0))
             if term.moment is not None:
-                excited[p] |= bool(np.abs(state.moments[term.moment]).max(initial=0.0) > _UNFELT * heaviest)
+                excited[p] |= bool(np.abs(state.moments[term.moment]).max(initial=0.0) > UNFELT * heaviest)
                 size = size if term.slope is not None else max(size, 0.1 * heaviest)
             else:
                 excited[p] |= size > 0.0

@@ -2,34 +2,10 @@
 
 from __future__ import annotations
 
-# Names of the contract -> what a machine with this effect does.
-EFFECTS = {
-    "joint_offset": "the zero of a joint's scale is off",
-    "link_geometry": "lengths and angles of the links differ from the drawing",
-    "axis_distortion": "joint axes are slightly tilted (the paper's s_x, s_y)",
-    "base_frame": "where the robot stands before the instrument",
-    "tool_frame": "where the target sits on the tool",
-    "joint_elasticity": "the drive twists under the load on its axis",
-    "bearing_elasticity": "the bearing tilts under load across its axis",
-    "nonlinear_elasticity": "the drive is soft under small loads and stiffens under large ones",
-    "link_bending": "the link itself bends under load",
-    "base_elasticity": "the foundation gives way under load",
-    "gravity_compensator": "a spring or a counterweight acts on the joint otherwise than assumed",
-    "payload_error": "the payload's mass or centre is not as declared",
-    "gear_eccentricity": "a gear wheel is off centre or oval: the joint errs in a wave, once or twice a turn",
-    "transmission_error": "the joint errs by a curve of its own angle: gear teeth, scale, wave generator",
-    "gear_ratio": "the joint turns by a fixed part too far or too short",
-    "joint_coupling": "moving one joint drags another along",
-    "axis_wobble": "the axis tilts to and fro as the joint turns",
-    "backlash": "play: the joint stops short, depending on the side from which it came",
-    "load_backlash": "play: the joint falls to one side, depending on the sign of the load",
-    "thermal_expansion": "the links grow with temperature",
-    "thermal_offset": "the joint's zero moves with temperature",
-    "base_drift": "robot and instrument move against each other as time goes by",
-    "measurement_scale": "the instrument's lengths are off by a fixed part",
-    "lens_distortion": "the camera's lens bends the image",
-    "unnamed": "something real that no name here describes",
-}
+from pincal.model.registry import meaning_of
+
+# What a fit finds beside effects of the robot -> what it is.
+_BESIDE = {"lens_distortion": "the camera's lens bends the image"}
 
 TERMS = (
     (
@@ -61,10 +37,10 @@ TERMS = (
 
 
 def effect_meaning(name: str) -> str:
-    """Return what an effect means, in plain words; an effect of the user's own has only its name.
+    """Return what an effect means, in plain words; one that nobody registered has only its name.
 
     Example:
         >>> effect_meaning("link_bending")
         'the link itself bends under load'
     """
-    return EFFECTS.get(name, "an effect of your own")
+    return meaning_of(name) or _BESIDE.get(name, "an effect of your own")

@@ -28,6 +28,8 @@ def effect_words(entry: Mapping[str, Any], *, joint: bool = True) -> str:
         words.append(f"({entry.get('shape', 'curve')}{order} of {entry['depends_on']}{across})")
     elif entry.get("order", 1) != 1:
         words.append(f"order {entry['order']}")
+    if entry.get("frame") == "after":
+        words.append("seen from the moving link")
     return " ".join(words)
 
 

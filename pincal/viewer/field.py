@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,8 @@ from pincal.identify.problem import Problem
 from pincal.identify.station import Station, conditions_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import ideal_readings
-from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.report.words import effect_words
 from pincal.viewer.workspace import workspace_poses
@@ -166,7 +166,7 @@ def _explained(
     start, used = 0, set()
     for effect in model.effects:
         stop = start + len(effect.parameters(model.chain))
-        if not isinstance(effect, BaseFrame | ToolFrame) and np.any(values[start:stop]):
+        if effect.family is not Family.EXTRINSICS and np.any(values[start:stop]):
             without = values.copy()
             without[start:stop] = 0.0
             name = _effect_name(effect)
@@ -180,11 +180,7 @@ def _explained(
 
 
 def _effect_name(effect: Effect) -> str:
-    entry: dict[str, Any] = {"effect": effect.name}
-    for key in ("joint", "source", "order", "depends_on", "shape", "acts_on"):
-        if getattr(effect, key, None) is not None:
-            entry[key] = getattr(effect, key)
-    return effect_words(entry)
+    return effect_words({**effect.describe(), "frame": effect.locus.frame})
 
 
 def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.ndarray:

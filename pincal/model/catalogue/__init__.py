@@ -8,8 +8,6 @@ Example:
     ['elbow_joint.eccentric_sin1', 'elbow_joint.eccentric_cos1']
 """
 
-# Imported so that model files which hold terms without a name can be read.
-import pincal.model.catalogue.unnamed  # noqa: F401
 from pincal.model.catalogue.candidates import candidates, untestable
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import (
@@ -29,6 +27,8 @@ from pincal.model.catalogue.elasticity import (
     PayloadError,
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
+from pincal.model.catalogue.unnamed import Unnamed
+from pincal.model.registry import EFFECTS
 
 __all__ = [
     "AxisWobble",
@@ -47,6 +47,29 @@ __all__ = [
     "ThermalExpansion",
     "ThermalOffset",
     "TransmissionError",
+    "Unnamed",
     "candidates",
     "untestable",
 ]
+
+# In the order in which reports list the effects of one joint, and then those of the whole arm.
+for _effect in (
+    GearRatio,
+    TransmissionError,
+    JointCoupling,
+    Backlash,
+    ThermalOffset,
+    BaseElasticity,
+    PayloadError,
+    ThermalExpansion,
+    NonlinearElasticity,
+    LoadBacklash,
+    GravityCompensator,
+    GearEccentricity,
+    AxisWobble,
+    LinkBending,
+    BaseDrift,
+    MeasurementScale,
+    Unnamed,
+):
+    EFFECTS.register(_effect)

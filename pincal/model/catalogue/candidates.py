@@ -1,126 +1,182 @@
-"""Which effects of the catalogue can be tried on given poses, and why the others can't."""
+"""Which effects can be tried on given poses, and why the others can't; and effects by name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 import numpy as np
 
-from pincal.model.catalogue.curves import TransmissionError
-from pincal.model.catalogue.drives import (
-    ORDERS,
-    WOBBLE_FRAMES,
-    AxisWobble,
-    Backlash,
-    GearEccentricity,
-    GearRatio,
-    JointCoupling,
-    ThermalOffset,
-)
-from pincal.model.catalogue.elasticity import (
-    BaseElasticity,
-    GravityCompensator,
-    LinkBending,
-    LoadBacklash,
-    NonlinearElasticity,
-    PayloadError,
-)
-from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
-from pincal.model.catalogue.places import joint_index, nominal_moments
+from pincal.errors import BadInputError
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect
+from pincal.model.conditions import COLUMN_UNITS, Conditions, Situation
+from pincal.model.effect import Candidate, Discoverable, Effect, Family
+from pincal.model.effects import Compliance
 from pincal.model.model import Model
+from pincal.model.registry import EFFECTS
+from pincal.robot.robot import Robot
 
-CURVE_SIZE = 24
 # A basis that changes by less than this part of its size is a constant.
 _CONSTANT = 1e-9
-# Part of the largest moment on the arm below which nobody builds a compensator.
-_WORTH_A_SPRING = 0.1
 
 
 def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
-    """Return every effect of the catalogue, joint by joint, that these poses could show.
+    """Return every effect, joint by joint, that these poses could show.
 
-    Joint and bearing elasticity are not among them: they are effects of the model that a fit starts from.
+    Joint and bearing elasticity are not among them: see :func:`elasticity`.
     """
-    return tuple(effect for effect, reason in _judged(chain, conditions) if not reason)
+    return tuple(candidate.effect for candidate in testable(Situation(chain, conditions)))
+
+
+def testable(situation: Situation) -> tuple[Candidate, ...]:
+    """Return every candidate, joint by joint, that these poses could show; effects of plugins among them."""
+    return tuple(candidate for candidate in _all(situation) if not why_not_testable(candidate, situation))
 
 
 def untestable(chain: Chain, conditions: Conditions) -> tuple[tuple[Effect, str], ...]:
-    """Return the other effects of the catalogue, each with the reason in words."""
-    return tuple((effect, reason) for effect, reason in _judged(chain, conditions) if reason)
+    """Return the other effects, each with the reason in words."""
+    situation = Situation(chain, conditions)
+    judged = [(candidate.effect, why_not_testable(candidate, situation)) for candidate in _all(situation)]
+    return tuple((effect, reason) for effect, reason in judged if reason)
 
 
-def _judged(chain: Chain, conditions: Conditions) -> Iterator[tuple[Effect, str]]:
-    moments = nominal_moments(chain, conditions)
-    for effect in _all(chain, conditions, moments):
-        yield effect, _reason(effect, chain, conditions, moments)
+def elasticity(situation: Situation) -> tuple[Effect, ...]:
+    """Return the linear compliances that these poses excite."""
+    return tuple(candidate.effect for candidate in _every(situation) if candidate.effect.family is Family.ELASTICITY)
 
 
-def _all(chain: Chain, conditions: Conditions, moments: np.ndarray) -> Iterator[Effect]:
-    for i, joint in enumerate(chain.robot.joint_names):
-        yield from _of_any_joint(chain, conditions.q[:, i], joint)
-        if chain.robot.joint_types[i] != "prismatic":
-            yield from _of_revolute_joint(joint, moments[:, 3 * i + 2])
-        if i + 1 < chain.robot.n_joints:
-            yield LinkBending(joint)
-    yield BaseElasticity()
-    yield PayloadError.over(chain, conditions)
-    yield ThermalExpansion()
-    yield BaseDrift() if conditions.time is None else BaseDrift.over(conditions.time)
-    yield MeasurementScale()
+def _every(situation: Situation) -> list[Candidate]:
+    classes = [cls for cls in EFFECTS.known().values() if issubclass(cls, Discoverable)]
+    return [candidate for cls in classes for candidate in cls.candidates(situation)]
 
 
-def _of_any_joint(chain: Chain, q: np.ndarray, joint: str) -> Iterator[Effect]:
-    yield GearRatio(joint)
-    # A joint that stands still is reported as such; its curve only has to have some range.
-    yield TransmissionError.over(joint, q if np.ptp(q) else np.array([q[0] - 1.0, q[0] + 1.0]), CURVE_SIZE)
-    yield from (JointCoupling(joint, source) for source in chain.robot.joint_names if source != joint)
-    yield Backlash(joint)
-    yield ThermalOffset(joint)
-    yield ThermalExpansion(joint)
+def _all(situation: Situation) -> list[Candidate]:
+    """Return all candidates but elasticity, those of a joint before those of the next, those of the whole arm last."""
+    place = {joint: i for i, joint in enumerate(situation.joints)}
+    found = [candidate for candidate in _every(situation) if candidate.effect.family is not Family.ELASTICITY]
+    return sorted(found, key=lambda candidate: place.get(candidate.effect.locus.joint or "", len(place)))
 
 
-def _of_revolute_joint(joint: str, moment: np.ndarray) -> Iterator[Effect]:
-    yield NonlinearElasticity(joint)
-    yield LoadBacklash.over(joint, moment)
-    yield GravityCompensator(joint)
-    yield from (GearEccentricity(joint, order) for order in ORDERS)
-    yield from (AxisWobble(joint, order, frame) for order in ORDERS for frame in WOBBLE_FRAMES)
-
-
-def _reason(effect: Effect, chain: Chain, conditions: Conditions, moments: np.ndarray) -> str:
-    """Return why an effect can't be tried, empty if it can."""
+def why_not_testable(candidate: Candidate, situation: Situation) -> str:
+    """Return why an effect can't be told from these poses, empty if it can."""
+    effect, chain, conditions = candidate.effect, situation.chain, situation.conditions
     if missing := effect.missing(conditions):
         return "; ".join(_lacking(column, conditions) for column in missing)
-    if isinstance(effect, Backlash):
+    joint = effect.locus.joint
+    if joint is not None and effect.locus.follows == "approach":
         assert conditions.approach is not None
-        if not np.ptp(conditions.approach[:, joint_index(chain, effect.joint)]):
-            return f"column approach_{effect.joint} is missing or the same in all rows"
-    if isinstance(effect, GravityCompensator) and not _is_loaded(moments, joint_index(chain, effect.joint)):
-        return f"gravity exerts no moment about the axis of {effect.joint} that could be compensated"
+        if not np.ptp(conditions.approach[:, situation.joints.index(joint)]):
+            return f"column approach_{joint} is missing or the same in all rows"
+    if candidate.obstacle:
+        return candidate.obstacle
     if effect.uses_moments:
         excited = bool(Model(chain, (effect,)).largest_basis(conditions)[1].any())
         return "" if excited else "gravity exerts no moment about its axis in any pose"
-    return "" if isinstance(effect, MeasurementScale) else _standing_still(effect, chain, conditions)
+    return _standing_still(effect, situation)
 
 
 def _lacking(column: str, conditions: Conditions) -> str:
-    values = {"temperature": conditions.temperature, "time": conditions.time, "approach": conditions.approach}
-    absent = column in values and values[column] is None
     name = "approach_<joint>" if column == "approach" else column
-    return f"column {name} is {'missing' if absent else 'the same in all rows'}"
+    return f"column {name} is {'missing' if conditions.column(column) is None else 'the same in all rows'}"
 
 
-def _is_loaded(moments: np.ndarray, i: int) -> bool:
-    return bool(np.abs(moments[:, 3 * i + 2]).max() > _WORTH_A_SPRING * np.abs(moments).max())
-
-
-def _standing_still(effect: Effect, chain: Chain, conditions: Conditions) -> str:
-    bases = [t.basis for t in effect.terms(chain, conditions, None) if t.basis is not None and t.basis.any()]
+def _standing_still(effect: Effect, situation: Situation) -> str:
+    at = effect.locus
+    if at.joint is None and at.follows is None:
+        return ""  # A constant of the whole arm does not depend on where the joints are.
+    bases = [t.basis for t in effect.terms(situation.chain, situation.conditions, None) if t.basis is not None]
+    bases = [basis for basis in bases if basis.any()]
     if any(np.ptp(basis) > _CONSTANT * np.abs(basis).max() for basis in bases):
         return ""
     if not bases:
         return "nothing in these poses or on this arm that it acts on"
-    source = effect.source if isinstance(effect, JointCoupling) else getattr(effect, "joint", None)
+    source = at.joint if at.follows in COLUMN_UNITS else at.follows or at.joint
     return f"{source} stands still in all poses, so that it is a constant of the geometry"
+
+
+def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
+    """Return the effect of a name.
+
+    Args:
+        text: NAME[:JOINT][:KEY=VALUE,...], such as ``gear_eccentricity:joint_3:order=2``, the keys those by which effects
+            differ (``order``, ``frame``, ``source``); the first of its likes where keys leave it open.
+        chain: the chain on which it acts.
+        conditions: the poses that there are to choose from.
+
+    Raises:
+        BadInputError: for a name, joint or key that is invalid, or an effect that such poses can't show.
+
+    Example:
+        >>> from pincal.robot.robot import Robot
+        >>> chain = Chain.of(Robot.from_urdf("ur10"))
+        >>> q = chain.robot.random_configurations(20, np.random.default_rng(0))
+        >>> find_effect("gear_eccentricity:elbow_joint:order=2", chain, Conditions.at(q))
+        GearEccentricity(joint='elbow_joint', order=2)
+    """
+    name, *parts = (part.strip() for part in text.split(":"))
+    joint = next((part for part in parts if "=" not in part), None)
+    keys = dict(_pair(text, pair) for part in parts if "=" in part for pair in part.split(","))
+    situation = Situation(chain, conditions)
+    judged = [(candidate, why_not_testable(candidate, situation)) for candidate in _all(situation)]
+    judged = [*((candidate, "") for candidate in _compliances(situation)), *judged]
+    # Those that can be shown first.
+    judged.sort(key=lambda pair: bool(pair[1]))
+    likes = [(candidate.effect, reason) for candidate, reason in judged if candidate.effect.name == name]
+    if not likes:
+        known = [candidate.effect.name for candidate, _ in judged]
+        raise BadInputError(f"effect {text!r}: unknown; expected one of {_listed(name, known)}")
+    likes = _at(text, joint, likes)
+    likes = [(effect, reason) for effect, reason in likes if all(_says(effect, k, v) for k, v in keys.items())]
+    if not likes:
+        raise BadInputError(f"effect {text!r}: none has {', '.join(f'{k}={v}' for k, v in keys.items())}; leave it out")
+    effect, reason = likes[0]
+    if reason:
+        raise BadInputError(f"effect {text!r}: poses alone can't show it: {reason}")
+    return effect
+
+
+def needs_column(text: str, column: str, robot: Robot) -> bool:
+    """Return whether an effect, as in :func:`find_effect`, can be shown only where a column is recorded."""
+    name = text.split(":")[0].strip()
+    anywhere = Situation(Chain.of(robot), Conditions.at(np.zeros((2, robot.n_joints))))
+    return any(column in candidate.effect.needs for candidate in _all(anywhere) if candidate.effect.name == name)
+
+
+def _compliances(situation: Situation) -> list[Candidate]:
+    """Return the compliances of single joints."""
+    if situation.chain.robot.massless:
+        return []
+    kinds = [effect for effect in elasticity(situation) if isinstance(effect, Compliance)]
+    return [Candidate(type(kind)(joints=(joint,))) for joint in situation.revolute for kind in kinds]
+
+
+def _says(effect: Effect, key: str, value: str) -> bool:
+    at = effect.locus
+    said = {"order": at.order, "frame": at.frame, "source": at.source, "joint": at.joint, "shape": at.shape}
+    return str(said.get(key)) == value
+
+
+def _at(text: str, joint: str | None, likes: list[tuple[Effect, str]]) -> list[tuple[Effect, str]]:
+    """Return those of some effects that act on a joint, or on the whole arm."""
+    everywhere = [effect.locus.joint for effect, _ in likes]
+    joints = list(dict.fromkeys(place for place in everywhere if place is not None))
+    if joint is None and joints and None not in everywhere:
+        name = likes[0][0].name
+        raise BadInputError(f"effect {text!r}: names no joint; expected {name}:JOINT, one of {_listed('', joints)}")
+    if joint is not None and joint not in joints:
+        where = f"expected one of {_listed(joint, joints)}" if joints else "it acts on the whole arm, leave out the joint"
+        raise BadInputError(f"effect {text!r}: not on {joint!r}; {where}")
+    return [(effect, reason) for effect, reason in likes if effect.locus.joint == joint]
+
+
+def _pair(text: str, pair: str) -> tuple[str, str]:
+    key, equals, value = (word.strip() for word in pair.partition("="))
+    if not (key and equals and value):
+        raise BadInputError(f"effect {text!r}: {pair!r}; expected KEY=VALUE, such as order=2")
+    return key, value
+
+
+def _listed(name: str, known: Iterable[str]) -> str:
+    names = list(dict.fromkeys(known))
+    near = get_close_matches(name, names, n=1, cutoff=0.7)
+    return ", ".join([*near, *(other for other in names if other not in near)])

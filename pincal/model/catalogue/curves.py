@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.catalogue.places import WAVE, drive_terms, drive_unit, parameters_of, positions
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Candidate, Curve, Locus, Term
 from pincal.parameters import Parameter
 
 TURN = 2.0 * np.pi
 # Part of a turn from which on the curve is taken as periodic: what is left is too small a gap for a Fourier series to swing.
 _NEARLY_A_TURN = 0.9
-_DEGREE = 3
+# Number of basis functions unless another is asked for; the numbers that a discovery tries first, from coarse to fine.
+_SIZE = 24
+_SIZES = (8, 12, 18, 26, 44, 80)
+# Poses that each basis function needs to be fitted at all: six of position show the size of a bump and its scatter.
+POSES_PER_PIECE = 6
 
 
 @dataclass(frozen=True)
-class TransmissionError(Effect):
+class TransmissionError(Curve):
     r"""An irregular gear: the joint moves by a curve g(q) of its own position more.
 
     .. math:: g(q) = \sum_p c_p B_p(\min(\max(q, q_{lower}), q_{upper}))
@@ -39,21 +46,21 @@ class TransmissionError(Effect):
     joint: str
     lower: float
     upper: float
-    size: int = 24
+    size: int = _SIZE
     periodic: bool = False
     name: ClassVar[str] = "transmission_error"
-    alike: ClassVar[bool] = True
+    meaning: ClassVar[str] = "the joint errs by a curve of its own angle: gear teeth, scale, wave generator"
 
     def __post_init__(self) -> None:
         """Refuse an empty range and a number of basis functions that does not fit."""
         if not self.lower < self.upper:
             raise BadInputError(f"{self.name} of {self.joint}: range {self.lower} .. {self.upper} is empty; move the joint")
-        if self.size <= _DEGREE or (self.periodic and self.size % 2):
+        if self.size < FEWEST_SPLINES or (self.periodic and self.size % 2):
             kind = "an even number of at least 4" if self.periodic else "at least 4"
             raise BadInputError(f"{self.name} of {self.joint}: size {self.size}; expected {kind}")
 
     @classmethod
-    def over(cls, joint: str, q_column: np.ndarray, size: int = 24, *, periodic: bool | None = None) -> TransmissionError:
+    def over(cls, joint: str, q_column: np.ndarray, size: int = _SIZE, *, periodic: bool | None = None) -> TransmissionError:
         """Return the curve over the positions that a joint takes.
 
         Args:
@@ -66,6 +73,34 @@ class TransmissionError(Effect):
         lower, upper = float(np.min(q_column)), float(np.max(q_column))
         repeats = _covers_a_turn(q_column) if periodic is None else periodic
         return cls(joint, lower, upper, size + size % 2 if repeats else size, repeats)
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, by its own position."""
+        return Locus(self.joint, "drive", self.joint, span=(self.lower, self.upper))
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint, over the positions that it takes, from a few pieces to many."""
+        for joint in situation.joints:
+            q = situation.positions(joint)
+            # A joint that stands still is reported as such; its curve only has to have some range.
+            moving = q if np.ptp(q) else np.array([q[0] - 1.0, q[0] + 1.0])
+            sizes = (size for size in _SIZES if size <= len(q) // POSES_PER_PIECE)
+            yield Candidate(cls.over(joint, moving, _SIZE), variants=tuple(cls.over(joint, moving, size) for size in sizes))
+
+    @property
+    def resolution(self) -> int:
+        """Number of basis functions."""
+        return self.size
+
+    def resized(self, situation: Situation, resolution: int) -> TransmissionError:
+        """Return the curve with another number of basis functions, over the positions that the poses cover."""
+        return TransmissionError.over(self.joint, situation.positions(self.joint), resolution)
+
+    def reduced(self, situation: Situation) -> TransmissionError:
+        """Return the curve in the fewest pieces that a discovery tries."""
+        return self.resized(situation, _SIZES[0])
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Coefficients of the basis functions [rad or m]."""
@@ -82,11 +117,7 @@ class TransmissionError(Effect):
         if self.periodic:
             angles = np.arange(1, self.size // 2 + 1)[:, None] * inside
             return np.stack((np.sin(angles), np.cos(angles)), axis=1).reshape(self.size, -1)
-        from scipy.interpolate import BSpline
-
-        knots = np.linspace(self.lower, self.upper, self.size - _DEGREE + 1)
-        padded = np.concatenate(([self.lower] * _DEGREE, knots, [self.upper] * _DEGREE))
-        return np.asarray(BSpline.design_matrix(inside, padded, _DEGREE).T.toarray(order="C"))
+        return spline_basis(inside, self.lower, self.upper, self.size)
 
 
 def _covers_a_turn(q: np.ndarray) -> bool:

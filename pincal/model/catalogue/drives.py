@@ -6,6 +6,7 @@ direction of approach after Slamani et al. (2012), as listed in the project's ta
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -28,7 +29,8 @@ from pincal.model.catalogue.places import (
     waves,
 )
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Candidate, Discoverable, Effect, Locus, Term
 from pincal.parameters import Parameter
 
 Order = Literal[1, 2]
@@ -43,7 +45,7 @@ def _check_order(effect: Effect, joint: str, order: int) -> None:
 
 
 @dataclass(frozen=True)
-class GearEccentricity(Effect):
+class GearEccentricity(Discoverable):
     r"""An eccentric (order 1) or elliptical (order 2) wheel: the joint turns by :math:`s \sin kq + c \cos kq` more.
 
     Over much less than a turn order 1 is like an offset, a ratio and a compensator together.
@@ -56,10 +58,21 @@ class GearEccentricity(Effect):
     joint: str
     order: Order = 1
     name: ClassVar[str] = "gear_eccentricity"
+    meaning: ClassVar[str] = "a gear wheel is off centre or oval: the joint errs in a wave, once or twice a turn"
 
     def __post_init__(self) -> None:
         """Refuse other orders."""
         _check_order(self, self.joint, self.order)
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, in waves of its own position."""
+        return Locus(self.joint, "drive", self.joint, order=self.order)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield both orders on every joint that turns."""
+        yield from (Candidate(cls(joint, order)) for joint in situation.revolute for order in ORDERS)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s and c [rad]."""
@@ -72,11 +85,22 @@ class GearEccentricity(Effect):
 
 
 @dataclass(frozen=True)
-class GearRatio(Effect):
+class GearRatio(Discoverable):
     """Gear or encoder ratio that is off: the joint moves by r q more, r relative."""
 
     joint: str
     name: ClassVar[str] = "gear_ratio"
+    meaning: ClassVar[str] = "the joint turns by a fixed part too far or too short"
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, in proportion to its own position."""
+        return Locus(self.joint, "drive", self.joint)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint."""
+        yield from (Candidate(cls(joint)) for joint in situation.joints)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Relative error of the ratio [1]."""
@@ -88,12 +112,25 @@ class GearRatio(Effect):
 
 
 @dataclass(frozen=True)
-class JointCoupling(Effect):
+class JointCoupling(Discoverable):
     """Motion of one joint that leaks into another: ``joint`` moves by c q_source more."""
 
     joint: str
     source: str
     name: ClassVar[str] = "joint_coupling"
+    meaning: ClassVar[str] = "moving one joint drags another along"
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, in proportion to the position of the source."""
+        return Locus(self.joint, "drive", self.source)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint, from every other."""
+        yield from (
+            Candidate(cls(joint, source)) for joint in situation.joints for source in situation.joints if source != joint
+        )
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """The leak over the motion [1], or rad/m and m/rad between joints that turn and slide."""
@@ -107,7 +144,7 @@ class JointCoupling(Effect):
 
 
 @dataclass(frozen=True)
-class AxisWobble(Effect):
+class AxisWobble(Discoverable):
     r"""A bearing whose axis tilts about x and y as it turns: each by :math:`s \sin kq + c \cos kq`.
 
     The tilt acts before q (on s_x, s_y), where a constant tilt is the axis distortion and where a tilt fixed to the link is
@@ -126,12 +163,24 @@ class AxisWobble(Effect):
     order: Order = 2
     frame: WobbleFrame = "before"
     name: ClassVar[str] = "axis_wobble"
+    meaning: ClassVar[str] = "the axis tilts to and fro as the joint turns"
 
     def __post_init__(self) -> None:
         """Refuse other orders and frames."""
         _check_order(self, self.joint, self.order)
         if self.frame not in WOBBLE_FRAMES:
             raise BadInputError(f"{self.name} of {self.joint}: frame {self.frame!r}; expected before or after")
+
+    @property
+    def locus(self) -> Locus:
+        """The axis, in waves of the joint's own position."""
+        return Locus(self.joint, "tilt", self.joint, order=self.order, frame=self.frame)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield both orders, seen from both sides, on every joint that turns."""
+        for joint in situation.revolute:
+            yield from (Candidate(cls(joint, order, frame)) for order in ORDERS for frame in WOBBLE_FRAMES)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes of sine and cosine about x, then about y [rad]."""
@@ -156,7 +205,7 @@ class AxisWobble(Effect):
 
 
 @dataclass(frozen=True)
-class Backlash(Effect):
+class Backlash(Discoverable):
     """Play in a gear: the joint moves by b times its direction of approach (-1, 0, 1) more.
 
     A joint that lags behind its drive by half the play has b = - play / 2.
@@ -164,7 +213,17 @@ class Backlash(Effect):
 
     joint: str
     name: ClassVar[str] = "backlash"
-    needs: ClassVar[tuple[str, ...]] = ("approach",)
+    meaning: ClassVar[str] = "play: the joint stops short, depending on the side from which it came"
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, by the direction from which it arrived."""
+        return Locus(self.joint, "drive", "approach")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint."""
+        yield from (Candidate(cls(joint)) for joint in situation.joints)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Shift after an approach in positive direction [rad or m]."""
@@ -177,7 +236,7 @@ class Backlash(Effect):
 
 
 @dataclass(frozen=True)
-class ThermalOffset(Effect):
+class ThermalOffset(Discoverable):
     """Zero of a joint that shifts with temperature: by c (T - reference).
 
     Attributes:
@@ -188,7 +247,17 @@ class ThermalOffset(Effect):
     joint: str
     reference: float = 20.0
     name: ClassVar[str] = "thermal_offset"
-    needs: ClassVar[tuple[str, ...]] = ("temperature",)
+    meaning: ClassVar[str] = "the joint's zero moves with temperature"
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, in proportion to the temperature."""
+        return Locus(self.joint, "drive", "temperature")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint."""
+        yield from (Candidate(cls(joint)) for joint in situation.joints)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Shift [rad/K or m/K]."""

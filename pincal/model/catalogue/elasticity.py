@@ -7,7 +7,7 @@ arXiv 1311.6810) for the compensator, Tuttle (1992) for the stiffening drive.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -22,17 +22,24 @@ from pincal.model.catalogue.places import (
     joint_index,
     moment_axes,
     moment_terms,
-    nominal_moments,
     parameters_of,
     positions,
     waves,
 )
 from pincal.model.chain import Chain
-from pincal.model.effects import BENDING_SIZE, Conditions, Effect, Term
+from pincal.model.conditions import MOMENT, Conditions, Situation, nominal_moments
+from pincal.model.effect import Candidate, Discoverable, Family, Locus, Reducible, Term
+from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
 
 # Part of the largest moment of an axis that friction holds before its play goes to one side.
 _TRANSITION = 0.02
+# Transitions that a discovery tries, over the usual one.
+_WIDTHS = (0.3, 1.0, 3.0)
+# Torques at which a drive stiffens that a discovery tries, over the largest in the poses.
+_STIFFENING = (0.1, 0.3)
+# Part of the largest moment on the arm below which nobody builds a compensator.
+_WORTH_A_SPRING = 0.1
 # A link shorter than this does not bend [m].
 _SHORT = 1e-3
 # Part of the payload's largest moment on the arm below which an axis does not feel it.
@@ -40,7 +47,7 @@ _UNFELT = 1e-3
 
 
 @dataclass(frozen=True)
-class NonlinearElasticity(Effect):
+class NonlinearElasticity(Discoverable):
     r"""Drive whose compliance depends on its torque, beside the linear k_z n_z.
 
     By default it changes in proportion to the torque, gamma_z = k3_z n_z |n_z|. A drive that gives way at low torque and
@@ -55,12 +62,27 @@ class NonlinearElasticity(Effect):
     joint: str
     stiffening: float | None = None
     name: ClassVar[str] = "nonlinear_elasticity"
+    meaning: ClassVar[str] = "the drive is soft under small loads and stiffens under large ones"
+    family: ClassVar[Family] = Family.LOAD
     uses_moments: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse a torque that is none."""
         if self.stiffening is not None and not self.stiffening > 0.0:
             raise BadInputError(f"{self.name} of {self.joint}: stiffening {self.stiffening} N m; expected more than 0")
+
+    @property
+    def locus(self) -> Locus:
+        """The elastic rotation of the drive, by the moment on its axis."""
+        return Locus(self.joint, "gamma_z", MOMENT)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint that turns: in proportion to the torque, and stiffening at parts of the largest torque."""
+        for joint in situation.revolute:
+            largest = float(np.abs(situation.moment(joint)).max())
+            stiffening = (cls(joint, part * largest) for part in _STIFFENING if largest > 0.0)
+            yield Candidate(cls(joint), variants=(cls(joint), *stiffening))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Quadratic compliance [rad/(N m)^2], or extra compliance near torque 0 [rad/(N m)]."""
@@ -79,7 +101,7 @@ class NonlinearElasticity(Effect):
 
 
 @dataclass(frozen=True)
-class LinkBending(Effect):
+class LinkBending(Discoverable):
     r"""Link that bends like a cantilever from its joint to the next, under the weight of all that is beyond it.
 
     Of length L along u, with force F and moment M at its end, across u (Euler, Bernoulli): the end turns by
@@ -95,6 +117,18 @@ class LinkBending(Effect):
 
     joint: str
     name: ClassVar[str] = "link_bending"
+    meaning: ClassVar[str] = "the link itself bends under load"
+    family: ClassVar[Family] = Family.LOAD
+
+    @property
+    def locus(self) -> Locus:
+        """The far end of the link, by all the loads there."""
+        return Locus(self.joint, "link")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every link but the last."""
+        yield from (Candidate(cls(joint)) for joint in situation.joints[:-1])
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Flexibility b = 1 / (E I) [1/(N m^2)].
@@ -127,7 +161,7 @@ class LinkBending(Effect):
 
 
 @dataclass(frozen=True)
-class BaseElasticity(Effect):
+class BaseElasticity(Discoverable):
     """Foundation that tilts under the arm: rx = k_x m_x, ry = k_y m_y, in base axes about the base's origin.
 
     m is the moment of the arm about the base's origin: joint 1's moment, in base axes, and where joint 1 stands beside the
@@ -135,7 +169,19 @@ class BaseElasticity(Effect):
     """
 
     name: ClassVar[str] = "base_elasticity"
+    meaning: ClassVar[str] = "the foundation gives way under load"
+    family: ClassVar[Family] = Family.LOAD
     uses_moments: ClassVar[bool] = True
+
+    @property
+    def locus(self) -> Locus:
+        """The base, by the moment of the whole arm."""
+        return Locus(None, "base", MOMENT)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once."""
+        yield Candidate(cls())
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Compliances about the base's x and y [rad/(N m)]."""
@@ -157,7 +203,7 @@ class BaseElasticity(Effect):
 
 
 @dataclass(frozen=True)
-class GravityCompensator(Effect):
+class GravityCompensator(Discoverable):
     r"""Spring between two links that relieves the drive: gamma_z is the drive's compliance times the spring's torque.
 
     The torque is a smooth function of the joint's angle alone, whatever the payload; its first harmonics are enough:
@@ -166,6 +212,20 @@ class GravityCompensator(Effect):
 
     joint: str
     name: ClassVar[str] = "gravity_compensator"
+    meaning: ClassVar[str] = "a spring or a counterweight acts on the joint otherwise than assumed"
+
+    @property
+    def locus(self) -> Locus:
+        """The elastic rotation of the drive, by its own position."""
+        return Locus(self.joint, "gamma_z", self.joint)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint that turns; there is nothing to compensate where gravity exerts no moment."""
+        for joint in situation.revolute:
+            is_loaded = np.abs(situation.moment(joint)).max() > _WORTH_A_SPRING * np.abs(situation.moments).max()
+            unloaded = f"gravity exerts no moment about the axis of {joint} that could be compensated"
+            yield Candidate(cls(joint), obstacle="" if is_loaded else unloaded)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s_1, c_1, s_2, c_2 [rad]."""
@@ -179,7 +239,7 @@ class GravityCompensator(Effect):
 
 
 @dataclass(frozen=True)
-class PayloadError(Effect):
+class PayloadError(Discoverable, Reducible):
     """Payload that differs from the table, in mass or in place.
 
     Each elastic rotation grows by compliance times the moment that is missing. With the compliances as they are known so
@@ -198,7 +258,8 @@ class PayloadError(Effect):
     compliances: tuple[float, ...] | None = None
     shifted: bool = False
     name: ClassVar[str] = "payload_error"
-    needs: ClassVar[tuple[str, ...]] = ("payload",)
+    meaning: ClassVar[str] = "the payload's mass or centre is not as declared"
+    family: ClassVar[Family] = Family.LOAD
 
     @classmethod
     def over(cls, chain: Chain, conditions: Conditions) -> PayloadError:
@@ -207,6 +268,22 @@ class PayloadError(Effect):
         names = zip(chain.robot.joint_names, chain.robot.joint_types, felt[2::3], strict=True)
         threshold = _UNFELT * felt.max()
         return cls(tuple(name for name, kind, moment in names if kind != "prismatic" and moment > threshold))
+
+    @property
+    def locus(self) -> Locus:
+        """All elastic rotations, by the payload."""
+        return Locus(None, "gamma", "payload")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once; it is tried with the compliances that are known, of the mass alone and of its centre, too."""
+        known = situation.compliances if any(situation.compliances) else None
+        forms = () if known is None else tuple(cls(compliances=known, shifted=shifted) for shifted in (False, True))
+        yield Candidate(cls.over(situation.chain, situation.conditions), variants=forms)
+
+    def reduced(self, situation: Situation) -> PayloadError:
+        """Return the error of the mass alone, if compliances are known."""
+        return PayloadError(compliances=situation.compliances) if any(situation.compliances) else self
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """One p_z a joint [rad/(N m)], or the relative error of the mass [1] and the shift of its centre [m]."""
@@ -235,7 +312,7 @@ class PayloadError(Effect):
 
 
 @dataclass(frozen=True)
-class LoadBacklash(Effect):
+class LoadBacklash(Discoverable):
     """Play that the load takes up: the joint moves by b tanh(n_z / transition) more, b half the play.
 
     Attributes:
@@ -246,6 +323,8 @@ class LoadBacklash(Effect):
     joint: str
     transition: float = 20.0
     name: ClassVar[str] = "load_backlash"
+    meaning: ClassVar[str] = "play: the joint falls to one side, depending on the sign of the load"
+    family: ClassVar[Family] = Family.LOAD
     uses_moments: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -258,6 +337,18 @@ class LoadBacklash(Effect):
         """Return the effect with a transition of 2 % of the largest of the moments n_z seen, shape (N,) [N m]."""
         largest = float(np.abs(moment).max(initial=0.0))
         return cls(joint, _TRANSITION * largest) if largest > 0.0 else cls(joint)
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, by the moment on its axis."""
+        return Locus(self.joint, "drive", MOMENT)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint that turns, with transitions of several widths."""
+        for joint in situation.revolute:
+            effect = cls.over(joint, situation.moment(joint))
+            yield Candidate(effect, variants=tuple(cls(joint, width * effect.transition) for width in _WIDTHS))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Half the play [rad or m]."""

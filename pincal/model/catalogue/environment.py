@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from pincal.model.catalogue.places import GROWTH, TILT, height_on_axis, joint_index, parameters_of, recorded
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Candidate, Discoverable, Locus, Term
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
 
 @dataclass(frozen=True)
-class ThermalExpansion(Effect):
+class ThermalExpansion(Discoverable):
     """Lengths that grow with temperature: by alpha_T (T - reference) times their nominal value.
 
     Of the whole arm these are d and a of every joint, and the constant ways from the base to joint 1 and from the last link
@@ -30,7 +32,17 @@ class ThermalExpansion(Effect):
     joint: str | None = None
     reference: float = 20.0
     name: ClassVar[str] = "thermal_expansion"
-    needs: ClassVar[tuple[str, ...]] = ("temperature",)
+    meaning: ClassVar[str] = "the links grow with temperature"
+
+    @property
+    def locus(self) -> Locus:
+        """The lengths of one link or of all, in proportion to the temperature."""
+        return Locus(self.joint, "lengths", "temperature")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every link, and on the whole arm."""
+        yield from (Candidate(cls(joint)) for joint in (*situation.joints, None))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Coefficient of expansion [1/K]."""
@@ -44,7 +56,7 @@ class ThermalExpansion(Effect):
 
 
 @dataclass(frozen=True)
-class BaseDrift(Effect):
+class BaseDrift(Discoverable):
     """Base, or instrument, that creeps: its coordinates change by rate times (time - reference).
 
     Attributes:
@@ -55,13 +67,25 @@ class BaseDrift(Effect):
     reference: float = 0.0
     turns: bool = True
     name: ClassVar[str] = "base_drift"
+    meaning: ClassVar[str] = "robot and instrument move against each other as time goes by"
     scope: ClassVar[Scope] = "station"
-    needs: ClassVar[tuple[str, ...]] = ("time",)
 
     @classmethod
     def over(cls, time: np.ndarray, *, turns: bool = True) -> BaseDrift:
         """Return the drift about the mean of the times [s]."""
         return cls(float(np.mean(time)), turns)
+
+    @property
+    def locus(self) -> Locus:
+        """The base, in proportion to the time."""
+        return Locus(None, "base", "time")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once: a shift alone, and a shift with a turn."""
+        time = situation.conditions.time
+        effect = cls() if time is None else cls.over(time)
+        yield Candidate(effect, variants=(replace(effect, turns=False), effect))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Rates along the instrument's axes [m/s] and about the base's [rad/s]."""
@@ -77,7 +101,7 @@ class BaseDrift(Effect):
 
 
 @dataclass(frozen=True)
-class MeasurementScale(Effect):
+class MeasurementScale(Discoverable):
     """Instrument with a wrong scale: every length is seen (1 + s) times as long.
 
     To first order d and a of every joint (and the way of a sliding one) grow by s; base and tool are constants, which their
@@ -86,7 +110,18 @@ class MeasurementScale(Effect):
     """
 
     name: ClassVar[str] = "measurement_scale"
+    meaning: ClassVar[str] = "the instrument's lengths are off by a fixed part"
     scope: ClassVar[Scope] = "station"
+
+    @property
+    def locus(self) -> Locus:
+        """All lengths."""
+        return Locus(None, "lengths")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once."""
+        yield Candidate(cls())
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Relative error of the scale [1]."""

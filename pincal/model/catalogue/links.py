@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pincal.model.catalogue.places import height_on_axis, moment_axes, nominal_moments
+from pincal.model.catalogue.places import height_on_axis, moment_axes
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Term
+from pincal.model.conditions import Conditions, nominal_moments
+from pincal.model.effect import Term
 
 # Sine of the twist between two axes from which a shift along the first moves the second across the link.
 _TWISTED = 0.5

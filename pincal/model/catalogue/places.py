@@ -8,9 +8,9 @@ from difflib import get_close_matches
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect, Term
 from pincal.parameters import Parameter
 
 # Typical sizes of what an effect does to its coordinate (DISCOVERY.md, table of effects) [rad or m].
@@ -124,15 +124,3 @@ def height_on_axis(chain: Chain, i: int) -> float:
     d, alpha = (chain.nominal[chain.joint(i, symbol)] for symbol in ("d", "alpha"))
     _, y, z = chain.robot.T_link_joint[i, :3, 3]
     return float(d + np.sin(alpha) * y + np.cos(alpha) * z)
-
-
-def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
-    """Return the static moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload alone."""
-    constant, n = chain.nominal, chain.robot.n_joints
-    slot = np.full(chain.size, -1)
-    slot[chain.drives] = np.arange(n)
-    varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
-    mass = np.require(conditions.payload, np.float64, ["C", "W"])
-    payload = kernels.Payload(mass, np.array(conditions.payload_centre, float))
-    layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
-    return np.asarray(kernels.static_moments(layout, kernels.Values(constant.copy(), slot, varying), payload).T)

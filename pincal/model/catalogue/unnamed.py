@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.model.basis import spline_basis
 from pincal.model.catalogue.places import joint_index, positions, waves
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect, Term
+from pincal.model.conditions import Conditions, recorded_variable
+from pincal.model.effect import Effect, Family, Locus, Term
 from pincal.parameters import Parameter
 
 Shape = Literal["curve", "waves", "product", "step", "kink"]
@@ -18,8 +21,17 @@ ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
 
 # Typical size of what has no name [rad].
 _SIZE = 3e-4
-_DEGREE = 3
-_COLUMNS = ("time", "temperature", "payload")
+# Pieces of a curve.
+_PIECES = 8
+# Waves per turn that are tried.
+_ORDERS = (1, 2, 3)
+# Places where a curve may break, as fractions of the rows below them.
+_PLACES = np.linspace(0.08, 0.92, 22)
+_ACROSS: tuple[ActsOn, ...] = ("gamma_x", "gamma_y")
+_BEFORE: tuple[ActsOn, ...] = ("s_x", "s_y")
+_DRIVE: tuple[ActsOn, ...] = ("drive",)
+# A variable that changes by less than this is a constant.
+_CONSTANT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -49,6 +61,8 @@ class Unnamed(Effect):
     order: int | None = None
     place: float | None = None
     name: ClassVar[str] = "unnamed"
+    meaning: ClassVar[str] = "something real that no name here describes"
+    family: ClassVar[Family] = Family.NAMELESS
     alike: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -59,9 +73,10 @@ class Unnamed(Effect):
             raise BadInputError(f"{self.name} of {self.joint}: a {self.shape} needs a place")
 
     @property
-    def needs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The column that it follows, where that is not a joint's position."""
-        return (self.depends_on,) if self.depends_on in _COLUMNS else ()
+    def locus(self) -> Locus:
+        """Where it acts, and what it follows there."""
+        span = (self.lower, self.upper) if self.shape == "curve" else None
+        return Locus(self.joint, self.acts_on, self.depends_on, self.order, shape=self.shape, place=self.place, span=span)
 
     @property
     def n_functions(self) -> int:
@@ -78,7 +93,7 @@ class Unnamed(Effect):
         """Add the basis functions to the joint's drive, or tilt it."""
         i = joint_index(chain, self.joint)
         k = int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
-        x = variable(chain, conditions, self.depends_on)
+        x = recorded_variable(chain, conditions, self.depends_on)
         own = positions(chain, conditions, self.joint)
         return tuple(Term(p, k, basis) for p, basis in enumerate(self._basis(x, own)))
 
@@ -98,21 +113,35 @@ class Unnamed(Effect):
         )
 
 
-def variable(chain: Chain, conditions: Conditions, name: str) -> np.ndarray:
-    """Return a variable of the conditions by name, shape (N,)."""
-    if name in chain.robot.joint_names:
-        return positions(chain, conditions, name)
-    column = getattr(conditions, name) if name in _COLUMNS else None
-    if column is None:
-        raise BadInputError(f"a term without a name follows {name}, which these poses do not have; add the column")
-    return np.asarray(column)
+def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[str]) -> Iterator[Unnamed]:
+    """Return what no entry of the catalogue describes: of some joints, what follows a variable.
+
+    A smooth curve of the joint's own position is the catalogue's transmission error, and its waves of order 1 and 2 are
+    there too. Waves and products say in few parameters what a curve says in many.
+    """
+    names = chain.robot.joint_names
+    columns = {name: conditions.q[:, i] for i, name in enumerate(names)}
+    columns |= {n: c for n, c in (("time", conditions.time), ("temperature", conditions.temperature)) if c is not None}
+    moving = {name: column for name, column in columns.items() if np.ptp(column) > _CONSTANT}
+    for joint in joints:
+        for source, column in moving.items():
+            lower, upper = float(column.min()), float(column.max())
+            own = source == joint
+            for acts_on in (*_ACROSS, *_BEFORE) if own else _DRIVE:
+                yield Unnamed(joint, acts_on, source, lower=lower, upper=upper, size=_PIECES)
+            if source in names:
+                yield from _of_two_joints(joint, source) if not own else _of_one_joint(joint, column)
 
 
-def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.ndarray:
-    """Return uniform cubic B-splines over [lower, upper], constant beyond, shape (size, N)."""
-    from scipy.interpolate import BSpline
+def _of_two_joints(joint: str, source: str) -> Iterator[Unnamed]:
+    for acts_on in (*_DRIVE, *_ACROSS):
+        yield from (Unnamed(joint, acts_on, source, "waves", order=order) for order in _ORDERS)
+    yield Unnamed(joint, "drive", source, "product")
 
-    inner = np.linspace(lower, upper, size - _DEGREE + 1)
-    knots = np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
-    clipped = np.clip(x, lower, upper)
-    return np.asarray(BSpline.design_matrix(clipped, knots, _DEGREE).T.toarray(order="C"))
+
+def _of_one_joint(joint: str, column: np.ndarray) -> Iterator[Unnamed]:
+    for acts_on in (*_DRIVE, *_ACROSS, *_BEFORE):
+        yield Unnamed(joint, acts_on, joint, "waves", order=3)
+    for place in np.quantile(column, _PLACES):
+        yield Unnamed(joint, "drive", joint, "step", place=float(place))
+        yield Unnamed(joint, "drive", joint, "kink", place=float(place))

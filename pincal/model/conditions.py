@@ -1,0 +1,140 @@
+"""What is known of poses before anything is measured, and the variables that effects follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model import kernels
+from pincal.model.chain import Chain
+
+# Variables that have a column of their own in a table, with their units; positions of joints are the others.
+COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s"}
+# What else an effect may follow: the static moment on a joint.
+MOMENT = "moment"
+# A moment below this part of the largest on the arm is there only because the base is not quite level.
+UNFELT = 1e-3
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is known of each of N poses before anything is measured.
+
+    Attributes:
+        q: shape (N, n), joint positions [rad or m].
+        target: shape (N,), index into the chain's targets.
+        payload: shape (N,), mass at the tip [kg].
+        payload_centre: shape (3,), its centre of mass in the tip frame [m].
+        temperature: shape (N,) [deg C], or None.
+        time: shape (N,) [s], or None.
+        approach: shape (N, n), direction from which each joint arrived (-1, 0, 1), or None.
+    """
+
+    q: np.ndarray
+    target: np.ndarray
+    payload: np.ndarray
+    payload_centre: np.ndarray
+    temperature: np.ndarray | None = None
+    time: np.ndarray | None = None
+    approach: np.ndarray | None = None
+
+    @classmethod
+    def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
+        """Return the conditions of bare joint positions, shape (N, n), with one payload [kg] and the first target."""
+        q = np.atleast_2d(np.asarray(q, float))
+        n = len(q)
+        return cls(q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float))
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def select(self, rows: slice | np.ndarray) -> Conditions:
+        """Return the conditions of some rows."""
+        pick = [None if v is None else v[rows] for v in (self.temperature, self.time, self.approach)]
+        return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
+
+    def column(self, name: str) -> np.ndarray | None:
+        """Return a recorded column: "approach", shape (N, n), "payload", "temperature" or "time", shape (N,), or None."""
+        columns = {"approach": self.approach, "payload": self.payload, "temperature": self.temperature, "time": self.time}
+        return columns[name]
+
+
+def varies(column: np.ndarray | None) -> bool:
+    """Return whether a column is there and its rows are not all the same."""
+    return column is not None and bool(np.any(column != column[:1]))
+
+
+def recorded_variable(chain: Chain, conditions: Conditions, name: str, *, joint: str | None = None) -> np.ndarray:
+    """Return a variable that an effect may follow, shape (N,).
+
+    Args:
+        chain: the chain.
+        conditions: the N poses.
+        name: a joint, for its position [rad or m], or a column of the conditions.
+        joint: the joint whose direction of approach is meant.
+
+    Raises:
+        BadInputError: if these poses come without the column.
+    """
+    names = chain.robot.joint_names
+    if name in names:
+        return np.asarray(conditions.q[:, names.index(name)])
+    column = conditions.column(name) if name in COLUMN_UNITS else None
+    if column is None:
+        raise BadInputError(f"an effect follows {name}, which these poses do not have; add the column")
+    return np.asarray(column if joint is None or name != "approach" else column[:, names.index(joint)])
+
+
+def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
+    """Return the static moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload alone."""
+    constant, n = chain.nominal, chain.robot.n_joints
+    slot = np.full(chain.size, -1)
+    slot[chain.drives] = np.arange(n)
+    varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
+    mass = np.require(conditions.payload, np.float64, ["C", "W"])
+    payload = kernels.Payload(mass, np.array(conditions.payload_centre, float))
+    layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
+    return np.asarray(kernels.static_moments(layout, kernels.Values(constant.copy(), slot, varying), payload).T)
+
+
+@dataclass(frozen=True)
+class Situation:
+    """An arm in the poses that were or will be measured: where effects look for what they could do.
+
+    Attributes:
+        chain: the chain.
+        conditions: the N poses.
+        compliances: shape (3 n,), those of each joint about x, y, z as far as they are known [rad/(N m)]; zero unless given.
+    """
+
+    chain: Chain
+    conditions: Conditions
+    compliances: tuple[float, ...] = field(default=())
+
+    @cached_property
+    def moments(self) -> np.ndarray:
+        """Static moments on the nominal arm, shape (N, 3 n) [N m]."""
+        return nominal_moments(self.chain, self.conditions)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, from the base."""
+        return tuple(self.chain.robot.joint_names)
+
+    @property
+    def revolute(self) -> tuple[str, ...]:
+        """Names of the joints that turn."""
+        types = self.chain.robot.joint_types
+        return tuple(name for name, kind in zip(self.joints, types, strict=True) if kind != "prismatic")
+
+    def positions(self, joint: str) -> np.ndarray:
+        """Return the positions of a joint, shape (N,) [rad or m]."""
+        return np.asarray(self.conditions.q[:, self.joints.index(joint)])
+
+    def moment(self, joint: str) -> np.ndarray:
+        """Return the static moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
+        return np.asarray(self.moments[:, 3 * self.joints.index(joint) + 2])

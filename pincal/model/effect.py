@@ -1,0 +1,244 @@
+"""The interface of effects: physical causes, each with named parameters and what they add to a chain's coordinates.
+
+An effect knows no chain but by the names of coordinates, and the chain knows no effect. Coordinates are sums over effects,
+
+    x_k(pose) = nominal_k + sum over terms of  basis(pose) * parameter,
+
+so the order of effects means nothing, and a new effect is one small class: its parameters, its terms, and what it says of
+itself. All that discovery, reports, the viewer and the design of measurements know of an effect, they know from here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from pincal.model.chain import Chain
+from pincal.model.conditions import COLUMN_UNITS, MOMENT, Conditions, Situation, varies
+from pincal.parameters import Parameter, Scope
+
+
+@dataclass(frozen=True)
+class Term:
+    """What one parameter adds to one coordinate: ``basis * parameter``.
+
+    Attributes:
+        parameter: index among the effect's parameters.
+        coordinate: index in the chain.
+        basis: shape (N,), or None for 1 at every pose.
+        moment: index 3 i + component of the static moment that the basis is a function of, or None.
+        slope: shape (N,), derivative of the basis by this moment; None for 1. Only with ``moment``.
+    """
+
+    parameter: int
+    coordinate: int
+    basis: np.ndarray | None = None
+    moment: int | None = None
+    slope: np.ndarray | None = None
+
+
+class Family(Enum):
+    """What kind of cause an effect is, as far as it matters to whoever looks for missing ones."""
+
+    EXTRINSICS = "where the robot and its targets are"
+    GEOMETRY = "constant deviations of the links and joints"
+    ELASTICITY = "linear compliance, which every arm has"
+    LOAD = "what loads do beside linear compliance"
+    CURVE = "a drive error that is any curve of its joint's position, as fine as the data can tell"
+    CAUSE = "any other cause with a name"
+    NAMELESS = "a dependence without a physical name"
+
+
+@dataclass(frozen=True)
+class Locus:
+    """Where an effect acts, what it follows, and what tells it from its likes.
+
+    Attributes:
+        joint: the joint it acts on; None for several joints, the whole arm, its base or the instrument.
+        acts_on: what it moves: "drive" (about or along the joint's own axis), a coordinate of the joint such as "gamma_x",
+            "tilt" (both directions across its axis), "link", "lengths", "base" or "tool".
+        follows: the variable that it is a function of: the name of a joint, for its position, "approach", "moment",
+            "payload", "temperature" or "time"; None for a constant, or where there is no one variable.
+        order: waves per turn.
+        frame: the side of a joint from which it is seen: "before" or "after".
+        shape: the form of a dependence without a name.
+        place: where along the variable it breaks [unit of the variable].
+        span: lower and upper end of the variable as far as it was seen, beyond which it keeps its end value.
+    """
+
+    joint: str | None = None
+    acts_on: str = ""
+    follows: str | None = None
+    order: int | None = None
+    frame: str | None = None
+    shape: str | None = None
+    place: float | None = None
+    span: tuple[float, float] | None = None
+
+    @property
+    def source(self) -> str | None:
+        """The joint whose position it follows, if that is another one than it acts on."""
+        is_joint = self.follows is not None and self.follows != MOMENT and self.follows not in COLUMN_UNITS
+        return self.follows if is_joint and self.follows != self.joint else None
+
+
+class Identity(NamedTuple):
+    """What makes two effects the same, whatever their resolution and their other settings."""
+
+    name: str
+    joint: str | None
+    acts_on: str
+    follows: str | None
+    order: int | None
+    frame: str | None
+    shape: str | None
+
+
+class Effect(ABC):
+    """A physical cause of deviations from the nominal robot.
+
+    Attributes:
+        name: its name in reports and files.
+        meaning: what a machine with this effect does, in plain words.
+        family: what kind of cause it is.
+        scope: whose parameters it has: the robot's, or those of a station, the set-up of an instrument and its targets.
+        uses_moments: whether its terms need the static moments.
+        alike: whether its basis functions are one function in several places, as those of a curve: one that the poses
+            hardly touch is as large as the others then, and its coefficient no larger.
+    """
+
+    name: ClassVar[str]
+    meaning: ClassVar[str]
+    family: ClassVar[Family] = Family.CAUSE
+    scope: ClassVar[Scope] = "robot"
+    uses_moments: ClassVar[bool] = False
+    alike: ClassVar[bool] = False
+
+    @property
+    @abstractmethod
+    def locus(self) -> Locus:
+        """Where it acts and what it follows."""
+
+    @abstractmethod
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Return the effect's parameters for this chain."""
+
+    @abstractmethod
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Return what each parameter adds to which coordinate.
+
+        Args:
+            chain: the chain.
+            conditions: the N poses.
+            moments: shape (N, 3 n), static moments [N m]; None for an effect that does not use them.
+        """
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The columns that must be recorded of the poses."""
+        follows = self.locus.follows
+        return (follows,) if follows in COLUMN_UNITS else ()
+
+    def missing(self, conditions: Conditions) -> tuple[str, ...]:
+        """Return what the effect needs and these poses lack: columns that are absent or the same in all rows."""
+        return tuple(column for column in self.needs if not varies(conditions.column(column)))
+
+    @property
+    def identity(self) -> Identity:
+        """What tells it from other effects: two effects of one identity are variants of each other."""
+        at = self.locus
+        return Identity(self.name, at.joint, at.acts_on, at.follows, at.order, at.frame, at.shape)
+
+    @property
+    def is_nameless(self) -> bool:
+        """Whether it has no physical name."""
+        return self.family is Family.NAMELESS
+
+    @property
+    def is_of_loads(self) -> bool:
+        """Whether it is something that loads do beside the linear compliance that every arm has."""
+        return self.family is Family.LOAD or (self.uses_moments and self.family is not Family.ELASTICITY)
+
+    @property
+    def heading(self) -> tuple[str, str | None, str | None]:
+        """Name, joint, and of a named effect the source joint: effects that a summary calls the same have the same."""
+        return self.name, self.locus.joint, None if self.is_nameless else self.locus.source
+
+    def describe(self) -> dict[str, str | int | float | None]:
+        """Return what tells it from its likes in the terms of ``discovery.json``.
+
+        Example:
+            >>> from pincal.model.catalogue import JointCoupling
+            >>> JointCoupling("joint_5", "joint_4").describe()
+            {'effect': 'joint_coupling', 'joint': 'joint_5', 'source': 'joint_4'}
+        """
+        name, joint, source = self.heading
+        at, nameless = self.locus, self.is_nameless
+        more = {
+            "source": source,
+            "order": at.order,
+            "depends_on": at.follows if nameless else None,
+            "acts_on": at.acts_on if nameless else None,
+            "shape": at.shape,
+            "place": at.place,
+        }
+        return {"effect": name, "joint": joint} | {key: value for key, value in more.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect in one place of an arm, as a discovery may try it.
+
+    Attributes:
+        effect: the effect.
+        variants: the forms that are worth telling apart, from few parameters to many; itself unless given. None of them
+            if it can't be tried before more is known.
+        obstacle: why it can't be tested, where the effect itself knows a reason; empty otherwise.
+    """
+
+    effect: Effect
+    variants: tuple[Effect, ...] | None = None
+    obstacle: str = ""
+
+    @property
+    def forms(self) -> tuple[Effect, ...]:
+        """The variants, or the effect itself."""
+        return (self.effect,) if self.variants is None else self.variants
+
+
+class Discoverable(Effect):
+    """An effect that a discovery can look for by itself."""
+
+    @classmethod
+    @abstractmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield the effect in every place of an arm where it could act, whether these poses show it or not."""
+
+
+class Reducible(ABC):
+    """An effect that can be stated in fewer parameters."""
+
+    @abstractmethod
+    def reduced(self, situation: Situation) -> Effect:
+        """Return the effect in the fewest parameters, in which its detectable size is predicted."""
+
+
+class Curve(Discoverable, Reducible):
+    """A drive error that is any curve of its joint's position (family ``CURVE``), in a resolution that the data decide."""
+
+    family: ClassVar[Family] = Family.CURVE
+    alike: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def resolution(self) -> int:
+        """Number of basis functions."""
+
+    @abstractmethod
+    def resized(self, situation: Situation, resolution: int) -> Curve:
+        """Return the curve with another number of basis functions, over the positions that the poses cover."""

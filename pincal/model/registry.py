@@ -1,0 +1,58 @@
+"""Effects by name: those of pincal, those of plugins, and what a user registers."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from pincal.model.effect import Effect
+from pincal.model.effects import (
+    AxisDistortion,
+    BaseFrame,
+    BearingElasticity,
+    JointElasticity,
+    JointOffset,
+    LinkGeometry,
+    ToolFrame,
+)
+from pincal.plugins import Registry
+
+E = TypeVar("E", bound=type[Effect])
+
+
+def _check(cls: type[Effect]) -> None:
+    for what in ("name", "meaning"):
+        text = getattr(cls, what, None)
+        if not (isinstance(text, str) and text):
+            raise TypeError(
+                f"effect {cls.__module__}.{cls.__qualname__} has no {what}; expected {what}: ClassVar[str] = ..."
+            )
+    if missing := getattr(cls, "__abstractmethods__", None):
+        raise TypeError(f"effect {cls.__module__}.{cls.__qualname__} lacks {', '.join(sorted(missing))}")
+
+
+EFFECTS: Registry[Effect] = Registry("effect", group="pincal.effects", name_of=lambda cls: cls.name, check=_check)
+
+
+def register(cls: E) -> E:
+    """Make an effect known to model files, discovery and reports, by its name; a class decorator.
+
+    Raises:
+        TypeError: if the class does not say all that it must, or another class has its name.
+    """
+    EFFECTS.register(cls)
+    return cls
+
+
+def meaning_of(name: str) -> str:
+    """Return what a machine with an effect does, in plain words; empty for a name that nobody knows.
+
+    Example:
+        >>> meaning_of("joint_elasticity")
+        'the drive twists under the load on its axis'
+    """
+    known = EFFECTS.known()
+    return known[name].meaning if name in known else ""
+
+
+for _effect in (JointOffset, LinkGeometry, AxisDistortion, JointElasticity, BearingElasticity, BaseFrame, ToolFrame):
+    EFFECTS.register(_effect)
