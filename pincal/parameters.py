@@ -45,6 +45,11 @@ class Parameter:
     size: float
     station: str = ""
 
+    @property
+    def is_extrinsic(self) -> bool:
+        """Whether it says where things stand around the robot, so that it may lie anywhere and has no prior."""
+        return self.size == float("inf")
+
     def at(self, station: str) -> Parameter:
         """Return the same parameter as that of one station among several; unchanged if the station has no name."""
         return replace(self, name=f"{station}/{self.name}", station=station) if station else self

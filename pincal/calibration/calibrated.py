@@ -32,6 +32,7 @@ from pincal.io.model_file import (
 from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.measurements import Measurements
+from pincal.measure.registry import known_kinds
 from pincal.measure.setup import Setup
 from pincal.model.augmented import pinocchio_model
 from pincal.model.effects import Conditions, Effect
@@ -265,7 +266,8 @@ class CalibratedModel(Calibrated):
         Raises:
             MeasurementError: if they are of another kind than those of the calibration, or of points that it did not have.
         """
-        if self.setup.points and self.sensor_kind != measurements.kind:
+        has_own = bool(self.setup.points) or len(self.values) > self.model.n_parameters
+        if has_own and self.sensor_kind != measurements.kind:
             raise MeasurementError(
                 f"{measurements.source}: measurements of kind {measurements.kind}; expected {self.sensor_kind}, "
                 "as this model was calibrated with"
@@ -387,10 +389,12 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
 
 def _file_of(calibrated: CalibratedModel) -> ModelFile:
     c = calibrated
+    module = known_kinds().get(c.sensor_kind, "pincal")
     return ModelFile(
         format_version=FORMAT_VERSION,
         provenance=c.provenance,
         sensor_kind=c.sensor_kind,
+        sensor_module=None if module.split(".")[0] == "pincal" else module,
         sigma=c.sigma,
         payload_centre=c.payload_centre,
         covered=CoveredEntry(q=c.covered.q, payload=c.covered.payload),

@@ -14,13 +14,21 @@ from pincal.model.effects import Conditions
 
 # A point that seems farther away than this [m] was seen from too much the same side.
 _FARTHEST = 50.0
-# Effects of what stands around the robot; a lens's distortion would only hide the robot's own.
-EXTRINSICS = ("base_frame", "tool_frame", "named_point", "lens")
 
 
 def frames_of(problem: Problem) -> np.ndarray:
     """Return which parameters say where things are: base and tool, named points, a camera's pinhole, shape (P,)."""
-    return np.array([p.effect in EXTRINSICS for p in problem.parameters], bool)
+    return np.array([p.is_extrinsic for p in problem.parameters], bool)
+
+
+def sensors_own(problem: Problem) -> np.ndarray:
+    """Return which parameters belong to sensors, shape (P,): coordinates of named points, a camera's lens."""
+    own = np.zeros(len(problem.parameters), bool)
+    for station, places in zip(problem.stations, problem.places, strict=True):
+        local = np.zeros(len(places), bool)
+        station.split(local)[1][:] = True
+        own[places] |= local
+    return own
 
 
 def released_of(problem: Problem, options: Options) -> np.ndarray:
@@ -54,7 +62,7 @@ def priors_of(problem: Problem, options: Options) -> Priors:
     typical = np.array([parameter.size for parameter in problem.parameters]) / largest
     lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.parameters])
     bounds = np.where(lengths, options.length_bound, np.inf)
-    bounds[[p.effect == "named_point" for p in problem.parameters]] = _FARTHEST
+    bounds[sensors_own(problem) & [p.unit == "m" and p.is_extrinsic for p in problem.parameters]] = _FARTHEST
     return Priors(typical, bounds)
 
 

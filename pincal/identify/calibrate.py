@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, released_of
+from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, released_of, sensors_own
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
 from pincal.identify.fit import Fit, Stage, carried
@@ -195,7 +195,7 @@ def _begin(
         values[places] = local
     priors, noise = priors_of(problem, options), noise_of(problem, options)
     released, frames = released_of(problem, options), frames_of(problem)
-    bent = frames | np.array([p.effect == "lens_distortion" for p in problem.parameters], bool)
+    bent = frames | sensors_own(problem)
     for free, label in ((frames & released, "base and tool"), (bent & released, "camera")):
         if label == "base and tool" or np.any(free & ~frames):
             nominal = fit_frames(

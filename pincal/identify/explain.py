@@ -11,13 +11,14 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.identify.beliefs import EXTRINSICS
 from pincal.identify.fit import Fit
 from pincal.identify.normal import accumulate
 from pincal.identify.options import known_frames
 from pincal.identify.posterior import NULL, posterior
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.measure.rows import some_rows
+from pincal.measure.sensor import KnownParameters
+from pincal.model.effects import BaseFrame
 from pincal.parameters import Parameter
 
 # Ratio of posterior to prior standard deviation below which a parameter counts as identified: at 0.5 the data hold three
@@ -110,9 +111,10 @@ def _not_free(fit: Fit, parameter: Parameter) -> Finding:
     """Return why a parameter took no part in the fit."""
     if parameter.name in known_frames(fit.options):
         return Finding(parameter.name, Status.FIXED, Reason(Cause.GIVEN))
-    if parameter.effect in ("lens", "lens_distortion"):
-        cause = Cause.NOT_NEEDED if fit.options.setup.lens is None else Cause.GIVEN
-        return Finding(parameter.name, Status.FIXED, Reason(cause))
+    sensor = fit.station.sensor
+    held = {p.name for p, is_fixed in zip(sensor.parameters, sensor.fixed, strict=True) if is_fixed}
+    if isinstance(sensor, KnownParameters) and parameter.name in held:
+        return Finding(parameter.name, Status.FIXED, Reason(Cause.GIVEN if sensor.is_given else Cause.NOT_NEEDED))
     is_compliance = parameter.unit.endswith("/(N m)")
     cause = Cause.NO_MOMENT if is_compliance else Cause.NOT_EXCITED
     return Finding(parameter.name, Status.UNIDENTIFIABLE, Reason(cause, axis=parameter.name[-1] if is_compliance else ""))
@@ -136,6 +138,8 @@ class _Nominal:
     Attributes:
         names: of the P parameters.
         effects: those that own them.
+        is_extrinsic: shape (P,), which say where things stand around the robot.
+        unknowns: what the sensor's own parameters describe, in words.
         G: shape (P, P), scaled to a unit diagonal; zero rows for what has no effect.
         scale: shape (P,), by which columns were divided.
         unseen: shape (P,), each parameter's share in the directions that no reading sees.
@@ -143,6 +147,8 @@ class _Nominal:
 
     names: tuple[str, ...]
     effects: tuple[str, ...]
+    is_extrinsic: np.ndarray
+    unknowns: str
     G: np.ndarray
     scale: np.ndarray
     unseen: np.ndarray
@@ -162,7 +168,8 @@ class _Nominal:
         scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
         G = np.where(np.outer(free, free), G / np.outer(scale, scale), 0.0)
         names, effects = zip(*((p.name, p.effect) for p in problem.parameters), strict=True)
-        return cls(names, effects, G, scale, unseen)
+        is_extrinsic = np.array([p.is_extrinsic for p in problem.parameters])
+        return cls(names, effects, is_extrinsic, problem.sensor.unknowns, G, scale, unseen)
 
     def counterpart(self, i: int) -> Reason:
         """Return what has the same effect as parameter ``i``: the smallest set of parameters that does."""
@@ -181,12 +188,13 @@ class _Nominal:
         if cause is Cause.ALIASED:
             named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > _WORTH_NAMING)
             return Reason(cause, tuple(named))
-        return Reason(cause, with_points=cause is not Cause.BASE and bool(self._of("named_point")))
+        return Reason(cause, beside="" if cause is Cause.BASE else self.unknowns)
 
     def _candidates(self, i: int) -> Iterator[tuple[list[int], Cause]]:
         """Yield sets of parameters that may have the same effect, the plainest first, with the cause if they do."""
         symbol = self.names[i].rsplit(".", 1)[1]
-        base, tool = self._of("base_frame"), self._of("tool_frame", "named_point", "lens")
+        base = [j for j in self._extrinsic if self.effects[j] == BaseFrame.name]
+        tool = [j for j in self._extrinsic if self.effects[j] != BaseFrame.name]
         inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.G[j, j] > 0]
         alike = [j for j in inner if self.names[j].endswith("." + symbol)]
         yield base, Cause.BASE
@@ -203,8 +211,9 @@ class _Nominal:
         yield [*near, *base, *tool], Cause.ALIASED
         yield [*inner, *base, *tool], Cause.ALIASED
 
-    def _of(self, *effects: str) -> list[int]:
-        return [j for j, effect in enumerate(self.effects) if effect in effects]
+    @cached_property
+    def _extrinsic(self) -> list[int]:
+        return [int(j) for j in np.flatnonzero(self.is_extrinsic)]
 
     @cached_property
     def _element(self) -> list[int]:
@@ -216,7 +225,7 @@ class _Nominal:
     @cached_property
     def _beside_frames(self) -> np.ndarray:
         """G with what base and tool absorb taken out."""
-        frames = self._of(*EXTRINSICS)
+        frames = self._extrinsic
         inverse = np.linalg.pinv(self.G[np.ix_(frames, frames)], rcond=_RANK, hermitian=True)
         return np.asarray(self.G - self.G[:, frames] @ inverse @ self.G[frames])
 

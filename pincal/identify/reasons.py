@@ -71,7 +71,7 @@ class Reason:
         unit: SI unit of the parameter.
         axis: letter of the axis that a compliance is about; empty for anything else.
         moment: largest static moment about that axis in these poses [N m].
-        with_points: whether unknown named points are free along with the tool frame.
+        beside: what else is unknown along with the tool frame, such as "the unknown points".
     """
 
     cause: Cause
@@ -82,7 +82,7 @@ class Reason:
     unit: str = ""
     axis: str = ""
     moment: float | None = None
-    with_points: bool = False
+    beside: str = ""
 
     def __str__(self) -> str:
         words = _WORDS[self.cause].format(
@@ -92,8 +92,8 @@ class Reason:
             narrowed="" if self.narrowed is None else format_readable(self.narrowed, self.unit),
             axis=self.axis,
             together=" together" if len(self.parameters) > 1 else "",
-            points=" and the unknown points" if self.with_points else "",
-            s="" if self.with_points else "s",
+            beside=f" and {self.beside}" if self.beside else "",
+            s="" if self.beside else "s",
         )
         return words if self.moment is None else f"{words} (static moment about this axis: at most {self.moment:.2g} N m)"
 
@@ -112,8 +112,8 @@ _WORDS = {
     Cause.NOT_EXCITED: "not excited by any of these poses",
     Cause.NOT_OBSERVED: "has no influence on the measured target",
     Cause.BASE: "the unknown base frame absorbs it",
-    Cause.TOOL: "the unknown tool frame{points} absorb{s} it",
-    Cause.FRAMES: "the unknown base and tool frames{points} absorb it",
+    Cause.TOOL: "the unknown tool frame{beside} absorb{s} it",
+    Cause.FRAMES: "the unknown base and tool frames{beside} absorb it",
     Cause.PARALLEL_AXES: "only {combination} is identifiable (the axes are parallel)",
     Cause.COMBINATION: "only {combination} is identifiable",
     Cause.ALIASED: "indistinguishable from {aliases}{together}",

@@ -28,6 +28,7 @@ from pincal.io.effect_entry import effect_from_entry, effect_to_entry
 from pincal.io.strict_json import MODEL_FILE, Fault, read_json, write_json
 from pincal.measure.lens import Lens
 from pincal.measure.named_points import KnownDistance
+from pincal.measure.registry import known_kinds
 from pincal.measure.setup import Setup
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.effects import Effect
@@ -231,6 +232,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
         format_version: 1.
         provenance: versions, time, command, seed, input files with their SHA-256.
         sensor_kind: what was measured: "position", "pose", "distance" and so on.
+        sensor_module: the module that defines the sensor, if it is not one of pincal's own. Reading never imports it.
         sigma: shape (blocks,), noise of one component of each block of readings that the fit used [m, rad, px].
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
         covered: the range of the training rows.
@@ -253,10 +255,16 @@ class ModelFile(Record, frozen=True, kw_only=True):
     covariance: Annotated[Matrix, Shape("parameters", "parameters")]
     model: ModelEntry
     setup: SetupEntry
+    sensor_module: str | None = None
     nominal_values: Annotated[Numbers | None, Shape("parameters")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.sensor_kind not in known_kinds():
+            module = self.sensor_module
+            expected = f"its module to be loaded: --plugin {module}" if module else f"one of {', '.join(known_kinds())}"
+            whose = f"sensor {self.sensor_kind!r} is not pincal's own" if module else f"unknown sensor {self.sensor_kind!r}"
+            raise Fault(whose, expected, key=".sensor_kind")
         names = self.model.model().names
         if tuple(p.name for p in self.parameters)[: len(names)] != names:
             raise Fault("are not those of the effects", f"{', '.join(names[:3])} and so on", key=".parameters")

@@ -42,7 +42,6 @@ class PointSensor(Sensor, OwnParameters, Constrained, Grouped, Filtered):
     fewest: ClassVar[int]
     # Whether a point that the calibration did not have is judged by the mean of its own rows; it then needs two of them.
     judges_new_points: ClassVar[bool] = False
-    unknowns: ClassVar[str] = "the unknown points"
 
     points: NamedPoints
     index: np.ndarray
@@ -58,6 +57,12 @@ class PointSensor(Sensor, OwnParameters, Constrained, Grouped, Filtered):
     def base_symbols(self) -> tuple[str, ...]:
         """All if any point is known in a frame of its own; else the robot's base is that frame."""
         return FRAME_SYMBOLS if self.points.known.any() else ()
+
+    @property
+    @final
+    def own_words(self) -> str:
+        """The points that are not known."""
+        return "" if self.points.known.all() else "the unknown points"
 
     @final
     def facts(self, own: np.ndarray) -> Constraints | None:

@@ -67,6 +67,11 @@ def known_fields() -> Mapping[str, Field]:
     return {name: field for name, field in found.items() if name not in CONDITIONS} | {SIGMA.name: SIGMA} | CONDITIONS
 
 
+def known_kinds() -> Mapping[str, str]:
+    """Return what sensors measure, and the module that defines each of them."""
+    return {sensor.kind: sensor.__module__ for sensor in SENSORS.known().values()}
+
+
 def sensor_class(fields: Collection[str]) -> type[Sensor] | None:
     """Return the sensor that reads a table with these fields, of several the one that reads most; None without any."""
     found = [sensor for sensor in SENSORS.known().values() if all(field.name in fields for field in sensor.fields)]

@@ -104,7 +104,6 @@ class Sensor(ABC):
             "3 poses ...".
         has_camera: whether a known camera, with lens and mount, can be given.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
-        unknowns: what own parameters describe, e.g. "the unknown points".
     """
 
     kind: ClassVar[str]
@@ -119,7 +118,6 @@ class Sensor(ABC):
     pose_limit: ClassVar[str] = ""
     has_camera: ClassVar[bool] = False
     deviation_end: ClassVar[str] = "measured"
-    unknowns: ClassVar[str] = ""
 
     @classmethod
     @abstractmethod
@@ -225,6 +223,12 @@ class Sensor(ABC):
 
     @property
     @final
+    def unknowns(self) -> str:
+        """What the sensor's own parameters describe, in words; empty if it has none."""
+        return self.own_words if isinstance(self, OwnParameters) else ""
+
+    @property
+    @final
     def fixed(self) -> np.ndarray:
         """Which of its own parameters are known and stay as they are, shape (own,)."""
         return self.known_parameters if isinstance(self, KnownParameters) else np.zeros(len(self.parameters), bool)
@@ -258,6 +262,11 @@ class OwnParameters(ABC):
     def own_parameters(self) -> tuple[Parameter, ...]:
         """The parameters."""
 
+    @property
+    @abstractmethod
+    def own_words(self) -> str:
+        """What those that may lie anywhere describe, such as "the unknown points"; empty if nothing worth a name."""
+
 
 class KnownParameters(ABC):
     """A sensor some of whose own parameters may be known, so that a fit leaves them as they are."""
@@ -271,11 +280,6 @@ class KnownParameters(ABC):
     @abstractmethod
     def is_given(self) -> bool:
         """Whether the known values were given for this very instrument, not taken from experience."""
-
-    @property
-    @abstractmethod
-    def source_of_known(self) -> str:
-        """Where the known values come from, in words."""
 
     @property
     @abstractmethod

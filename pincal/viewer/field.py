@@ -9,7 +9,6 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
-from pincal.identify.beliefs import EXTRINSICS
 from pincal.identify.initial import fit_frames
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, conditions_of
@@ -188,7 +187,7 @@ def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.n
 
 
 def _is_frame(calibrated: CalibratedModel) -> np.ndarray:
-    return np.array([p.effect in EXTRINSICS for p in calibrated.estimate.parameters], bool)
+    return np.array([p.is_extrinsic for p in calibrated.estimate.parameters], bool)
 
 
 def _nominal_from_data(

@@ -66,11 +66,6 @@ class CameraPixelSensor(CameraSensor, KnownParameters):
         return self.setup.lens is not None
 
     @property
-    def source_of_known(self) -> str:
-        """The user, or what lenses are like."""
-        return "given by the user" if self.is_given else "left at zero: usual lenses need no more"
-
-    @property
     def doubt(self) -> str:
         """The images don't fit the camera."""
         return "the images call for another camera than the given one: --fit-camera finds its parameters"
