@@ -226,7 +226,7 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
 def _failures(result: dict[str, Any]) -> Iterator[str]:
     """Yield notes on the rows that are not reached."""
     for row in result["not_ok"][:_SHOWN]:
-        left = f"remaining error {row['error_mm']:.4g} mm and {row['error_mrad']:.4g} mrad"
+        left = f"remaining error {row['error_mm']:.4f} mm and {row['error_mrad']:.4f} mrad"
         yield f"line {row['line']}: {row['status']}, {left}"
     if len(result["not_ok"]) > _SHOWN:
         yield f"{len(result['not_ok']) - _SHOWN} more rows are not ok; see column status"

@@ -56,7 +56,7 @@ class Extrapolation:
     def notes(self) -> Iterator[str]:
         """Yield what the user should know."""
         if self.rows:
-            yield f"{len(self.rows)} rows lie outside the range of the calibration data"
+            yield f"rows outside the range of the calibration data: {len(self.rows)}"
         for row, name, value, low, high in self.values[:_SHOWN]:
             yield f"line {self.lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}"
         for curve in self.curves:
