@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import click
+import numpy as np
 import pytest
-from test_cli import URDF, columns, run  # noqa: F401
+from test_cli import URDF, columns, results, run  # noqa: F401
 
 from pincal.cli import _COMMANDS
 from pincal.cli.arguments import Verb, argument, group, option, verb
@@ -149,3 +150,23 @@ def test_calibrate_and_discover_record_the_same_inputs(
     assert set(found[0]) == {"data.csv", "held.csv", "distances.csv", "points.csv", Path(URDF).name}
     assert any(line.startswith("note:") for line in notes[0])
     assert [line for line in notes[0] if line.startswith("note:")] == [n for n in notes[1] if n.startswith("note:")]
+
+
+@pytest.mark.parametrize("verb_name", ["predict", "validate", "compensate"])
+def test_every_verb_tells_where_a_model_extrapolates_unless_it_is_to_be_quiet(
+    tmp_path: Path,
+    columns: Any,  # noqa: F811
+    results: Path,  # noqa: F811
+    capsys: pytest.CaptureFixture[str],
+    verb_name: str,
+) -> None:
+    """A payload that no row of the calibration had is named on stderr, with its line and the range, and counted in JSON."""
+    rows = {name: column[:5] for name, column in columns.items()}
+    write_table(tmp_path / "new.csv", rows | {"payload": np.full(5, 900.0)})
+    out = [] if verb_name == "validate" else ["--out", tmp_path / "out.csv"]
+    command = [verb_name, results / "model.json", tmp_path / "new.csv", *out]
+    codes = [run(*command, "--json"), run(*command, "--quiet")]
+    printed = capsys.readouterr()
+
+    assert codes == [0, 0] and printed.err.count("payload = 900") == 5
+    assert json.JSONDecoder().raw_decode(printed.out)[0]["outside"] == 5

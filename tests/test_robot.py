@@ -315,6 +315,7 @@ def test_a_single_joint_is_an_arm(kind: str) -> None:
     robot = Robot.from_urdf(write_arm([Joint((0.0, 0.6, -0.8), (0.1, 0.2, 0.3), (1.5708, 0.2, 0.0), kind)]))
 
     assert robot.n_joints == 1
+    assert robot.joint_units == ({"prismatic": "m"}.get(kind, "rad"),)
     assert_same_kinematics(robot, robot.random_configurations(4, np.random.default_rng(3)))
 
 

@@ -134,6 +134,7 @@ def _columns(
     calibrated: CalibratedModel, done: CompensatedTable, false_targets: FalseTarget | None
 ) -> dict[str, np.ndarray]:
     """Return the table to write."""
+    from pincal.cli.model_use import pose_columns
     from pincal.compensate.frames import false_targets as poses_to_give
 
     rows, found = done.targets.rows, done.found
@@ -143,7 +144,7 @@ def _columns(
     columns |= {name: column for name in _CONDITIONS if (column := getattr(rows, name)) is not None}
     if rows.approach is not None:
         columns |= {f"approach_{name}": rows.approach[:, j] for j, name in enumerate(rows.joint_names)}
-    columns |= _pose_columns(found.wanted, with_orientation=done.orientation == "keep")
+    columns |= pose_columns(found.wanted, with_orientation=done.orientation == "keep")
     columns["error_mm"] = 1e3 * found.error
     if done.orientation == "keep":
         columns["error_mrad"] = 1e3 * found.turn
@@ -152,17 +153,8 @@ def _columns(
         columns["change_max"] = np.abs(found.q - done.seeds.q).max(axis=1)
     columns["status"] = found.status
     if false_targets:
-        poses = _pose_columns(poses_to_give(calibrated, done.commanded, of=false_targets), with_orientation=True)
+        poses = pose_columns(poses_to_give(calibrated, done.commanded, of=false_targets), with_orientation=True)
         columns |= {f"false_{name}": column for name, column in poses.items()}
-    return columns
-
-
-def _pose_columns(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.ndarray]:
-    from pincal.robot.se3 import quaternions
-
-    columns = dict(zip("xyz", poses[:, :, 3].T, strict=True))
-    if with_orientation:
-        columns |= zip(("qx", "qy", "qz", "qw"), quaternions(poses[:, :, :3]).T, strict=True)
     return columns
 
 
@@ -201,9 +193,8 @@ def _statistics(errors: np.ndarray) -> dict[str, float]:
 def _largest_change(robot: Robot, done: CompensatedTable) -> dict[str, Any]:
     change = np.abs(done.found.q - done.seeds.q)
     row, joint = np.unravel_index(np.argmax(change), change.shape)
-    unit = "m" if robot.joint_types[joint] == "prismatic" else "rad"
     name, line = robot.joint_names[joint], int(done.targets.rows.rows[row])
-    return {"joint": name, "line": line, "value": float(change[row, joint]), "unit": unit}
+    return {"joint": name, "line": line, "value": float(change[row, joint]), "unit": robot.joint_units[joint]}
 
 
 def _summary(result: dict[str, Any]) -> Iterator[str]:

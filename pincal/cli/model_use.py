@@ -1,4 +1,4 @@
-"""What the verbs that take a calibrated model share: its input tables, and notes on where it extrapolates."""
+"""What the verbs that take a calibrated model share: columns of poses, and notes on where it extrapolates."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pincal.robot.se3 import quaternions
+
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel
     from pincal.calibration.covered import Outside, OutsideCurve
@@ -16,6 +18,14 @@ if TYPE_CHECKING:
 # Rows outside the calibrated range that are listed one by one.
 _SHOWN = 5
 _UNITS = {"time": "s", "temperature": "deg C", "payload": "kg"}
+
+
+def pose_columns(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.ndarray]:
+    """Return poses, shape (N, 3, 4), as the columns x y z and, if wanted, qx qy qz qw of a table."""
+    columns = dict(zip("xyz", poses[:, :, 3].T, strict=True))
+    if with_orientation:
+        columns |= zip(("qx", "qy", "qz", "qw"), quaternions(poses[:, :, :3]).T, strict=True)
+    return columns
 
 
 @dataclass(frozen=True)
@@ -38,10 +48,7 @@ class Extrapolation:
     def of(cls, calibrated: CalibratedModel, conditions: Conditions, lines: np.ndarray) -> Extrapolation:
         """Return where these conditions lie outside the range of a model."""
         robot = calibrated.model.chain.robot
-        units = {
-            name: "m" if kind == "prismatic" else "rad"
-            for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)
-        }
+        units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
         return cls(calibrated.outside(conditions), calibrated.outside_curves(conditions), lines, units | _UNITS)
 
     @property

@@ -29,9 +29,8 @@ def predict(arguments: PredictArguments) -> Exit:
     """Predict the target's position in the instrument's frame at given joint positions, with its uncertainty."""
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
-    from pincal.cli.model_use import Extrapolation
+    from pincal.cli.model_use import Extrapolation, pose_columns
     from pincal.measure.table import write_table
-    from pincal.robot.se3 import quaternions
 
     calibrated = load_model(arguments.model)
     chain = calibrated.model.chain
@@ -41,9 +40,7 @@ def predict(arguments: PredictArguments) -> Exit:
     columns: dict[str, np.ndarray] = dict(zip(table.joint_names, table.q.T, strict=True))
     if len(chain.targets) > 1:
         columns["target"] = table.target
-    columns |= zip("xyz", found[:, :, 3].T, strict=True)
-    if calibrated.model.has_tool_orientation:
-        columns |= zip(("qx", "qy", "qz", "qw"), quaternions(found[:, :, :3]).T, strict=True)
+    columns |= pose_columns(found, with_orientation=calibrated.model.has_tool_orientation)
     columns |= zip(("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True)
     write_table(arguments.out, columns)
     beyond = Extrapolation.of(calibrated, conditions, table.rows)

@@ -105,6 +105,11 @@ class Robot:
         return len(self.joint_names)
 
     @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Units of the joint positions: "rad", or "m" for a prismatic joint."""
+        return tuple("m" if kind == "prismatic" else "rad" for kind in self.joint_types)
+
+    @property
     def reach(self) -> float:
         """Length of the arm stretched out [m]: an upper bound on the distance from S_0 to the tip."""
         s = self.frames.parameters
