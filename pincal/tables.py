@@ -228,7 +228,7 @@ class Table:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         """Yield the table for a terminal: lines and colours there, plain text elsewhere; remarks as footnotes."""
-        yield from _rendered(self, is_terminal=console.is_terminal)
+        yield from _rendered(self, width=options.max_width, is_terminal=console.is_terminal)
 
 
 def one_line(text: str) -> str:
@@ -250,7 +250,7 @@ def _html_row(tag: str, tone: str, columns: Sequence[Column], texts: Sequence[st
     return f'<tr class="{tone}">{cells}</tr>' if tone else f"<tr>{cells}</tr>"
 
 
-def _rendered(table: Table, *, is_terminal: bool) -> Iterator[RenderableType]:
+def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[RenderableType]:
     from rich.box import HEAVY_HEAD, Box
     from rich.table import Table as RichTable
     from rich.text import Text
@@ -265,9 +265,11 @@ def _rendered(table: Table, *, is_terminal: bool) -> Iterator[RenderableType]:
         pad_edge=is_terminal,
     )
     shown = [i for i, column in enumerate(table.columns) if column.kind is not Kind.REMARK]
+    # Headings of many columns, such as one per joint, are broken at underscores rather than cut off.
+    is_wide = sum(len(table.columns[i].heading) + 2 for i in shown) > width
     for column in (table.columns[i] for i in shown):
         drawn.add_column(
-            Text(column.heading),
+            Text(column.heading.replace("_", "_\n") if is_wide else column.heading),
             justify="right" if column.kind is Kind.NUMBER else "left",
             no_wrap=column.kind in (Kind.LABEL, Kind.NUMBER, Kind.STATUS),
             overflow="fold",

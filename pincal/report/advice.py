@@ -75,7 +75,8 @@ _BY_CAUSE = {
     Cause.GIVEN: _GIVEN,
     Cause.NOT_NEEDED: _GIVEN,
 }
-# Share of its range below which a joint hardly shows what depends on its position; a judgement, not a measurement.
+# Share of its range below which a joint hardly shows what depends on its position: with a turn as the range, a wave of one
+# period per turn is there hard to tell from a slope. A judgement, not a measurement; it only words a recommendation.
 _NARROW = 0.3
 
 

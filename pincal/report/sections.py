@@ -48,7 +48,7 @@ from pincal.validate.replicates import cycle_words
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Lines of rejected rows that are listed.
 _LISTED = 12
-# A ratio of errors that is worth a word.
+# Ratio of errors before and after from which an improvement is mentioned; below it rounds to 1.0.
 _IMPROVED = 1.05
 _TONES: dict[str, Tone] = {Judgement.ADEQUATE: "good", Judgement.NOT_JUDGED: "care"}
 

@@ -160,7 +160,7 @@ def _detectability_table(entries: list[Detectability], joints: list[str]) -> Tab
     columns = (
         Column("effect"),
         Column("unit", kind=Kind.LABEL, show=lambda unit: small_unit(unit).name),
-        *(Column(joint.replace("_", "_\n"), kind=Kind.NUMBER, show=_show_size) for joint in joints),
+        *(Column(joint, kind=Kind.NUMBER, show=_show_size) for joint in joints),
     )
     rows = tuple(
         (name, unit, *(smallest_size(cells[joint]) if joint in cells else "" for joint in joints))

@@ -9,8 +9,9 @@ from scipy.special import chdtr
 from pincal.report.evidence import Evidence
 from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, canvas, dress, legend, log_axis, span_of
 
+# Bins of a histogram over the whole logarithmic axis.
 _BINS = 36
-# Points of a curve; more can't be told apart at its size.
+# Points of a curve; more are indistinguishable at its size.
 _POINTS = 400
 
 

@@ -16,7 +16,9 @@ from pincal.units import format_small, small_unit
 _BINS, _FEWEST = 30, 4
 # A variable with no more values than this is a category.
 _CATEGORIES = 5
+# Dots of a scatter; more only cover each other and make the file large.
 _MOST_DOTS = 700
+# Height of one step, and letters of a name that fit beside it.
 _PER_STEP = 0.5  # [in]
 _LONGEST = 58
 
@@ -131,7 +133,7 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
     _draw_dots(axes, (x + jitter)[shown], errors[shown], strength[shown])
     centres, means, spreads = _binned(x, errors, weights)
     style = {"color": INK, "markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9}
-    axes.errorbar(centres, means, spreads, fmt="o", label="mean of near rows", zorder=3, **style)  # type: ignore[arg-type]
+    axes.errorbar(centres, means, spreads, fmt="o", label="mean of neighbouring rows", zorder=3, **style)  # type: ignore[arg-type]
     axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=0)
     strong = errors[strength > 0.3] if np.any(strength > 0.3) else errors
     ends = np.concatenate([np.quantile(strong, [0.01, 0.99]), means - spreads, means + spreads])
@@ -142,7 +144,7 @@ def _draw_dots(axes: Axes, x: np.ndarray, errors: np.ndarray, strength: np.ndarr
     """Draw a dot a row in three strengths; one for each row of its own would make the file large."""
     for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
         rows = (strength >= low) & (strength < high)
-        label = "a row" if k == 2 else None
+        label = "one row" if k == 2 else None
         axes.plot(
             x[rows], errors[rows], ".", color=MUTED, markersize=3.6, markeredgewidth=0.0, alpha=0.25 + 0.25 * k, label=label
         )

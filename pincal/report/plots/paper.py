@@ -12,7 +12,8 @@ from pincal.report.plots.style import COLOURS, GRID, INK, plain
 
 # A logarithmic axis has no place for zero: deviations below rounding stand here [m].
 _SMALLEST = 1e-17
-_PANEL_WIDTH, _HEIGHT = 3.6, 3.2  # [in]
+# Size of a panel [in].
+_PANEL_WIDTH, _HEIGHT = 3.6, 3.2
 
 
 def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:

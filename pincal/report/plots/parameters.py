@@ -11,7 +11,9 @@ from pincal.parameters import FRAME_SYMBOLS
 from pincal.report.plots.style import AFTER, INK, MUTED, SMALL, canvas, dress, plain
 from pincal.units import readable_unit
 
-_PER_ROW, _LETTER = 0.22, 0.082  # [in]
+# Height of a row and width of a letter [in].
+_PER_ROW, _LETTER = 0.22, 0.082
+# Parameters that are drawn at most, the largest corrections first, and letters of a name that are.
 _MOST, _LONGEST = 24, 26
 _TITLES = {"m": "Lengths", "rad": "Angles"}
 

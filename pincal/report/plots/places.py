@@ -29,15 +29,16 @@ from pincal.report.plots.style import (
 
 View = Literal["top", "side"]
 
-# Bins of a variable, rows that a bin needs on the average, and at least.
+# Bins of a variable, rows that a bin needs on average, and the fewest that it needs by itself.
 _BINS, _FEWEST = 18, 12
 _SOME = 3
 # Pauses longer than this part of the whole time break a line.
 _PAUSE = 0.04
 # Dots of a scatter; more only cover each other and make the file large.
 _MOST_DOTS = 700
+# Hexagons across the workspace.
 _CELLS = 15
-# Viridis: even steps of lightness, told apart by the colour-blind and in print without colours.
+# Viridis: even steps of lightness, distinguishable to the colour-blind and in print without colours.
 _MAP = "viridis"
 
 

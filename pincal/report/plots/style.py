@@ -1,4 +1,4 @@
-"""One look for all figures: colours that colour-blind readers tell apart, sizes that stay readable on a phone."""
+"""One look for all figures: colours that colour-blind readers can distinguish, sizes that stay readable on a phone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-# Okabe and Ito's colours, told apart by colour-blind readers: vermilion, orange, blue, green, sky blue, purple.
+# Okabe and Ito's colours, distinguishable to colour-blind readers: vermilion, orange, blue, green, sky blue, purple.
 COLOURS = ("#D55E00", "#E69F00", "#0072B2", "#009E73", "#56B4E9", "#CC79A7")
 BEFORE, AFTER, THIRD = COLOURS[0], COLOURS[2], COLOURS[3]
 INK, MUTED, GRID = "#1B1F24", "#5B6571", "#D8DDE3"
@@ -20,6 +20,7 @@ WIDTH, HEIGHT = 5.2, 3.5
 TEXT, SMALL = 11.5, 10.5  # [pt]
 # Room about the axes [in]; fixed, as fitting it takes longer than drawing.
 _LEFT, _RIGHT, _BOTTOM, _TOP = 0.86, 0.16, 0.58, 0.36
+# Letters of a name that fit a figure.
 _LONGEST = 34
 
 
