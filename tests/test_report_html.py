@@ -15,7 +15,7 @@ from pincal.calibration.run import Calibration
 from pincal.discover.run import Discovery
 from pincal.identify.reasons import Cause, Reason
 from pincal.report.advice import narrow_joints, unidentified_groups
-from pincal.report.blocks import Paragraph, Section
+from pincal.report.blocks import Section, paragraph
 from pincal.report.glossary import effect_meaning
 from pincal.report.html import SECTIONS, report_page, write_report
 from pincal.report.sections import Subject
@@ -147,7 +147,7 @@ def test_a_section_is_a_function(run: Calibration, no_figures: None) -> None:
 
     def ranges(subject: Subject) -> Section:
         table = Table("Ranges", (Column("<joint>"), Column("range", "rad", Kind.NUMBER, fixed(2))), (("a<b", 1.5),))
-        return Section("ranges", "Ranges of joints", "Ranges", (Paragraph("How far & wide."), table))
+        return Section("ranges", "Ranges of joints", (paragraph("How far & wide."), table), "Ranges")
 
     page = report_page(run, ORIGIN, (), layout=(SECTIONS[0], ranges))
     assert '<a href="#ranges">Ranges</a>' in page and '<h2 id="ranges">Ranges of joints</h2>' in page

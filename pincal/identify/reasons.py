@@ -19,25 +19,25 @@ class Status(StrEnum):
 
 
 class Cause(Enum):
-    """Why a parameter is not identified."""
+    """Why a parameter is not identified; the values are how it is said, with the figures of a reason in braces."""
 
-    NONE = "it is identified"
-    GIVEN = "the user gave its value"
-    NOT_NEEDED = "a higher term of the lens that is left at zero"
-    AT_BOUND = "the data ask for more than its bound allows"
-    ABSORBS = "a coordinate of base or tool that takes up other parameters"
-    NO_MOMENT = "no pose has a static moment about the axis of this compliance"
-    NOT_EXCITED = "no pose excites it"
-    NOT_OBSERVED = "it does not move the measured target"
-    BASE = "the unknown base frame has the same effect"
-    TOOL = "the unknown tool frame has the same effect"
-    FRAMES = "the unknown base and tool frames together have the same effect"
-    PARALLEL_AXES = "only its sum with the same parameter of a parallel axis is identifiable"
-    COMBINATION = "only its sum with another parameter is identifiable"
-    ALIASED = "other parameters together have the same effect"
-    HIDDEN = "very many other parameters together have the same effect"
-    WEAK = "the data narrow the prior only a little"
-    UNINFORMED = "the data add nothing to the prior"
+    NONE = ""
+    GIVEN = "given by the user"
+    NOT_NEEDED = "fixed at zero: most lenses need no higher terms"
+    AT_BOUND = "stopped at its bound of {size}"
+    ABSORBS = "±{size} if the parameters it absorbs are held at the values found"
+    NO_MOMENT = "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no mass beyond it)"
+    NOT_EXCITED = "not excited by any of these poses"
+    NOT_OBSERVED = "has no influence on the measured target"
+    BASE = "the unknown base frame absorbs it"
+    TOOL = "the unknown tool frame{beside} absorb{s} it"
+    FRAMES = "the unknown base and tool frames{beside} absorb it"
+    PARALLEL_AXES = "only {combination} is identifiable (the axes are parallel)"
+    COMBINATION = "only {combination} is identifiable"
+    ALIASED = "indistinguishable from {aliases}{together}"
+    HIDDEN = "indistinguishable from a combination of many other parameters"
+    WEAK = "the data narrow the prior of ±{size} only to ±{narrowed}"
+    UNINFORMED = "the data add nothing to the prior of ±{size}"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Reason:
     beside: str = ""
 
     def __str__(self) -> str:
-        words = _WORDS[self.cause].format(
+        words = self.cause.value.format(
             aliases=_listed(self.parameters),
             combination=self.combination,
             size="" if self.size is None else format_readable(self.size, self.unit),
@@ -102,24 +102,5 @@ def _listed(names: tuple[str, ...]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
-_WORDS = {
-    Cause.NONE: "",
-    Cause.GIVEN: "given by the user",
-    Cause.NOT_NEEDED: "fixed at zero: most lenses need no higher terms",
-    Cause.AT_BOUND: "stopped at its bound of {size}",
-    Cause.ABSORBS: "±{size} if the parameters it absorbs are held at the values found",
-    Cause.NO_MOMENT: "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no mass beyond it)",
-    Cause.NOT_EXCITED: "not excited by any of these poses",
-    Cause.NOT_OBSERVED: "has no influence on the measured target",
-    Cause.BASE: "the unknown base frame absorbs it",
-    Cause.TOOL: "the unknown tool frame{beside} absorb{s} it",
-    Cause.FRAMES: "the unknown base and tool frames{beside} absorb it",
-    Cause.PARALLEL_AXES: "only {combination} is identifiable (the axes are parallel)",
-    Cause.COMBINATION: "only {combination} is identifiable",
-    Cause.ALIASED: "indistinguishable from {aliases}{together}",
-    Cause.HIDDEN: "indistinguishable from a combination of many other parameters",
-    Cause.WEAK: "the data narrow the prior of ±{size} only to ±{narrowed}",
-    Cause.UNINFORMED: "the data add nothing to the prior of ±{size}",
-}
 IDENTIFIED = Reason(Cause.NONE)
 """The reason of a parameter that needs none."""

@@ -6,10 +6,12 @@ import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from markupsafe import Markup
+
 from pincal.calibration.result import ParameterRow
 from pincal.discover.run import Discovery
 from pincal.discover.shrink import gap_names, partial_residual_title
-from pincal.report.blocks import Figures, Picture
+from pincal.report.blocks import group, picture
 from pincal.report.evidence import Evidence
 from pincal.report.svg import inline_svg
 
@@ -44,19 +46,18 @@ Drawing = tuple["Figure", str, str]
 """A figure, its title and its caption."""
 
 
-def figures(key: str, drawings: Iterable[Drawing]) -> Figures:
+def figures(key: str, drawings: Iterable[Drawing]) -> Markup:
     """Return figures as a block of the page.
 
     Args:
         key: what tells the identifiers within these figures from those of others on the page.
         drawings: the figures.
     """
-    return Figures(
-        tuple(
-            Picture(inline_svg(figure, key=f"{key}{i}", title=title), caption)
-            for i, (figure, title, caption) in enumerate(drawings)
-        )
-    )
+    shown = [
+        picture(inline_svg(figure, key=f"{key}{i}", title=title), caption)
+        for i, (figure, title, caption) in enumerate(drawings)
+    ]
+    return group("figures", *shown) if shown else Markup("")
 
 
 def error_drawings(readings: Iterable[Evidence]) -> Iterator[Drawing]:

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
-from pincal.report.blocks import Block, Bullets, Card, Group, Heading, Paragraph, Section, code, joined, rich
+from pincal.report.blocks import Block, Section, bullets, card, code, group, heading, joined, paragraph, rich
 from pincal.report.glossary import effect_meaning
 from pincal.report.illustrations import discovery_drawings, figures
 from pincal.report.sections import Subject
@@ -30,31 +31,31 @@ def missing(subject: Subject) -> Section | None:
         f"{report['noise_floor_mm']:.4f} mm rms; {report['unexplained_mm']:.4f} mm rms remain unexplained. A name stands "
         "for a cause that fits the data; it is not a proof of that cause."
     )
-    blocks: list[Block] = [Paragraph(intro)]
+    blocks: list[Block] = [paragraph(intro)]
     if report["where"]:
         text = "Shares of what exceeds the noise. They may overlap: the same error can be described by joint and by region."
-        blocks += [Heading("Where model and data disagreed"), location_table(report["where"]), Paragraph(text, "mute")]
-    blocks.append(Heading("Effects found"))
+        blocks += [heading("Where model and data disagreed"), location_table(report["where"]), paragraph(text, "mute")]
+    blocks.append(heading("Effects found"))
     cards = tuple(_card(entry) for entry in report["effects"])
-    blocks.append(Group("cards", cards) if cards else Paragraph("These data show no missing effect."))
+    blocks.append(group("cards", *cards) if cards else paragraph("These data show no missing effect."))
     blocks += [
-        Paragraph(
+        paragraph(
             f"{entry['joint']} scatters by {1e3 * entry['sigma_rad']:.3f} mrad from pose to pose, independently of "
             f"everything recorded. Record {entry['missing']}: it may explain the scatter.",
             "note",
         )
         for entry in report["scatter"]
     ]
-    blocks += [Heading("How the error fell"), figures("search", discovery_drawings(subject.discovery))]
+    blocks += [heading("How the error fell"), figures("search", discovery_drawings(subject.discovery))]
     blocks.append(stage_table(report, subject.discovery.gaps))
     untestable = by_reason(((e["effect"], e["joint"], e["reason"]) for e in report["not_testable"]), 0)
     if untestable:
-        items = tuple(rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
-        blocks += [Heading("What could not be tested"), Bullets(items)]
-    return Section("missing", "What was missing", "What was missing", tuple(blocks))
+        items = (rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
+        blocks += [heading("What could not be tested"), bullets(items)]
+    return Section("missing", "What was missing", tuple(blocks), "What was missing")
 
 
-def _card(entry: Mapping[str, Any]) -> Card:
+def _card(entry: Mapping[str, Any]) -> Markup:
     """Return an effect with its parameters, what it explained, and what it could also be."""
     values = entry["parameters"]
     shown = joined(
@@ -65,15 +66,15 @@ def _card(entry: Mapping[str, Any]) -> Card:
         *(f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}", show_chance(entry["p_value"])),
     )
     blocks = [
-        Paragraph(effect_meaning(entry["effect"]), "mute"),
-        Paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
-        Paragraph(explained),
+        paragraph(effect_meaning(entry["effect"]), "mute"),
+        paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
+        paragraph(explained),
     ]
     if entry["equivalent"]:
         others = "; ".join(effect_words(other) for other in entry["equivalent"])
         decide = f" To decide between them: {entry['tell_apart']}." if entry["tell_apart"] else ""
-        blocks.append(Paragraph(f"Could also be: {others}.{decide}", "care"))
-    return Card(effect_words(entry), tuple(blocks))
+        blocks.append(paragraph(f"Could also be: {others}.{decide}", "care"))
+    return card(effect_words(entry), *blocks)
 
 
 def _measured(value: float, sigma: float | None, unit: str) -> str:

@@ -14,22 +14,7 @@ from pincal.calibration.run import Calibration
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table, shown_parameters
 from pincal.discover.run import Discovery
 from pincal.report.advice import unidentified_groups
-from pincal.report.blocks import (
-    Bars,
-    Block,
-    Bullets,
-    Card,
-    Facts,
-    Group,
-    Heading,
-    Paragraph,
-    Section,
-    Tag,
-    bold,
-    code,
-    joined,
-    rich,
-)
+from pincal.report.blocks import Block, Section, bars, bullets, card, code, facts, group, heading, joined, paragraph, rich
 from pincal.report.evidence import Evidence, evidence_of
 from pincal.report.glossary import TERMS, effect_meaning
 from pincal.report.illustrations import (
@@ -90,13 +75,12 @@ class Subject:
 def summary(subject: Subject) -> Section:
     """Whether the model is good, what to do next, and the errors at a glance."""
     result, verdict = subject.result, verdict_of(subject.result, subject.discovery)
-    left: list[Block] = [Paragraph(_headline(subject))]
-    left.append(Tag(verdict.judgement, _TONES.get(verdict.judgement, "bad"), str(verdict)))
-    left += [Paragraph(warning, "note") for warning in result.warnings]
-    steps = tuple(str(step) for step in next_steps(subject.calibration, subject.discovery))
-    right = (Heading("What to do next"), Bullets(steps))
-    columns = Group("split", (Group("plain", tuple(left)), Group("plain", right)))
-    return Section("summary", "Summary", "", (columns, Group("glance", _glance(subject))), is_panel=True)
+    tag = rich(f'<span class="tag {_TONES.get(verdict.judgement, "bad")}">{{}}</span> {{}}', verdict.judgement, verdict)
+    warnings = (paragraph(warning, "note") for warning in result.warnings)
+    steps = bullets(str(step) for step in next_steps(subject.calibration, subject.discovery))
+    left = group("plain", paragraph(_headline(subject)), paragraph(tag), *warnings)
+    columns = group("split", left, group("plain", heading("What to do next"), steps))
+    return Section("summary", "Summary", (columns, group("glance", *_glance(subject))), style="panel")
 
 
 def _headline(subject: Subject) -> Markup:
@@ -126,7 +110,7 @@ def _size(value: float, unit: str) -> str:
     return f"{value:.4f} {unit}" if value < 0.1 else f"{value:.3f} {unit}"
 
 
-def _glance(subject: Subject) -> tuple[Bars, ...]:
+def _glance(subject: Subject) -> list[Markup]:
     """Return mean, 95 % and worst error, before and after."""
     before, after = (subject.result.error[model][subject.part] for model in ("nominal", "calibrated"))
     found = []
@@ -136,8 +120,8 @@ def _glance(subject: Subject) -> tuple[Bars, ...]:
         for key, words in keys:
             shares = (100.0 * before[key] / largest, 100.0 * after[key] / largest)
             title = f"{words} error{suffix}"
-            found.append(Bars(title, _size(before[key], "").rstrip(), _size(after[key], unit), shares))
-    return tuple(found)
+            found.append(bars(title, _size(before[key], "").rstrip(), _size(after[key], unit), shares))
+    return found
 
 
 def setup(subject: Subject) -> Section:
@@ -165,7 +149,7 @@ def setup(subject: Subject) -> Section:
         ),
         ("3D view", view),
     )
-    return Section("subject", "Robot, data and model", "", (Facts(items),))
+    return Section("subject", "Robot, data and model", (facts(items),))
 
 
 def _data(subject: Subject) -> Markup:
@@ -182,7 +166,7 @@ def accuracy(subject: Subject) -> Section:
     """Errors before and after, and their distribution."""
     result = subject.result
     blocks: list[Block] = [
-        Paragraph(
+        paragraph(
             rich(
                 "The error at a pose is the distance from the predicted to the measured target: the <b>accuracy</b> of a "
                 "single measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between repeated "
@@ -196,15 +180,15 @@ def accuracy(subject: Subject) -> Section:
             "No rows were held out: the errors are those of the poses that were fitted. Expect somewhat larger ones at new "
             "poses."
         )
-        blocks.append(Paragraph(text, "note"))
+        blocks.append(paragraph(text, "note"))
     blocks += [error_table(result.error), figures("accuracy", error_drawings(subject.readings)), *_replicates(result)]
-    return Section("accuracy", "Before and after", "Accuracy", tuple(blocks))
+    return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
 
 
 def _replicates(result: Result) -> list[Block]:
     """Return what repeated measurements of poses say of accuracy, repeatability and lack of fit."""
     iso, lack = result.iso9283, result.lack_of_fit
-    blocks: list[Block] = [Heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
+    blocks: list[Block] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
     if iso:
         text = rich(
             "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its measurements; <b>pose "
@@ -213,10 +197,10 @@ def _replicates(result: Result) -> list[Block]:
             "fit has used in any of its measurements does not count as held out.",
             cycle_words(iso),
         )
-        blocks += [Paragraph(text), iso9283_table(iso)]
+        blocks += [paragraph(text), iso9283_table(iso)]
     if lack:
         scatter = f"Repeated measurements of a pose scatter by {lack.scatter}, whatever the model."
-        blocks.append(Paragraph(rich("{} {} {}.", bold("Lack of fit."), scatter, lack)))
+        blocks.append(paragraph(rich("{} {} {}.", Markup("<b>Lack of fit.</b>"), scatter, lack)))
     return blocks
 
 
@@ -234,11 +218,11 @@ def where(subject: Subject) -> Section:
     line = "" if is_timed else " No times were recorded, so the line of the table stands in for them."
     residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)
     blocks = (
-        *(Heading("By joint position"), Paragraph(rich("{}{}", by_joint, key)), figures("joint", joint_drawings(first))),
-        *(Heading("Over the workspace"), figures("workspace", workspace_drawings(first))),
-        *(Heading("In the order of measurement"), Paragraph(residual), figures("order", order_drawings(first))),
+        *(heading("By joint position"), paragraph(rich("{}{}", by_joint, key)), figures("joint", joint_drawings(first))),
+        *(heading("Over the workspace"), figures("workspace", workspace_drawings(first))),
+        *(heading("In the order of measurement"), paragraph(residual), figures("order", order_drawings(first))),
     )
-    return Section("where", "Where the errors are", "Where the errors are", blocks)
+    return Section("where", "Where the errors are", blocks, "Where the errors are")
 
 
 def parameters(subject: Subject) -> Section:
@@ -251,35 +235,34 @@ def parameters(subject: Subject) -> Section:
         "dominated by prior knowledge; <b>unidentifiable</b>: these poses cannot determine it by itself, whatever the "
         "noise; predictions do not depend on it."
     )
-    blocks: list[Block] = [Paragraph(intro), figures("correction", correction_drawings(result.parameters))]
-    blocks += [parameter_table(result.parameters), Heading("Strong correlations")]
+    blocks: list[Block] = [paragraph(intro), figures("correction", correction_drawings(result.parameters))]
+    blocks += [parameter_table(result.parameters), heading("Strong correlations")]
     if result.correlations:
         text = (
             "Each of these pairs is known much better in combination than individually: an error of one is compensated by "
             "the other. Quote them together."
         )
-        blocks += [Paragraph(text), correlation_table(result.correlations)]
+        blocks += [paragraph(text), correlation_table(result.correlations)]
     else:
-        blocks.append(Paragraph("No two identified parameters have a correlation above 0.9."))
-    return Section("parameters", "Parameters", "Parameters", tuple(blocks))
+        blocks.append(paragraph("No two identified parameters have a correlation above 0.9."))
+    return Section("parameters", "Parameters", tuple(blocks), "Parameters")
 
 
 def unidentified(subject: Subject) -> Section:
     """Parameters that are not identified, by cause, with what to measure."""
-    cards = tuple(
-        Card(
-            group.advice.title,
-            (
-                Paragraph(group.advice.text),
-                Paragraph(rich("{}: {}", len(group.names), joined(map(code, group.names), ", ")), "mute"),
-            ),
+    cards = [
+        card(
+            found.advice.title,
+            paragraph(found.advice.text),
+            paragraph(rich("{}: {}", len(found.names), joined(map(code, found.names), ", ")), "mute"),
         )
-        for group in unidentified_groups(shown_parameters(subject.result.parameters))
-    )
-    blocks: list[Block] = [Group("cards", cards) if cards else Paragraph("All parameters are identified.")]
+        for found in unidentified_groups(shown_parameters(subject.result.parameters))
+    ]
+    blocks: list[Block] = [group("cards", *cards) if cards else paragraph("All parameters are identified.")]
     if subject.notes:
-        blocks += [Heading("Not included in the calibrated URDF"), Bullets(subject.notes)]
-    return Section("unidentified", "What is not identifiable, and what to measure", "Not identifiable", tuple(blocks))
+        blocks += [heading("Not included in the calibrated URDF"), bullets(subject.notes)]
+    title = "What is not identifiable, and what to measure"
+    return Section("unidentified", title, tuple(blocks), "Not identifiable")
 
 
 def basis(subject: Subject) -> Section:
@@ -287,9 +270,9 @@ def basis(subject: Subject) -> Section:
     shown = {name: value for name, value in subject.provenance.items() if name != "inputs"}
     items = [(name, code("-" if value is None else value)) for name, value in shown.items()]
     items += [(f"input {name}", rich("SHA-256 {}", code(value))) for name, value in subject.provenance["inputs"].items()]
-    return Section("basis", "Provenance", "Provenance", (Facts(tuple(items)),))
+    return Section("basis", "Provenance", (facts(items),), "Provenance")
 
 
 def glossary(subject: Subject) -> Section:
     """The terms of the page."""
-    return Section("glossary", "Glossary", "Glossary", (Facts(TERMS),))
+    return Section("glossary", "Glossary", (facts(TERMS),), "Glossary")
