@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
     from pincal.calibration.fit import Fit, calibrate
     from pincal.calibration.run import Calibration, run_calibration
+    from pincal.calibration.stations import CalibratedStations, load_stations
     from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
     from pincal.compensate.frames import false_targets
     from pincal.design.design import Design, design_poses
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "pincal.calibration.calibrated": ("CalibratedModel", "load_model", "save_model"),
     "pincal.calibration.fit": ("Fit", "calibrate"),
+    "pincal.calibration.stations": ("CalibratedStations", "load_stations"),
     "pincal.calibration.run": ("Calibration", "run_calibration"),
     "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
     "pincal.compensate.frames": ("false_targets",),
@@ -80,6 +82,7 @@ __all__ = [
     "GEOMETRIC",
     "BadInputError",
     "CalibratedModel",
+    "CalibratedStations",
     "Calibration",
     "Chain",
     "Compensation",
@@ -113,6 +116,7 @@ __all__ = [
     "explain",
     "false_targets",
     "load_model",
+    "load_stations",
     "measurements_from_arrays",
     "monte_carlo",
     "pinocchio_model",

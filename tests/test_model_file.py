@@ -396,7 +396,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("version", "words"), [(2, "newer pincal; .*update pincal"), ("1", "is '1'"), (0, "is 0"), (True, "True")]
+    ("version", "words"), [(3, "newer pincal; .*update pincal"), ("1", "is '1'"), (0, "is 0"), (True, "True")]
 )
 def test_another_format_version_is_refused(path: Path, version: Any, words: str) -> None:
     """A newer file asks for an update; what is no version is said so."""

@@ -56,6 +56,14 @@ class Calibrated(ABC):
         """Return the calibrated model, all that a prediction needs."""
 
     @abstractmethod
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``model.json``, from which :func:`pincal.load_model` returns the calibrated model.
+
+        Raises:
+            OutputError: if the place can't be written to, or a number is not finite.
+        """
+
+    @abstractmethod
     def parameter_table(self) -> Table:
         """Return the parameters with their standard deviations."""
 
@@ -131,14 +139,6 @@ class Calibrated(ABC):
     def covariance(self) -> np.ndarray:
         """Covariance of the values, shape (P, P); zero rows and columns for those that were not fitted."""
         return self.to_model().dense_covariance
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``model.json``, from which :func:`pincal.load_model` returns the calibrated model.
-
-        Raises:
-            OutputError: if the place can't be written to, or a number is not finite.
-        """
-        save_model(path, self.to_model())
 
     def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
         """Return the robot's URDF with the calibrated geometry, and write it to a file if one is named.
@@ -246,6 +246,10 @@ class CalibratedModel(Calibrated):
     def to_model(self) -> CalibratedModel:
         """Return the model itself."""
         return self
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``model.json``; see :func:`save_model`."""
+        save_model(path, self)
 
     def parameter_table(self) -> Table:
         """Return value and standard deviation of each parameter."""

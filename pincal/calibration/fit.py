@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.result import parameter_rows
+from pincal.calibration.stations import CalibratedStations, save_stations
 from pincal.calibration.tables import parameter_table
 from pincal.identify import calibrate as identify
 from pincal.identify import fit as identified
@@ -32,11 +34,31 @@ class Fit(identified.Fit, Calibrated):
 
     def __repr__(self) -> str:
         rms = float(np.sqrt(self.solution.cost))
-        return f"Fit({self.model.chain.robot.name!r}: {len(self.problem)} rows, residuals {rms:.3g} times the noise)"
+        robot = self.problem.stations[0].model.chain.robot.name
+        return f"Fit({robot!r}: {len(self.problem)} rows, residuals {rms:.3g} times the noise)"
 
     def to_model(self) -> CalibratedModel:
         """Return the calibrated model, all that a prediction needs."""
         return CalibratedModel.of(self)
+
+    def to_stations(self) -> CalibratedStations:
+        """Return what was found of all stations."""
+        return CalibratedStations.of(self)
+
+    def at(self, station: str) -> CalibratedModel:
+        """Return the calibrated model of one of several stations.
+
+        Raises:
+            BadInputError: if there is no such station.
+        """
+        return self.to_stations().at(station)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``model.json``, with all stations if there are several; see :func:`pincal.load_model`."""
+        if len(self.problem.stations) > 1:
+            save_stations(path, self.to_stations())
+        else:
+            self.to_model().save(path)
 
     def parameter_table(self) -> Table:
         """Return value and standard deviation of each parameter, whether the data identify it, and if not, why."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal, cast
 
 import numpy as np
 from scipy.special import chdtrc
@@ -13,6 +13,7 @@ from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.reasons import Reason, Status
 from pincal.identify.station import Station
+from pincal.io.result_file import Correlation, Errors, NoiseRecord, RowCounts, StageRecord
 from pincal.measure.measurements import Measurements
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.validate.accuracy import error_table
@@ -70,8 +71,8 @@ class Result:
     has replicates, and then not in the file.
     """
 
-    noise: dict[str, Any]
-    rows: dict[str, int]
+    noise: NoiseRecord
+    rows: RowCounts
     parameters: tuple[ParameterRow, ...]
     rank: int
     condition: float
@@ -81,9 +82,9 @@ class Result:
     seconds: float
     converged: bool
     outliers: tuple[int, ...]
-    correlations: tuple[dict[str, Any], ...]
-    stages: tuple[dict[str, Any], ...]
-    error: dict[str, dict[str, dict[str, float]]]
+    correlations: tuple[Correlation, ...]
+    stages: tuple[StageRecord, ...]
+    error: Errors
     warnings: tuple[str, ...]
     iso9283: dict[str, Any] | None = None
     lack_of_fit: LackOfFit | None = None
@@ -119,7 +120,7 @@ def result_of(
     outliers = tuple(int(line) for line in tables[0].rows[solution.weights == 0.0])
     replicates = _replicates(fit, test, tables)
     lack = lack_of_fit(replicates, fit.values, solution.sigma, spent=solution.posterior.effective)
-    error: dict[str, dict[str, dict[str, float]]] = {}
+    error: Errors = {}
     for name, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
         error[name] = {"train": error_table(fit.station, values)}
         if test is not None and len(test):
@@ -139,7 +140,7 @@ def result_of(
         converged=solution.converged,
         outliers=outliers,
         correlations=_correlations(fit, parameters),
-        stages=tuple(asdict(stage) for stage in fit.stages),
+        stages=tuple(StageRecord(name=s.name, iterations=s.iterations, rms=s.rms) for s in fit.stages),
         error=error,
         warnings=(*notes, *map(str, found)),
         iso9283=iso9283(replicates, {"nominal": fit.nominal.values, "calibrated": fit.values}),
@@ -156,15 +157,16 @@ def _replicates(fit: Fit, test: Station | None, tables: tuple[Measurements, Meas
     return found
 
 
-def _noise(fit: Fit) -> dict[str, Any]:
-    noise: dict[str, Any] = {"source": "estimated" if fit.noise.declared[0] is None else "declared"}
+def _noise(fit: Fit) -> NoiseRecord:
+    noise: dict[str, float] = {}
     for block, sigma, declared, estimated in zip(
         fit.station.sensor.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True
     ):
         name = f"sigma_{block.unit}"
         noise[name] = float(sigma if declared is None else declared)
         noise[f"residual_{name}"] = float(estimated)
-    return noise
+    source: Literal["declared", "estimated"] = "estimated" if fit.noise.declared[0] is None else "declared"
+    return cast(NoiseRecord, {"source": source, **noise})
 
 
 def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
@@ -198,7 +200,7 @@ def _references(fit: Fit) -> dict[str, np.ndarray]:
     return {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
 
 
-def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[dict[str, Any], ...]:
+def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:
     """Return the strongest correlations between identified parameters, those of base and tool left out."""
     C = fit.solution.posterior.covariance
     sd = np.sqrt(np.diag(C))

@@ -37,7 +37,8 @@ from pincal.parameters import Parameter
 from pincal.robot.dh import DhFrames
 from pincal.robot.robot import Robot
 
-FORMAT_VERSION = 1
+# Of files with one station, and with several.
+FORMAT_VERSION, STATIONS_VERSION = 1, 2
 
 
 class FramesEntry(Record, frozen=True, kw_only=True):
@@ -92,6 +93,12 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         same = {name: getattr(robot, name) for name in cls.__struct_fields__ if name not in ("frames", "urdf")}
         return cls(**same, frames=FramesEntry(**frames), urdf=robot.urdf.decode("utf-8", "surrogateescape"))
 
+    def contents(self) -> dict[str, Any]:
+        """Return the entry in types that JSON knows, null for limits that are not there."""
+        found: dict[str, Any] = msgspec.to_builtins(self, enc_hook=plain)
+        limits = {name: [v if np.isfinite(v) else None for v in found[name]] for name in self.NULLS}
+        return found | limits
+
     def robot(self) -> Robot:
         """Return the robot."""
         frames = DhFrames(**msgspec.structs.asdict(self.frames))
@@ -106,6 +113,11 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     base_rotation: Rotation
     targets: Annotated[tuple[str, ...], Shape("targets")]
     tool_rotations: Rotations
+
+    @classmethod
+    def of(cls, chain: Chain) -> ChainEntry:
+        """Return the entry of a chain."""
+        return cls(**{name: getattr(chain, name) for name in cls.__struct_fields__})
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
@@ -127,8 +139,7 @@ class ModelEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of(cls, model: Model) -> ModelEntry:
         """Return the entry of a model."""
-        chain = ChainEntry(**{name: getattr(model.chain, name) for name in ChainEntry.__struct_fields__})
-        robot = RobotEntry.of(model.chain.robot)
+        robot, chain = RobotEntry.of(model.chain.robot), ChainEntry.of(model.chain)
         return cls(robot=robot, chain=chain, effects=model.effects, equilibrium=model.equilibrium)
 
     def model(self) -> Model:
@@ -137,31 +148,33 @@ class ModelEntry(Record, frozen=True, kw_only=True):
         return Model(chain, self.effects, equilibrium=self.equilibrium)
 
     def contents(self) -> dict[str, Any]:
-        """Return the entry in types that JSON knows: effects by name, null for limits that are not there."""
+        """Return the entry in types that JSON knows, effects by name."""
         found: dict[str, Any] = msgspec.to_builtins(self, enc_hook=plain)
-        for name in RobotEntry.NULLS:
-            found["robot"][name] = [value if np.isfinite(value) else None for value in found["robot"][name]]
-        return found | {"effects": [effect_to_entry(effect) for effect in self.effects]}
+        return found | {"robot": self.robot.contents(), "effects": [effect_to_entry(effect) for effect in self.effects]}
 
 
 class ParameterEntry(Record, frozen=True, kw_only=True):
-    """A parameter and what is known of it beforehand; a size of null is that of a frame that may be anywhere."""
+    """A parameter and what is known of it beforehand; a size of null is that of a frame that may be anywhere.
+
+    ``station`` names the one of several stations that it belongs to; it is empty for the robot's own.
+    """
 
     name: str
     unit: str
     effect: str
     nominal: float
     size: float | None
+    station: str = ""
 
     @classmethod
     def of(cls, parameter: Parameter) -> ParameterEntry:
         """Return the entry of a parameter."""
-        p, size = parameter, parameter.size if np.isfinite(parameter.size) else None
-        return cls(name=p.name, unit=p.unit, effect=p.effect, nominal=p.nominal, size=size)
+        same = {name: getattr(parameter, name) for name in cls.__struct_fields__ if name != "size"}
+        return cls(**same, size=parameter.size if np.isfinite(parameter.size) else None)
 
     def parameter(self) -> Parameter:
         """Return the parameter."""
-        return Parameter(self.name, self.unit, self.effect, self.nominal, np.inf if self.size is None else self.size)
+        return Parameter(**msgspec.structs.asdict(self) | {"size": np.inf if self.size is None else self.size})
 
 
 class CoveredEntry(Record, frozen=True, kw_only=True):
@@ -271,6 +284,14 @@ class ModelFile(Record, frozen=True, kw_only=True):
         shaped(".covered.q", self.covered.q, Shape(len(self.model.robot.joint_names), 2), {})
 
 
+class _Name(msgspec.Struct, frozen=True):
+    name: str
+
+
+class _Stations(msgspec.Struct, frozen=True):
+    stations: tuple[_Name, ...]
+
+
 class _Head(msgspec.Struct, frozen=True):
     """What is read first: whether the rest can be read at all."""
 
@@ -278,21 +299,36 @@ class _Head(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         if self.format_version < 1:
-            expected = f"a whole number up to {FORMAT_VERSION}"
+            expected = f"a whole number up to {STATIONS_VERSION}"
             raise Fault(f"is {self.format_version}", expected, key=".format_version")
 
 
+def version_of(path: str | os.PathLike[str]) -> int:
+    """Return the format version of a ``model.json``: 1 for one station, 2 for several.
+
+    Raises:
+        ModelFileError: if the file can't be read, is cut off or newer than this version.
+    """
+    version = read_json(path, _Head, MODEL_FILE).format_version
+    if version > STATIONS_VERSION:
+        raise MODEL_FILE.error(
+            f"{os.fspath(path)}: format_version is {version}, written by a newer pincal; "
+            f"expected at most {STATIONS_VERSION}: update pincal"
+        )
+    return version
+
+
 def read_model_file(path: str | os.PathLike[str]) -> ModelFile:
-    """Read ``model.json``.
+    """Read ``model.json`` of one station.
 
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    version = read_json(path, _Head, MODEL_FILE).format_version
-    if version > FORMAT_VERSION:
+    version = version_of(path)
+    if version == STATIONS_VERSION:
+        names = ", ".join(entry.name for entry in read_json(path, _Stations, MODEL_FILE).stations)
         raise MODEL_FILE.error(
-            f"{os.fspath(path)}: format_version is {version}, written by a newer pincal; "
-            f"expected at most {FORMAT_VERSION}: update pincal"
+            f"{os.fspath(path)}: holds several stations: {names}; expected one: choose it by load_stations(path).at(name)"
         )
     return read_json(path, ModelFile, MODEL_FILE, hook=restored)
 

@@ -1,0 +1,57 @@
+"""JSON Schemas of the files that pincal reads and writes, made from their structures.
+
+``python -m pincal.io.schemas`` writes them anew beside this module; a test holds them to the structures.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from pincal.io.camera_file import CameraFile
+from pincal.io.discovery_file import DiscoveryFile
+from pincal.io.effect_entry import SCHEMA
+from pincal.io.model_file import ModelFile
+from pincal.io.result_file import ResultFile
+from pincal.io.stations_file import StationsFile
+from pincal.model.effects import Effect
+
+FILES: dict[str, type] = {
+    "model": ModelFile,
+    "stations": StationsFile,
+    "result": ResultFile,
+    "discovery": DiscoveryFile,
+    "camera": CameraFile,
+}
+_DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def schema_of(name: str) -> dict[str, Any]:
+    """Return the JSON Schema of a file.
+
+    Args:
+        name: "model", "stations" (a model.json with several), "result", "discovery" or "camera".
+
+    Example:
+        >>> schema_of("camera")["$defs"]["CameraFile"]["required"]
+        ['fx', 'fy', 'u0', 'v0']
+    """
+    return {"$schema": _DRAFT, **msgspec.json.schema(FILES[name], schema_hook=_own)}
+
+
+def shipped(name: str) -> Path:
+    """Return where the schema of a file comes with the package."""
+    return Path(__file__).with_name(f"{name}.json")
+
+
+def text_of(name: str) -> str:
+    """Return the schema of a file as it is shipped."""
+    return json.dumps(schema_of(name), indent=1, sort_keys=True) + "\n"
+
+
+def _own(kind: type) -> dict[str, Any]:
+    """Return the schema of a type that msgspec doesn't know; that of an array stands in its annotation."""
+    return SCHEMA if kind is Effect else {}

@@ -1,0 +1,88 @@
+"""The schemas that come with the package are those of the structures, and of all files that pincal writes."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import msgspec
+import numpy as np
+import pytest
+
+import pincal
+from pincal.builtin import kuka_urdf_path
+from pincal.io.camera_file import CameraFile
+from pincal.io.discovery_file import DiscoveryFile
+from pincal.io.result_file import ResultFile
+from pincal.io.schemas import FILES, schema_of, shipped, text_of
+from pincal.model.effects import GEOMETRIC
+from pincal.simulate import Instrument, TrueMachine, plan_poses
+
+DATA = Path(__file__).parent / "data"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_shipped_schemas_are_those_of_the_structures(name: str) -> None:
+    """Else write them anew: python -m pincal.io.schemas."""
+    assert shipped(name).read_text() == text_of(name)
+    jsonschema.Draft202012Validator.check_schema(schema_of(name))
+
+
+def valid(name: str, contents: Any) -> None:
+    """Refuse contents that the shipped schema of a file refuses."""
+    jsonschema.validate(contents, json.loads(shipped(name).read_text()))
+
+
+@pytest.fixture(scope="module")
+def table() -> pincal.Measurements:
+    """Return positions of the KUKA in 60 poses, twenty of them measured twice."""
+    rng = np.random.default_rng(3)
+    machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+    q = plan_poses(machine.nominal, 60, rng)
+    q = np.vstack([q, q[:20]])
+    columns = Instrument(targets=(0.1, 0.0, 0.2), sigma=5e-5).measure(machine, q, rng=rng)
+    position = np.column_stack([columns[axis] for axis in "xyz"])
+    robot = pincal.Robot.from_urdf(kuka_urdf_path())
+    return pincal.measurements_from_arrays(robot.joint_names, q, position=position)
+
+
+def test_what_a_calibration_writes_is_valid(table: pincal.Measurements, tmp_path: Path) -> None:
+    """Model and result, with the statistics of replicates; the structures read the result, too."""
+    robot = pincal.Robot.from_urdf(kuka_urdf_path())
+    run = pincal.run_calibration(robot, table, pincal.Options(effects=GEOMETRIC, sigma=5e-5))
+    run.fit.save(tmp_path / "model.json")
+    contents = json.loads(json.dumps(run.result.to_dict(), allow_nan=False))
+
+    valid("model", json.loads((tmp_path / "model.json").read_text()))
+    assert contents["iso9283"] is not None and contents["lack_of_fit"] is not None
+    valid("result", contents)
+    found = msgspec.convert(contents, ResultFile)
+    assert json.loads(msgspec.json.encode(found)) == contents
+    with pytest.raises(jsonschema.ValidationError):
+        valid("result", contents | {"rank": "many"})
+
+
+def test_what_a_discovery_writes_is_valid(table: pincal.Measurements) -> None:
+    """Of a robot that errs in no other way than its geometry."""
+    robot = pincal.Robot.from_urdf(kuka_urdf_path())
+    found = pincal.run_discovery(robot, table, pincal.Options(effects=GEOMETRIC, sigma=5e-5))
+    contents = json.loads(json.dumps(found.report, allow_nan=False))
+
+    valid("discovery", contents)
+    assert json.loads(msgspec.json.encode(msgspec.convert(contents, DiscoveryFile))) == contents
+
+
+@pytest.mark.parametrize("name", ["tracker", "contacts", "camera", "discovered"])
+def test_files_of_version_0_1_0_are_valid(name: str) -> None:
+    """What was added since is optional."""
+    valid("model", json.loads((DATA / f"model_0_1_0_{name}.json").read_text()))
+
+
+def test_a_camera_that_was_found_is_valid() -> None:
+    """As the model tells it, and as the file reads it."""
+    camera = pincal.load_model(DATA / "model_0_1_0_camera.json").camera()
+
+    valid("camera", camera)
+    assert {"fx", "T_tip_camera"} <= set(CameraFile.__struct_fields__) & camera.keys()
+    with pytest.raises(jsonschema.ValidationError):
+        valid("camera", camera | {"fx": "wide"})
