@@ -36,6 +36,8 @@ LAYERS = (
     "cli",
     "__main__",
 )
+# Two layers that know nothing of each other.
+SIBLINGS = {"model", "measure"}
 # What stands beside the layers, and what it may import.
 ASIDE = {"builtin": {"errors"}, "simulate": {"errors", "builtin", "measure"}}
 HEAVY = ("pinocchio", "numba", "scipy", "polars", "matplotlib")
@@ -88,6 +90,8 @@ def may_import(importer: str, imported: str) -> bool:
     """Return whether one layer may import another."""
     if importer == imported:
         return True
+    if {importer, imported} == SIBLINGS:
+        return False
     if importer in ASIDE:
         return imported in ASIDE[importer]
     if imported in ASIDE:
@@ -134,6 +138,7 @@ def test_the_table_of_layers_forbids_what_it_should() -> None:
     """The rule itself: downwards yes, upwards no, the simulator only for the command."""
     assert may_import("model", "robot") and may_import("cli", "identify") and may_import("robot", "errors")
     assert not may_import("robot", "model") and not may_import("measure", "identify")
+    assert not may_import("measure", "model") and not may_import("model", "measure")
     assert may_import("cli", "simulate") and not may_import("identify", "simulate")
     assert may_import("simulate", "measure") and not may_import("simulate", "model")
     assert may_import("robot", "builtin") and not may_import("builtin", "robot")

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import pincal
 from pincal.errors import MeasurementError
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.named_points import NamedPoints
+from pincal.measure.registry import SENSORS
 from pincal.measure.sensing import sensor_of
 from pincal.measure.sensor import Sensor
 from pincal.measure.sensors.camera_pixel import CameraPixelSensor
@@ -23,6 +28,7 @@ from pincal.measure.sensors.position import PositionSensor
 from pincal.measure.sensors.socket import ContactSensor
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
+from pincal.plugins import load_plugin
 from pincal.robot.se3 import rotation_matrices, rotation_vectors
 
 N = 12
@@ -98,11 +104,34 @@ def cases() -> list[Case]:
     ]
 
 
+def laser_case() -> Case:
+    """Return a case of the example's laser, whose beam meets a plane in every pose, if behind it in some."""
+    laser = load_plugin(str(EXAMPLE)).LineLaser
+    plane = np.array([-9.0, 0.1, -0.2])
+
+    def read(poses: np.ndarray) -> Sensor:
+        start, beam = poses[:, :, 3], poses[:, :, 2]
+        height = start[:, 2] - plane[0] - start[:, :2] @ plane[1:]
+        found: Sensor = laser(height / (beam[:, :2] @ plane[1:] - beam[:, 2]))
+        return found
+
+    return Case("range", read, plane)
+
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "line_laser.py"
 SEEN = random_poses(np.random.default_rng(7))
 READING = {case.kind: case.read for case in reversed(cases())}
 
 
-@pytest.fixture(params=cases(), ids=lambda case: type(case.read(SEEN)).__name__)
+KNOWN_BEFORE = dict(SENSORS._classes)
+CASES = [*cases(), laser_case()]
+# The example's sensor is under test here; no other test shall know it.
+SENSORS._classes.clear()
+SENSORS._classes.update(KNOWN_BEFORE)
+sys.modules.pop("line_laser", None)
+
+
+@pytest.fixture(params=CASES, ids=lambda case: type(case.read(SEEN)).__name__)
 def case(request: pytest.FixtureRequest) -> Case:
     """Return a case of each sensor."""
     found: Case = request.param
@@ -115,10 +144,54 @@ def test_every_sensor_is_under_test() -> None:
     def below(kind: type) -> set[type]:
         return {kind} | {leaf for child in kind.__subclasses__() for leaf in below(child)}
 
-    found = {kind for kind in below(Sensor) if not inspect.isabstract(kind) and not kind.__name__.startswith("_")}
+    found = {kind for kind in below(Sensor) if not inspect.isabstract(kind) and kind.__module__.startswith("pincal.")}
 
-    assert found == {type(case.read(SEEN)) for case in cases()}
-    assert all(case.read(SEEN).kind == case.kind for case in cases())
+    assert found == {type(case.read(SEEN)) for case in cases()} == set(KNOWN_BEFORE.values())
+    assert all(case.read(SEEN).kind == case.kind for case in CASES)
+
+
+@pytest.mark.parametrize("kind", [type(case.read(SEEN)) for case in CASES], ids=lambda kind: kind.__name__)
+def test_no_concrete_method_is_overridden(kind: type) -> None:
+    """A sensor states what is abstract above it and replaces nothing that works."""
+    above = [cls for cls in kind.__mro__ if cls.__module__.startswith(("pincal.", "line_laser"))]
+    for i, cls in enumerate(above):
+        for name in vars(cls):
+            for base in above[i + 1 :]:
+                there = vars(base).get(name)
+                is_code = isinstance(there, property | classmethod | staticmethod) or inspect.isfunction(there)
+                if is_code and not name.startswith("__"):
+                    assert getattr(there, "__isabstractmethod__", False), f"{cls.__name__}.{name} of {base.__name__}"
+
+
+# Where the names of sensors may stand: their own files, the registry, and what makes a table's arrays into one of them. The
+# simulator is an independent oracle; what its commands offer is what it can do.
+ALLOWED = ("measure/sensors/", "measure/registry.py", "measure/sensing.py", "measure/measurements.py", "simulate/")
+SIMULATED = ("cli/simulate.py", "cli/simulate_options.py", "cli/simulate_output.py", "cli/simulate_setup.py")
+
+
+def test_no_sensor_is_recognised_outside_its_own_file() -> None:
+    """No other module names the class of a sensor, or compares with what one of them measures."""
+    classes = {kind.__name__ for kind in KNOWN_BEFORE.values()}
+    kinds = {kind.kind for kind in KNOWN_BEFORE.values()}
+    package = Path(inspect.getfile(pincal)).parent
+    found = []
+    for path in sorted(package.rglob("*.py")):
+        place = path.relative_to(package).as_posix()
+        if place.startswith((*ALLOWED, *SIMULATED)):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = {node.id} if isinstance(node, ast.Name) else {a.name for a in getattr(node, "names", [])
+                                                                  if isinstance(a, ast.alias)}  # fmt: skip
+            compared = [*([node.left, *node.comparators] if isinstance(node, ast.Compare) else []),
+                        *(node.keys if isinstance(node, ast.Dict) else [])]  # fmt: skip
+            strings = {leaf.value for part in compared if part is not None for leaf in ast.walk(part)
+                       if isinstance(leaf, ast.Constant) and isinstance(leaf.value, str)}  # fmt: skip
+            found += [f"{place}:{node.lineno} {name}" for name in (names & classes) | (strings & kinds)]
+
+    # Names of arrays and columns, not kinds: of a table of targets, of a list of known distances, and the displacement that
+    # stands for an image's error.
+    others = ("compensate/targets.py", "measure/setup.py", "validate/accuracy.py")
+    assert [entry for entry in found if not entry.startswith(others)] == []
 
 
 def test_residuals_are_zero_at_the_truth(case: Case) -> None:
@@ -147,7 +220,7 @@ def test_jacobian_is_minus_the_slope_of_the_residuals(case: Case, angle: float, 
     """The Jacobian equals central differences of the residuals, for orientations off by anything up to 3 rad, too."""
     axis = rng.standard_normal((N, 3))
     # What is behind a camera has no image.
-    angle = min(angle, 0.1) if case.kind == "camera_pixel" else angle
+    angle = min(angle, 0.1) if case.kind in ("camera_pixel", "range") else angle
     off = angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     sensor = case.read(SEEN)
     poses = moved(SEEN, rng.normal(0.0, 0.01, (N, 3)), off)

@@ -168,7 +168,7 @@ def _promises(found: Design) -> Iterator[tuple[str, str]]:
     designed, random = found.found.designed, found.found.random
     if found.needed is not None:
         yield "accuracy", f"{found.needed} of the candidates are the fewest that reach it"
-    what = "distance" if found.rig.sensor == "distance" else "position"
+    what = found.design_model.quantity
     yield "predicted", f"{what} error over the task {1e3 * designed.error:.4f} mm rms, if the model has the right form"
     if found.before is not None:
         yield "before", f"{1e3 * found.before.error:.4f} mm with the poses already measured"

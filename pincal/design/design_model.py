@@ -8,10 +8,9 @@ fit leaves without a prior, get one so wide that it says nothing: it only keeps 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -21,29 +20,19 @@ from pincal.identify.beliefs import noise_of, priors_of
 from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior, posterior
 from pincal.identify.problem import Problem
-from pincal.identify.station import Station, station_of
-from pincal.measure.measurements import measurements_from_arrays
+from pincal.identify.station import Station
+from pincal.measure.registry import foreseeable
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
-from pincal.robot.se3 import quaternions
 
-# Noise of a good laser tracker in a hall, where none is declared, by the unit of a reading [m, rad].
-ASSUMED_NOISE = {"m": 5e-5, "rad": 1e-4}
 # Noise below which the arithmetic of a design has no digits left [m, rad].
 _LEAST_NOISE = 1e-7
 # Width of what stands for no prior, in units of the noise: 1 m for 0.05 mm.
 _WIDE = 2e4
 # Width of the prior of an effect that is to be told from another, in sizes that are typical of it.
 RIVAL = 10.0
-
-READINGS: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
-    "position": lambda poses: {"position": poses[:, :, 3]},
-    "pose": lambda poses: {"position": poses[:, :, 3], "quaternion": quaternions(poses[:, :, :3])},
-    "distance": lambda poses: {"distance": np.linalg.norm(poses[:, :, 3], axis=1)},
-}
-"""What each kind of sensor reads of the target's poses in the instrument's frame, shape (N, 3, 4), as columns of a table."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +115,11 @@ class DesignModel:
         return len(self.sizes)
 
     @property
+    def quantity(self) -> str:
+        """What :meth:`errors` are errors of: "position" or "distance"."""
+        return foreseeable()[self.sensor].blocks[0].name
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the F parameters."""
         return tuple(np.array(self.model.names)[self.free])
@@ -157,10 +151,7 @@ class DesignModel:
 def _problem(model: Model, values: np.ndarray, sensor: str, conditions: Conditions) -> Station:
     """Return the problem of the readings that a nominal arm gives."""
     poses = model.predict(values, conditions)
-    names = np.array(model.chain.targets)[conditions.target]
-    columns: dict[str, Any] = {"target": names} | READINGS[sensor](poses)
-    table = measurements_from_arrays(model.chain.robot.joint_names, conditions.q, **columns)
-    return replace(station_of(model, table, conditions.payload_centre), conditions=conditions)
+    return Station(model, conditions, foreseeable()[sensor].foreseen(poses), np.ones(len(conditions)))
 
 
 def _nominal(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
@@ -176,8 +167,8 @@ def _nominal(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
 
 def _sigma(problem: Station, options: Options) -> np.ndarray:
     declared = noise_of(Problem((problem,)), options).declared
-    units = [block.unit for block in problem.sensor.blocks]
-    sigma = np.array([ASSUMED_NOISE[unit] if s is None else s for unit, s in zip(units, declared, strict=True)])
+    blocks = problem.sensor.blocks
+    sigma = np.array([block.noise if s is None else s for block, s in zip(blocks, declared, strict=True)])
     if np.any(sigma < _LEAST_NOISE):
         raise BadInputError(f"noise {sigma.min():g} m (or rad); expected {_LEAST_NOISE:g} or more, as instruments have")
     return sigma
@@ -196,10 +187,13 @@ def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[n
 
 
 def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:
-    if rig.sensor not in READINGS:
-        raise BadInputError(f"sensor {rig.sensor!r}: not one to design for; expected one of {', '.join(READINGS)}")
-    if rig.sensor == "distance" and rig.instrument is None:
-        raise BadInputError("what a distance tells depends on where it is measured from; give the place of the instrument")
+    known = foreseeable()
+    if rig.sensor not in known:
+        raise BadInputError(f"sensor {rig.sensor!r}: not one to design for; expected one of {', '.join(known)}")
+    if known[rig.sensor].needs_instrument and rig.instrument is None:
+        raise BadInputError(
+            f"what a {rig.sensor} tells depends on where it is measured from; give the place of the instrument"
+        )
     if robot.massless and any(effect.uses_moments for effect in options.effects):
         raise BadInputError(
             f"{robot.source}: no mass for the links {', '.join(robot.massless)}, so elasticity can't be part of the model; "

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS, SIGMA, Field
-from pincal.measure.sensor import Sensor
+from pincal.measure.sensor import Foreseeable, Sensor
 from pincal.measure.sensors.camera_pixel import CameraPixelSensor
 from pincal.measure.sensors.camera_point import CameraPointSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
@@ -70,6 +70,11 @@ def known_fields() -> Mapping[str, Field]:
 def known_kinds() -> Mapping[str, str]:
     """Return what sensors measure, and the module that defines each of them."""
     return {sensor.kind: sensor.__module__ for sensor in SENSORS.known().values()}
+
+
+def foreseeable() -> Mapping[str, type[Foreseeable]]:
+    """Return the sensors, by their kind, for which measurements can be designed."""
+    return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Foreseeable)}
 
 
 def sensor_class(fields: Collection[str]) -> type[Sensor] | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from pincal.errors import MeasurementError
@@ -43,5 +41,4 @@ def sensor_like(measurements: Measurements, setup: Setup) -> Sensor:
 
 def ideal_readings(poses: np.ndarray, *, with_orientation: bool) -> Sensor:
     """Return what an instrument without errors reads of poses, shape (N, 3, 4): positions, or positions and orientations."""
-    arguments: dict[str, Any] = {"position": poses[:, :, 3]}
-    return PoseSensor(**arguments, rotation=poses[:, :, :3]) if with_orientation else PositionSensor(**arguments)
+    return (PoseSensor if with_orientation else PositionSensor).foreseen(poses)

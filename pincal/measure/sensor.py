@@ -6,7 +6,7 @@ and what they cannot determine. Whatever is asked of measurements elsewhere goes
 needs no other place than its own file.
 
 What only some sensors have is a class of its own to inherit from: :class:`OwnParameters`, :class:`KnownParameters`,
-:class:`Constrained`, :class:`Grouped`, :class:`Filtered`, :class:`Plausible`.
+:class:`Constrained`, :class:`Grouped`, :class:`Filtered`, :class:`Foreseeable`, :class:`Plausible`.
 """
 
 from __future__ import annotations
@@ -320,6 +320,22 @@ class Filtered(ABC):
     @abstractmethod
     def unscorable_rows(cls, table: Table, setup: Setup) -> Iterator[Excluded]:
         """Yield rows by which a calibration that knew ``setup`` can't be judged."""
+
+
+class Foreseeable(ABC):
+    """A sensor whose readings follow from the target's pose alone, so that measurements can be designed beforehand.
+
+    Attributes:
+        needs_instrument: whether what readings tell depends on where the instrument stands.
+    """
+
+    blocks: ClassVar[tuple[Block, ...]]
+    needs_instrument: ClassVar[bool] = False
+
+    @classmethod
+    @abstractmethod
+    def foreseen(cls, poses: np.ndarray) -> Sensor:
+        """Return what an instrument without errors reads of poses in its frame, shape (N, 3, 4)."""
 
 
 class Plausible(ABC):

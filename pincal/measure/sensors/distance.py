@@ -17,7 +17,7 @@ from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import POSITIVE, Field, Table
 from pincal.measure.plausible import check_spread, span_m
 from pincal.measure.point_sensor import PointSensor, index_of
-from pincal.measure.sensor import Block, Excluded, Plausible, Sensor
+from pincal.measure.sensor import Block, Excluded, Foreseeable, Plausible, Sensor
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
@@ -34,7 +34,7 @@ _LEAST = 1e-3
 
 
 @dataclass(frozen=True)
-class DistanceSensor(Sensor, Plausible):
+class DistanceSensor(Sensor, Foreseeable, Plausible):
     """1D: the distance, shape (N,) [m], from the instrument's point to the target.
 
     The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
@@ -46,6 +46,7 @@ class DistanceSensor(Sensor, Plausible):
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     twist_rows: ClassVar[int] = 3
     per_row: ClassVar[tuple[str, ...]] = ("distance",)
+    needs_instrument: ClassVar[bool] = True
     deviation_end: ClassVar[str] = _ALONG_SIGHT
 
     distance: np.ndarray
@@ -54,6 +55,11 @@ class DistanceSensor(Sensor, Plausible):
     def of(cls, table: Table, setup: Setup) -> Self:
         """Return the distances of a table."""
         return cls(table.array("distance"))
+
+    @classmethod
+    def foreseen(cls, poses: np.ndarray) -> Self:
+        """Return the distances of poses."""
+        return cls(np.linalg.norm(poses[:, :, 3], axis=1))
 
     @property
     def base_symbols(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.measure.extrinsics import RANK, Extrinsics, by_target
 from pincal.measure.fields import Field, Rule, Table
-from pincal.measure.sensor import Block, Plausible, Sensor
+from pincal.measure.sensor import Block, Foreseeable, Plausible, Sensor
 from pincal.measure.sensors.position import POSITION, check_positions
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
@@ -32,7 +32,7 @@ QUATERNION = Field(
 
 
 @dataclass(frozen=True)
-class PoseSensor(Sensor, Plausible):
+class PoseSensor(Sensor, Foreseeable, Plausible):
     """6D: position, shape (N, 3) [m], and orientation, shape (N, 3, 3), of the tool in the instrument's frame."""
 
     kind: ClassVar[str] = "pose"
@@ -50,6 +50,11 @@ class PoseSensor(Sensor, Plausible):
     def of(cls, table: Table, setup: Setup) -> Self:
         """Return the poses of a table."""
         return cls(table.array("position"), rotation_matrices(table.array("quaternion")))
+
+    @classmethod
+    def foreseen(cls, poses: np.ndarray) -> Self:
+        """Return the poses themselves."""
+        return cls(poses[:, :, 3], poses[:, :, :3])
 
     @property
     def base_symbols(self) -> tuple[str, ...]:

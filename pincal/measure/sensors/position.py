@@ -17,7 +17,7 @@ from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import Field, Table
 from pincal.measure.plausible import check_spread, span_m
-from pincal.measure.sensor import Block, Plausible, Sensor
+from pincal.measure.sensor import Block, Foreseeable, Plausible, Sensor
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, nearest_rotation, transform
@@ -31,7 +31,7 @@ _LEAST_SPREAD = 1e-3
 
 
 @dataclass(frozen=True)
-class PositionSensor(Sensor, Plausible):
+class PositionSensor(Sensor, Foreseeable, Plausible):
     """3D: the position of the target, shape (N, 3) [m], in the instrument's frame."""
 
     kind: ClassVar[str] = "position"
@@ -48,6 +48,11 @@ class PositionSensor(Sensor, Plausible):
     def of(cls, table: Table, setup: Setup) -> Self:
         """Return the positions of a table."""
         return cls(table.array("position"))
+
+    @classmethod
+    def foreseen(cls, poses: np.ndarray) -> Self:
+        """Return the positions of poses."""
+        return cls(poses[:, :, 3])
 
     @property
     def base_symbols(self) -> tuple[str, ...]:
