@@ -5,7 +5,8 @@ The library computes in SI units throughout. Factors enter where a number is sho
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 
 class Unit(NamedTuple):
@@ -113,3 +114,69 @@ def format_noise(sigma: float, unit: str) -> str:
     scaled = sigma * factor
     form = ".4g" if unit == "px" else ".4f" if scaled >= 1e-3 else ".2g"
     return f"{scaled:{form}} {name} per coordinate"
+
+
+# Cells of tables
+
+
+class Quantity(NamedTuple):
+    """A number with its own SI unit, for columns whose rows have different units."""
+
+    value: float
+    unit: str
+
+
+def show_plainly(value: Any) -> str:
+    """Return a cell as text; a missing one is a dash."""
+    return "-" if value is None else str(value)
+
+
+def fixed(places: int) -> Callable[[Any], str]:
+    """Return what shows a number with so many decimal places.
+
+    Example:
+        >>> fixed(2)(1.005), fixed(2)(None), fixed(2)("")
+        ('1.00', '-', '')
+    """
+    return lambda value: show_plainly(value) if value is None or isinstance(value, str) else f"{value:z.{places}f}"
+
+
+def show_percent(share: float | None) -> str:
+    """Return a share of one in percent."""
+    return "-" if share is None else f"{100 * share:.0f} %"
+
+
+def show_value(quantity: Quantity | None) -> str:
+    """Return a quantity in its readable unit, the unit left out.
+
+    Example:
+        >>> show_value(Quantity(0.0123456, "m")), show_value(Quantity(1.5e-6, "1/K")), show_value(Quantity(0.0, "kg"))
+        ('12.3456', '1.500e-06', '0')
+    """
+    return _scaled(quantity, scaled="z.4f", plain=".3e")
+
+
+def show_sigma(quantity: Quantity | None) -> str:
+    """Return a standard deviation in its readable unit to two digits, the unit left out.
+
+    Example:
+        >>> show_sigma(Quantity(1.234e-5, "rad")), show_sigma(None)
+        ('0.012', '-')
+    """
+    return _scaled(quantity, scaled="#.2g", plain=".1e").removesuffix(".")
+
+
+def _scaled(quantity: Quantity | None, *, scaled: str, plain: str) -> str:
+    if quantity is None:
+        return "-"
+    factor, name = readable_unit(quantity.unit)
+    if name == "px":
+        return f"{quantity.value:z.3f}"
+    if factor != 1.0:
+        return f"{quantity.value * factor:{scaled}}"
+    return f"{quantity.value:{plain}}" if quantity.value else "0"
+
+
+def show_unit(unit: str) -> str:
+    """Return the name of the readable unit of an SI unit."""
+    return readable_unit(unit).name

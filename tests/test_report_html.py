@@ -18,9 +18,10 @@ from pincal.report.advice import narrow_joints, unidentified_groups
 from pincal.report.blocks import Section, paragraph
 from pincal.report.glossary import effect_meaning
 from pincal.report.html import SECTIONS, report_page, write_report
-from pincal.report.sections import Subject
+from pincal.report.subject import Subject
 from pincal.report.verdict import next_steps, verdict_of
-from pincal.tables import Column, Kind, Table, fixed
+from pincal.tables import Column, Kind, Table
+from pincal.units import fixed
 
 
 class Page(HTMLParser):

@@ -11,7 +11,8 @@ from rich.console import Console
 from pincal.calibration.result import ParameterRow
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table
 from pincal.identify.reasons import IDENTIFIED, Cause, Reason, Status
-from pincal.tables import Column, Kind, Quantity, Table, fixed
+from pincal.tables import Column, Kind, Table
+from pincal.units import Quantity, fixed
 
 WEAK = Reason(Cause.UNINFORMED, size=1e-6, unit="rad/(N m)")
 ROWS = (

@@ -9,7 +9,8 @@ import numpy as np
 
 from pincal.calibration.result import ParameterRow
 from pincal.parameters import Estimate
-from pincal.tables import Cell, Column, Kind, Quantity, Table, Tone, fixed, show_sigma, show_unit, show_value
+from pincal.tables import Cell, Column, Kind, Table, Tone
+from pincal.units import Quantity, fixed, show_sigma, show_unit, show_value
 from pincal.validate.replicates import ANGLE_WORDS
 
 PARTS = {"train": "fitted", "test": "held out"}

@@ -28,8 +28,8 @@ from pincal.report.tables import (
     stage_table,
 )
 from pincal.report.words import effect_words, noise_words
-from pincal.tables import Quantity, hanging, one_line
-from pincal.units import format_small
+from pincal.tables import hanging, one_line
+from pincal.units import Quantity, format_small
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.replicates import cycle_words
 

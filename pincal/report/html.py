@@ -11,7 +11,7 @@ from pincal.calibration.run import Calibration
 from pincal.discover.run import Discovery
 from pincal.report import search, sections
 from pincal.report.blocks import Section
-from pincal.report.sections import Subject
+from pincal.report.subject import Subject
 
 log = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from pincal.report.blocks import Block, Section, bullets, card, code, group, heading, joined, paragraph, rich
 from pincal.report.glossary import effect_meaning
 from pincal.report.illustrations import discovery_drawings, figures
-from pincal.report.sections import Subject
+from pincal.report.subject import Subject
 from pincal.report.tables import by_reason, location_table, show_chance, stage_table
 from pincal.report.words import effect_words
 from pincal.units import format_digits, small_unit

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal
 from urllib.parse import quote
 
 from markupsafe import Markup
 
 from pincal.calibration.result import Result
-from pincal.calibration.run import Calibration
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table, shown_parameters
-from pincal.discover.run import Discovery
 from pincal.report.advice import unidentified_groups
 from pincal.report.blocks import Block, Section, bars, bullets, card, code, facts, group, heading, joined, paragraph, rich
-from pincal.report.evidence import Evidence, evidence_of
 from pincal.report.glossary import TERMS, effect_meaning
 from pincal.report.illustrations import (
     correction_drawings,
@@ -25,6 +19,7 @@ from pincal.report.illustrations import (
     order_drawings,
     workspace_drawings,
 )
+from pincal.report.subject import Subject
 from pincal.report.verdict import Judgement, next_steps, verdict_of
 from pincal.report.words import noise_words
 from pincal.tables import Tone
@@ -36,40 +31,6 @@ _LISTED = 12
 # Ratio of errors before and after from which an improvement is mentioned; below it rounds to 1.0.
 _IMPROVED = 1.05
 _TONES: dict[str, Tone] = {Judgement.ADEQUATE: "good", Judgement.NOT_JUDGED: "care"}
-
-
-@dataclass(frozen=True)
-class Subject:
-    """What a page reports on.
-
-    Attributes:
-        calibration: the calibration.
-        provenance: versions, command, inputs with hashes.
-        notes: what the exported URDF does not carry.
-        discovery: what was found missing, if it was looked for.
-        view: name of the file beside the report that holds the view in three dimensions, if there is one.
-    """
-
-    calibration: Calibration
-    provenance: dict[str, Any]
-    notes: tuple[str, ...] = ()
-    discovery: Discovery | None = None
-    view: str | None = None
-
-    @property
-    def result(self) -> Result:
-        """The figures of the calibration."""
-        return self.calibration.result
-
-    @cached_property
-    def readings(self) -> tuple[Evidence, ...]:
-        """Errors row by row, one for each kind of reading, positions first."""
-        return evidence_of(self.calibration)
-
-    @property
-    def part(self) -> Literal["test", "train"]:
-        """The rows whose errors are quoted first: held-out ones if there are any."""
-        return "test" if "test" in self.result.error["calibrated"] else "train"
 
 
 def summary(subject: Subject) -> Section:

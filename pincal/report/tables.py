@@ -13,8 +13,8 @@ from pincal.design.design import Design
 from pincal.discover.precheck import DataReport, Detectability
 from pincal.discover.shrink import StageError, gap_names
 from pincal.report.words import effect_words
-from pincal.tables import Cell, Column, Kind, Quantity, Table, Tone, fixed, show_percent, show_plainly
-from pincal.units import format_digits, small_unit
+from pincal.tables import Cell, Column, Kind, Table, Tone
+from pincal.units import Quantity, fixed, format_digits, show_percent, show_plainly, small_unit
 
 # Joints side by side in a table of 100 characters.
 _JOINTS_ABREAST = 7
