@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -132,6 +133,34 @@ def time_calibration() -> Iterator[Line]:
         what = f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.visible_rank}, {found.iterations} iterations"
         yield line(f"{what}: best", float(taken.min()), None if target is None else 1e3 * target, "{:.1f} ms")
         yield line(f"{'':4s}median of {CALLS}", float(np.median(taken)), None, "{:.1f} ms")
+
+
+def time_stations() -> Iterator[Line]:
+    """Time and weigh many stations of 100 rows against one, and against one table with as many rows."""
+    table, options = table_of(20_000, with_elasticity=False), Options(effects=GEOMETRIC, sigma=NOISE)
+    parts = [table.select(np.arange(100 * i, 100 * (i + 1))) for i in range(200)]
+
+    def taken(stations: int) -> float:
+        call = partial(pincal.calibrate, ROBOT, parts[:stations], options)
+        return float(seconds(call, 1 if stations > 1 else CALLS).min())
+
+    def peak(stations: int) -> float:
+        gc.collect()
+        tracemalloc.start()
+        found = pincal.calibrate(ROBOT, parts[:stations], options)
+        _check(found)
+        reached = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return reached
+
+    taken(1)
+    one, fifty, all_of_them = (taken(n) for n in (1, 50, 200))
+    yield line("1 station of 100 rows, geometric: best", 1e3 * one, None, "{:.1f} ms")
+    yield line("200 such stations, a station", 1e3 * all_of_them / 200, 1.2 * 1e3 * one, "{:.1f} ms")
+    whole = float(seconds(partial(pincal.calibrate, ROBOT, table.select(np.arange(5_000)), options), CALLS).min())
+    yield line("50 stations of 100 rows against one table of 5000: ratio", fifty / whole, None, "{:.1f}")
+    each = (peak(200) - peak(50)) / 150 / 1e3
+    yield line("memory for one more station of 100 rows", each, 100.0, "{:.0f} kB")
 
 
 def _check(found: Fit) -> None:
@@ -259,6 +288,7 @@ def main() -> None:
     parts = [
         compare_with_pinocchio,
         time_calibration,
+        time_stations,
         time_design,
         time_compensation,
         time_discovery,

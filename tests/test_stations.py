@@ -160,7 +160,7 @@ def test_steps_and_covariance_equal_those_of_the_dense_matrix(two: Fit) -> None:
     # Normal equations square the condition number of the dense matrix.
     np.testing.assert_allclose(step / sigma, dense.step / sigma, rtol=0.0, atol=1e-8)
     covariance = found.posterior().joint_covariance.dense()
-    np.testing.assert_allclose(covariance / np.outer(sigma, sigma), dense.covariance / np.outer(sigma, sigma), atol=1e-7)
+    np.testing.assert_allclose(covariance / np.outer(sigma, sigma), dense.covariance / np.outer(sigma, sigma), atol=1e-6)
 
 
 def test_length_and_objective_are_those_of_all_readings(two: Fit) -> None:

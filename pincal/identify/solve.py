@@ -248,9 +248,11 @@ class _Fit:
         refused = longer is not step and not np.array_equal(point.values[free], values[free] + longer)
         if refused or np.max(np.abs(judged.sigma / state.judged.sigma - 1.0)) > _STEADY:
             memory.forget()
-        taken = point.equations(judged.sigma).square(point.values[free] - values[free])
         shortest = _STEP if np.any(judged.sigma > rounding(self.problem)) else _ROUNDED
-        is_short = min(wanted, self._length(taken, judged.robust)) < shortest
+        is_short = wanted < shortest
+        if not is_short:
+            taken = point.equations(judged.sigma).square(point.values[free] - values[free])
+            is_short = self._length(taken, judged.robust) < shortest
         return _State(point, judged, state.hard), _Step(wanted, is_short, held)
 
     def exit_of(self, state: _State, step: _Step) -> Exit | None:
