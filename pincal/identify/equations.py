@@ -52,8 +52,8 @@ def contribution(
     sigma: np.ndarray,
     own: np.ndarray,
     sizes: np.ndarray,
-) -> Contribution:
-    """Return what a station says of the free parameters that it shares with others.
+) -> tuple[Contribution, Squares]:
+    """Return what a station says of the free parameters that it shares with others, and the squares of its residuals.
 
     Args:
         station: the station.
@@ -64,8 +64,14 @@ def contribution(
         own: shape (P,), which of them belong to the station alone.
         sizes: shape (P,), standard deviations of the priors; inf for none.
     """
-    G, g = accumulate(station, values, free, robust).at(sigma)
-    return eliminate(G, g, own[free], sizes[free], values[free])
+    normal = accumulate(station, values, free, robust)
+    G, g = normal.at(sigma)
+    return eliminate(G, g, own[free], sizes[free], values[free]), squares_of(normal)
+
+
+def squares_of(normal: Normal) -> Squares:
+    """Return the squares of residuals that normal equations came with."""
+    return Squares(normal.squares, normal.row_squares, normal.disbelief())
 
 
 @dataclass(frozen=True)
@@ -169,7 +175,7 @@ class Linearised:
     """A problem at one set of values.
 
     With one station the Gram matrices are kept block by block of its readings, since another noise only weighs them anew.
-    Of several nothing is kept but squares: their normal equations are summed when the noise is known.
+    Of several nothing is kept but squares and the sum for one noise.
 
     Attributes:
         problem: the stations.
@@ -178,6 +184,8 @@ class Linearised:
         robust: shape (N,), factor on each row's weight: 0 leaves a row out.
         sizes: shape (P,), standard deviations of the priors; inf for none.
         executor: computes what stations contribute; one after the other here unless given.
+        sigma: shape (blocks,), the noise for which equations will be wanted, where it is known before the residuals are:
+            one pass over several stations then does for both.
     """
 
     problem: Problem
@@ -186,6 +194,7 @@ class Linearised:
     robust: np.ndarray
     sizes: np.ndarray
     executor: Executor | None = None
+    sigma: np.ndarray | None = None
 
     @cached_property
     def _normal(self) -> Normal:
@@ -194,8 +203,10 @@ class Linearised:
     @cached_property
     def _squares(self) -> list[Squares]:
         if len(self.problem.stations) == 1:
-            normal = self._normal
-            return [Squares(normal.squares, normal.row_squares, normal.disbelief())]
+            return [squares_of(self._normal)]
+        if self.sigma is not None:
+            self._equations[self.sigma.tobytes()], found = self._sum(self.sigma)
+            return found
         stations = self.problem.stations
         return list(self._map(squares, stations, self._local(self.values), self._by_rows(self.robust)))
 
@@ -228,7 +239,7 @@ class Linearised:
         key = sigma.tobytes()
         if key not in self._equations:
             self._equations.clear()
-            self._equations[key] = self._alone(sigma) if len(self.problem.stations) == 1 else self._sum(sigma)
+            self._equations[key] = self._alone(sigma) if len(self.problem.stations) == 1 else self._sum(sigma)[0]
         return self._equations[key]
 
     def _alone(self, sigma: np.ndarray) -> Equations:
@@ -236,14 +247,14 @@ class Linearised:
         free = self.free
         return Equations(G, g, np.ones(len(g), bool), np.diag(G), (), self.sizes[free], self.values[free])
 
-    def _sum(self, sigma: np.ndarray) -> Equations:
+    def _sum(self, sigma: np.ndarray) -> tuple[Equations, list[Squares]]:
         problem, free = self.problem, self.free
         rank = np.cumsum(free) - 1
         shared = problem.is_shared[free]
         slot = np.cumsum(shared) - 1
         n = int(shared.sum())
         G, g, diagonal = np.zeros((n, n)), np.zeros(n), np.zeros(int(free.sum()))
-        own = []
+        own, residuals = [], []
         parts = self._map(
             contribution,
             problem.stations,
@@ -254,14 +265,15 @@ class Linearised:
             problem.eliminated,
             self._local(self.sizes),
         )
-        for part, places, is_own in zip(parts, problem.places, problem.eliminated, strict=True):
+        for (part, found), places, is_own in zip(parts, problem.places, problem.eliminated, strict=True):
+            residuals.append(found)
             moved = free[places]
             mine, ours = rank[places[moved & is_own]], slot[rank[places[moved & ~is_own]]]
             G[np.ix_(ours, ours)] += part.G
             g[ours] += part.g
             diagonal[rank[places[moved]]] += part.diagonal
             own.append(part.eliminated(mine, ours))
-        return Equations(G, g, shared, diagonal, tuple(own), self.sizes[free], self.values[free])
+        return Equations(G, g, shared, diagonal, tuple(own), self.sizes[free], self.values[free]), residuals
 
     def _map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterable[Any]:
         return map(function, *arguments) if self.executor is None else self.executor.map(function, *arguments)

@@ -323,7 +323,9 @@ class _Fit:
         )
 
     def _linearised(self, values: np.ndarray, robust: np.ndarray) -> Linearised:
-        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor)
+        known = self.judge.noise.known
+        sigma = None if np.isnan(known).any() else known
+        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor, sigma)
 
     def _length(self, square: float, robust: np.ndarray) -> float:
         """Return how far a step of this square moves the predictions, root mean square, in units of the noise."""
