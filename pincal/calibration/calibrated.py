@@ -27,12 +27,12 @@ from pincal.io.model_file import (
     ParameterEntry,
     SetupEntry,
     read_model_file,
+    sensor_module,
     write_model_file,
 )
 from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.measurements import Measurements
-from pincal.measure.registry import known_kinds
 from pincal.measure.setup import Setup
 from pincal.model.augmented import pinocchio_model
 from pincal.model.effects import Conditions, Effect
@@ -393,12 +393,11 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
 
 def _file_of(calibrated: CalibratedModel) -> ModelFile:
     c = calibrated
-    module = known_kinds().get(c.sensor_kind, "pincal")
     return ModelFile(
         format_version=FORMAT_VERSION,
         provenance=c.provenance,
         sensor_kind=c.sensor_kind,
-        sensor_module=None if module.split(".")[0] == "pincal" else module,
+        sensor_module=sensor_module(c.sensor_kind),
         sigma=c.sigma,
         payload_centre=c.payload_centre,
         covered=CoveredEntry(q=c.covered.q, payload=c.covered.payload),

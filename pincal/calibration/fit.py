@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,10 @@ class Fit(identified.Fit, Calibrated):
 
     def to_model(self) -> CalibratedModel:
         """Return the calibrated model, all that a prediction needs."""
+        return self._calibrated
+
+    @cached_property
+    def _calibrated(self) -> CalibratedModel:
         return CalibratedModel.of(self)
 
     def to_stations(self) -> CalibratedStations:

@@ -12,7 +12,15 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.errors import BadInputError
 from pincal.identify.fit import Fit
-from pincal.io.model_file import STATIONS_VERSION, ChainEntry, CoveredEntry, ParameterEntry, RobotEntry, SetupEntry
+from pincal.io.model_file import (
+    STATIONS_VERSION,
+    ChainEntry,
+    CoveredEntry,
+    ParameterEntry,
+    RobotEntry,
+    SetupEntry,
+    sensor_module,
+)
 from pincal.io.stations_file import (
     CovarianceEntry,
     StationEntry,
@@ -163,6 +171,7 @@ def _entry(station: CalibratedStation) -> StationEntry:
     return StationEntry(
         name=station.name,
         sensor_kind=station.sensor_kind,
+        sensor_module=sensor_module(station.sensor_kind),
         sigma=station.sigma,
         payload_centre=station.payload_centre,
         covered=CoveredEntry(q=station.covered.q, payload=station.covered.payload),

@@ -15,7 +15,6 @@ import numpy as np
 from pincal.cli.arguments import group, option, verb
 from pincal.cli.common import GeneralOptions
 from pincal.cli.outputs import output_folder, print_json, provenance
-from pincal.cli.simulate_output import write_json
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
@@ -56,6 +55,7 @@ def demo(arguments: DemoArguments) -> Exit:
     from pincal.cli.fitting import write_results
     from pincal.discover.run import run_discovery
     from pincal.identify.options import Options
+    from pincal.io.strict_json import write_json
     from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions
     from pincal.report.plots import deviation_figure
     from pincal.robot.robot import Robot
@@ -80,7 +80,7 @@ def demo(arguments: DemoArguments) -> Exit:
         table = _measure(second / "measurements.csv", bad, campaign, rng=rng)
         found = run_discovery(robot, table, options, seed=seed)
         write_results(second, found.calibration, provenance([second / "measurements.csv"], seed=seed), found, view=True)
-        write_json(second / "discovery.json", contents=found.report)
+        write_json(second / "discovery.json", found.report)
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
         program = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
         missed = _compensate(second, found, machine=bad, setup=campaign.setup, program=program)

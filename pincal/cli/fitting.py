@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass
 from pathlib import Path
@@ -108,15 +107,16 @@ def write_results(
         What the URDF could not carry, in words.
     """
     from pincal.calibration.calibrated import CalibratedModel, save_model
+    from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import write_report
 
     fit = calibration.fit
     model = CalibratedModel.of(fit, origin)
     save_model(folder / "model.json", model)
-    _write_json(folder / "result.json", calibration.result.to_dict())
+    write_json(folder / "result.json", calibration.result.to_dict())
     if discovery is not None:
-        _write_json(folder / "discovery.json", discovery.report)
+        write_json(folder / "discovery.json", discovery.report)
     export = calibrated_urdf(fit.model, fit.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
@@ -124,10 +124,6 @@ def write_results(
         _write_view(folder / VIEW, calibration, model)
     write_report(folder / "report.html", calibration, origin, export.notes, discovery, view=VIEW if view else None)
     return tuple(export.notes)
-
-
-def _write_json(path: Path, contents: dict[str, Any]) -> None:
-    path.write_text(json.dumps(contents, indent=1, allow_nan=False))
 
 
 def _write_view(path: Path, calibration: Calibration, model: CalibratedModel) -> None:

@@ -238,6 +238,26 @@ class SetupEntry(Record, frozen=True, kw_only=True):
         )
 
 
+def sensor_module(kind: str) -> str | None:
+    """Return the module that defines a sensor, None for one of pincal's own."""
+    module = known_kinds().get(kind, "pincal")
+    return None if module.split(".")[0] == "pincal" else module
+
+
+def check_sensor(kind: str, module: str | None) -> None:
+    """Refuse a sensor that is not known.
+
+    Raises:
+        Fault: naming the module that has to be loaded, if there is one.
+    """
+    if kind in known_kinds():
+        return
+    if module:
+        expected = f"its module to be loaded: --plugin {module}"
+        raise Fault(f"sensor {kind!r} is not pincal's own", expected, key=".sensor_kind")
+    raise Fault(f"unknown sensor {kind!r}", f"one of {', '.join(known_kinds())}", key=".sensor_kind")
+
+
 class ModelFile(Record, frozen=True, kw_only=True):
     """The whole of ``model.json``.
 
@@ -273,11 +293,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.sensor_kind not in known_kinds():
-            module = self.sensor_module
-            expected = f"its module to be loaded: --plugin {module}" if module else f"one of {', '.join(known_kinds())}"
-            whose = f"sensor {self.sensor_kind!r} is not pincal's own" if module else f"unknown sensor {self.sensor_kind!r}"
-            raise Fault(whose, expected, key=".sensor_kind")
+        check_sensor(self.sensor_kind, self.sensor_module)
         names = self.model.model().names
         if tuple(p.name for p in self.parameters)[: len(names)] != names:
             raise Fault("are not those of the effects", f"{', '.join(names[:3])} and so on", key=".parameters")

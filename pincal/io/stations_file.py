@@ -16,6 +16,7 @@ from pincal.io.model_file import (
     ParameterEntry,
     RobotEntry,
     SetupEntry,
+    check_sensor,
     plain,
     restored,
     version_of,
@@ -64,6 +65,11 @@ class StationEntry(Record, frozen=True, kw_only=True):
     effects: tuple[Effect, ...]
     equilibrium: bool
     setup: SetupEntry
+    sensor_module: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sensor(self.sensor_kind, self.sensor_module)
 
     def model(self, robot: Robot) -> Model:
         """Return the station's model of the robot."""
