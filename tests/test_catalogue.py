@@ -17,7 +17,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
 from pincal.io.effect_entry import effect_from_entry, effect_to_entry, known_effects
-from pincal.io.model_file import ModelEntry, restored
+from pincal.io.entries import ModelEntry, restored
 from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.model import catalogue
 from pincal.model.catalogue import (

@@ -19,17 +19,8 @@ from pincal.calibration.tables import estimate_table
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station, conditions_of, station_of
-from pincal.io.model_file import (
-    FORMAT_VERSION,
-    CoveredEntry,
-    ModelEntry,
-    ModelFile,
-    ParameterEntry,
-    SetupEntry,
-    read_model_file,
-    sensor_module,
-    write_model_file,
-)
+from pincal.io.entries import CoveredEntry, ModelEntry, ParameterEntry, SetupEntry
+from pincal.io.model_file import FORMAT_VERSION, ModelFile, read_model_file, sensor_module, write_model_file
 from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.measurements import Measurements

@@ -12,15 +12,8 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.errors import BadInputError
 from pincal.identify.fit import Fit
-from pincal.io.model_file import (
-    STATIONS_VERSION,
-    ChainEntry,
-    CoveredEntry,
-    ParameterEntry,
-    RobotEntry,
-    SetupEntry,
-    sensor_module,
-)
+from pincal.io.entries import ChainEntry, CoveredEntry, ParameterEntry, RobotEntry, SetupEntry
+from pincal.io.model_file import STATIONS_VERSION, sensor_module
 from pincal.io.stations_file import (
     CovarianceEntry,
     StationEntry,

@@ -10,17 +10,8 @@ import numpy as np
 
 from pincal.io.arrays import Matrix, Numbers, Record, Shape, Vector, shaped
 from pincal.io.effect_entry import effect_to_entry
-from pincal.io.model_file import (
-    ChainEntry,
-    CoveredEntry,
-    ParameterEntry,
-    RobotEntry,
-    SetupEntry,
-    check_sensor,
-    plain,
-    restored,
-    version_of,
-)
+from pincal.io.entries import ChainEntry, CoveredEntry, ParameterEntry, RobotEntry, SetupEntry, plain, restored
+from pincal.io.model_file import check_sensor, version_of
 from pincal.io.strict_json import MODEL_FILE, Fault, read_json, write_json
 from pincal.model.chain import Chain
 from pincal.model.effects import Effect
