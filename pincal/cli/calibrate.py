@@ -17,7 +17,10 @@ Examples:
 
 @verb(FitArguments, examples=_EXAMPLES, exits=EXITS)
 def calibrate(arguments: FitArguments) -> Exit:
-    """Calibrate a robot from a table of measured poses and validate it on held-out rows."""
+    """Calibrate a robot from a table of measured poses.
+
+    The calibrated model is validated on held-out rows.
+    """
     from pincal.calibration.run import run_calibration
     from pincal.cli.tables import print_result
 

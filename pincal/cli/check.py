@@ -21,7 +21,10 @@ class CheckArguments:
 
 @verb(CheckArguments, examples="Example:\n  pincal check robot.urdf tracker.csv --noise 0.05mm", exits=(Exit.UNDECIDED,))
 def check(arguments: CheckArguments) -> Exit:
-    """Check units, ranges and coverage of a table; report what can and cannot be identified from it, and why."""
+    """Report what can and cannot be identified from a table.
+
+    Units, ranges and coverage are checked, and the reason is given for what cannot be identified.
+    """
     from pincal.cli.inputs import prepare
     from pincal.discover.precheck import precheck
 

@@ -82,7 +82,10 @@ class CompensateArguments:
 
 @verb(CompensateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED,))
 def compensate(arguments: CompensateArguments) -> Exit:
-    """Find the joint positions that bring the real robot to the wanted poses, closest to those given."""
+    """Find the joint positions that reach wanted poses.
+
+    Of all that bring the real robot there, the closest to those given are chosen.
+    """
     from pincal.calibration.calibrated import load_model
     from pincal.cli.model_use import Extrapolation
     from pincal.compensate.run import run_compensation

@@ -108,7 +108,10 @@ class DesignArguments:
 
 @verb(DesignArguments, examples=_EXAMPLES)
 def design(arguments: DesignArguments) -> Exit:
-    """Choose the most informative poses to measure, within reach and in view, and find how many are needed."""
+    """Choose the most informative poses to measure.
+
+    All are within reach and in view; also reports how many are needed.
+    """
     from pincal.cli.inputs import load_table
     from pincal.design.design import design_poses
     from pincal.measure.table import write_table

@@ -31,7 +31,10 @@ _DEFAULTS = {
 
 @verb(FitArguments, examples=_EXAMPLES, exits=EXITS, defaults=_DEFAULTS)
 def discover(arguments: FitArguments) -> Exit:
-    """Find where model and data disagree, identify the missing effects, and validate them on held-out rows."""
+    """Identify the effects that the model misses.
+
+    Reports where model and data disagree, which effects explain it, and how the error on held-out rows shrinks.
+    """
     from pincal.cli.tables import print_discovery, print_notes
     from pincal.discover.run import run_discovery
     from pincal.model.chain import MOMENT_FRAMES

@@ -28,7 +28,10 @@ class ExportArguments:
 
 @verb(ExportArguments, examples="Example:\n  pincal export results/model.json --urdf calibrated.urdf")
 def export(arguments: ExportArguments) -> Exit:
-    """Write the calibrated URDF: the original file with corrected joint origins, verified against the model."""
+    """Write the calibrated URDF or camera parameters.
+
+    The URDF is the original file with corrected joint origins, verified against the model.
+    """
     from pincal.calibration.calibrated import load_model
     from pincal.io.urdf_export import calibrated_urdf
 

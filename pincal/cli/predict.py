@@ -26,7 +26,10 @@ class PredictArguments:
 
 @verb(PredictArguments, examples="Example:\n  pincal predict results/model.json poses.csv --out predicted.csv")
 def predict(arguments: PredictArguments) -> Exit:
-    """Predict the target's position in the instrument's frame at given joint positions, with its uncertainty."""
+    """Predict target positions at given joint positions.
+
+    They are given in the instrument's frame, with their uncertainty.
+    """
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
     from pincal.cli.model_use import Extrapolation, pose_columns

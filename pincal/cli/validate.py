@@ -28,7 +28,7 @@ class ValidateArguments:
     exits=(Exit.INACCURATE,),
 )
 def validate(arguments: ValidateArguments) -> Exit:
-    """Report the accuracy of a calibrated model on measurements that it was not fitted to."""
+    """Report the accuracy of a calibrated model on new measurements."""
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
     from pincal.cli.model_use import Extrapolation

@@ -55,7 +55,10 @@ class ViewArguments:
 
 @verb(ViewArguments, examples=_EXAMPLES)
 def view(arguments: ViewArguments) -> Exit:
-    """Show the robot and the field of its deviations: before, after, and what each effect explains."""
+    """Show the robot and its deviations in 3D.
+
+    Before and after calibration, and what each effect explains.
+    """
     from pincal.viewer import show, write_html
 
     scene, as_json = _scene(arguments), arguments.general.as_json
