@@ -92,7 +92,7 @@ def main() -> None:
     discovery = run_discovery(robot, table, replace(options, effects=GEOMETRIC))
     program = replace(Conditions.at(other, payload_centre=LOAD_COM), **others)
     # The program was made with the nominal robot, its base and tool measured in: there it would bring the reflector.
-    wanted = fit.model.predict(fit.nominal.values[: fit.model.n_parameters], program)
+    wanted = fit.model.predict(fit.model.own(fit.nominal.values), program)
 
     print(f"KUKA KR 125/2, {MEASURED} poses measured with {1e3 * NOISE:g} mm noise, a program of {PROGRAM} other poses")
     report("as programmed", np.linalg.norm(cell.see(other, others) - wanted[:, :, 3], axis=1))

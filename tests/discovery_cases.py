@@ -441,7 +441,7 @@ def gap_over_oracle(case: Case, trail: History) -> float:
 
 def _gap(fit: Fit, held: Measurements, clean: np.ndarray) -> float:
     problem = fit.readings(held)
-    poses = problem.model.predict(fit.values[: problem.model.n_parameters], problem.conditions)
+    poses = problem.model.predict(problem.model.own(fit.values), problem.conditions)
     return float(np.sqrt(np.mean(np.sum((poses[:, :, 3] - clean) ** 2, axis=1))))
 
 

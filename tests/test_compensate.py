@@ -224,7 +224,7 @@ def test_a_machine_that_errs_in_more_than_the_model_knows_arrives() -> None:
     fit = pincal.calibrate(robot, table, options)
     given = replace(Conditions.at(other, payload_centre=COM), payload=load)
     # What the nominal robot would do, its base and tool measured in.
-    wanted = fit.model.predict(fit.nominal.values[: fit.model.n_parameters], given)
+    wanted = fit.model.predict(fit.model.own(fit.nominal.values), given)
     found = compensate_poses(pincal.CalibratedModel.of(fit, {}), wanted, given)
     before, after = (np.linalg.norm(seen(q, load, 0.0) - wanted[:, :, 3], axis=1).mean() for q in (other, found.q))
 

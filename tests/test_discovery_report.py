@@ -106,7 +106,7 @@ def test_gap_is_the_error_on_rows_that_nobody_saw(found: Discovery) -> None:
     held, fit = found.calibration.test, found.calibration.fit
     conditions = fit.readings(held).conditions
     for when, used in (("before", found.trail.first), ("after", fit)):
-        predicted = used.model.predict(used.values[: used.model.n_parameters], conditions)[:, :, 3]
+        predicted = used.model.predict(used.model_values, conditions)[:, :, 3]
         errors = 1e3 * np.linalg.norm(predicted - held.position, axis=1)
 
         gap = found.report["gap"][when]
@@ -128,7 +128,7 @@ def test_model_file_predicts_with_the_new_effect(tmp_path: Path, found: Discover
     conditions = fit.station.conditions
 
     assert "backlash" in [effect.name for effect in back.model.effects]
-    expected = fit.model.predict(fit.values[: fit.model.n_parameters], conditions)
+    expected = fit.model.predict(fit.model_values, conditions)
     np.testing.assert_array_equal(back.predict(conditions), expected)
     turned = replace(conditions, approach=-conditions.approach)
     assert np.abs(back.predict(turned) - expected)[:, :, 3].max() > 1e-5
@@ -148,7 +148,7 @@ def test_nothing_is_located_where_there_is_only_noise() -> None:
 def test_levers_are_how_readings_move(elastic_fit: Any) -> None:
     """The lever of a joint's drive is the derivative of the prediction by the joint's position."""
     chain, problem, h = elastic_fit.model.chain, elastic_fit.station, 1e-5
-    values = elastic_fit.values[: elastic_fit.model.n_parameters]
+    values = elastic_fit.model_values
     moved = [replace(problem.conditions, q=problem.conditions.q + h * sign * np.eye(6)[2]) for sign in (1.0, -1.0)]
     plus, minus = (elastic_fit.model.predict(values, c)[:, :, 3] for c in moved)
 

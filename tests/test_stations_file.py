@@ -64,7 +64,7 @@ def test_uncertainty_of_a_station_is_that_of_the_joint_covariance(fit: pincal.Fi
     """J C J^T with the columns of the station's own parameters and the robot's, by the dense covariance of all."""
     station, places = fit.problem.stations[1], fit.problem.places[1]
     rows = station.conditions.select(np.arange(3))
-    own = places[: station.model.n_parameters]
+    own = station.model.own(places)
     C = fit.estimate.dense_covariance()[np.ix_(own, own)]
     _, J = station.model.linearise(fit.values[own], rows)
 

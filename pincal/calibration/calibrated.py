@@ -227,7 +227,7 @@ class CalibratedModel(Calibrated):
     @property
     def model_values(self) -> np.ndarray:
         """Values of the model's parameters; the sensor's own left out."""
-        return self.values[: self.model.n_parameters]
+        return self.model.own(self.values)
 
     @cached_property
     def dense_covariance(self) -> np.ndarray:

@@ -66,7 +66,7 @@ class Note:
 def notes_on_data(fit: Fit) -> list[Note]:
     """Return whether the readings are few for the parameters; however much is read of a pose, it has six coordinates."""
     poses = len(np.unique(fit.station.conditions.q, axis=0))
-    own = int(fit.solution.free[fit.model.n_parameters :].sum())
+    own = int(fit.station.split(fit.solution.free)[1].sum())
     readings = min(len(fit.station) * sum(block.size for block in fit.station.sensor.blocks), 6 * poses + own)
     released = int(fit.solution.free.sum())
     if readings >= 2 * released:

@@ -126,7 +126,7 @@ def _compensate(
 
     # The program was made with the nominal robot, its base and tool measured in.
     fit = found.calibration.fit
-    wanted = fit.model.predict(fit.nominal.values[: fit.model.n_parameters], program)
+    wanted = fit.model.predict(fit.model.own(fit.nominal.values), program)
     corrected = compensate_poses(load_model(folder / "model.json"), wanted, program)
     exact, position = replace(setup, sigma=0.0), dict(zip("xyz", wanted[:, :, 3].T, strict=True))
     misses: dict[str, dict[str, float]] = {}

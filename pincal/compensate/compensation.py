@@ -115,7 +115,7 @@ def compensate_poses(
     known = in_base_frame(calibrated) if frame == "base" else calibrated
     problem = IkProblem.of(
         known.model,
-        known.values[: known.model.n_parameters],
+        known.model_values,
         conditions=conditions,
         wanted=poses,
         with_orientation=np.ndim(wanted) == 3 or orientation == "keep",

@@ -148,7 +148,7 @@ def _coordinate(fit: Fit, effect: Effect) -> int | None:
     """Return the one coordinate that an effect moves, None if there are several."""
     chain = fit.model.chain
     first = np.zeros(1, int)
-    moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], fit.station.conditions.select(first))
+    moments = fit.model.static_moments(fit.model_values, fit.station.conditions.select(first))
     moved = {term.coordinate for term in effect.terms(chain, fit.station.conditions.select(first), moments)}
     return moved.pop() if len(moved) == 1 else None
 
@@ -159,7 +159,7 @@ def _explaining(fit: Fit, effect: Effect) -> tuple[str, str, np.ndarray]:
     names = chain.robot.joint_names
     if at.follows == MOMENT:
         i = 0 if at.joint is None else names.index(at.joint)
-        moments = fit.model.static_moments(fit.values[: fit.model.n_parameters], conditions)
+        moments = fit.model.static_moments(fit.model_values, conditions)
         # Of the whole arm the moment on joint 1 that tilts it.
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
         return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]

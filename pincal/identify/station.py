@@ -44,8 +44,8 @@ class Station:
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
-        n = self.model.n_parameters
-        return vector[:n], vector[n:]
+        of_model = self.model.own(vector)
+        return of_model, vector[len(of_model) :]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -75,7 +75,7 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     if not text:
         raise RobotFileError("the model holds no URDF; expected its text: give the file that the robot was loaded from")
     tree = parse_urdf(text, source=robot.source)
-    values = np.asarray(values, float)[: model.n_parameters]
+    values = model.own(np.asarray(values, float))
     before, after = _placements(model, np.zeros(model.n_parameters)), _placements(model, values)
     segments, old = _segments(tree, robot), read_origins(text, tree.source)
     edited, tip, notes = write_origins(text, _origins(segments, old, before, after), tree.source), robot.tip, _notes(model)

@@ -94,6 +94,10 @@ class Model:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
 
+    def own(self, vector: np.ndarray) -> np.ndarray:
+        """Return the model's part of a vector over its parameters and, after them, those of a sensor; a view."""
+        return vector[: self.n_parameters]
+
     def index(self, name: str) -> int:
         """Return the place of a parameter in the vector of values."""
         return self.names.index(name)

@@ -88,7 +88,7 @@ def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[t
         factor: of tilts and offsets; a round number unless given, such that the largest can be seen and none misleads.
     """
     chain = calibrated.model.chain
-    coordinates = calibrated.model.rigid_coordinates(calibrated.values[: calibrated.model.n_parameters])
+    coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
     heights = _heights(chain.robot)
     found = [_distortion(chain, coordinates, i, heights[i]) for i in range(len(heights))]
     reach = chain.robot.reach

@@ -130,7 +130,7 @@ def deviation_fields(
         if measured is None or measured.position is None:
             nominal = _nominal_from_predictions(part, over)
         notes += note
-        layers += _workspace_layers(part, over, nominal[: part.model.n_parameters])
+        layers += _workspace_layers(part, over, part.model.own(nominal))
         poses.append(Poses("workspace", over.q, over.target))
     if not layers:
         raise BadInputError("nothing to show: no measured poses, and no place of the workspace asked for")
@@ -143,15 +143,15 @@ def _measured_layers(
     model, values = calibrated.model, calibrated.values
     problem = calibrated.readings(measurements)
     for name, of, words in (("before", nominal, "nominal, base and tool fitted"), ("after", values, "calibrated")):
-        tails = _positions(model, of[: model.n_parameters], conditions)
+        tails = _positions(model, model.own(of), conditions)
         meaning = f"from {words} to {problem.sensor.deviation_end}"
         yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), meaning)
-    own = values[: model.n_parameters]
+    own = model.own(values)
     yield from _explained("deviations", "measured", model, own, conditions, _positions(model, own, conditions))
 
 
 def _workspace_layers(calibrated: CalibratedModel, over: Conditions, nominal: np.ndarray) -> Iterator[Layer]:
-    model, values = calibrated.model, calibrated.values[: calibrated.model.n_parameters]
+    model, values = calibrated.model, calibrated.model_values
     tails, heads = _positions(model, nominal, over), _positions(model, values, over)
     words = "from nominal, base and tool fitted, to calibrated prediction"
     yield Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words)
@@ -186,10 +186,6 @@ def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.n
     return np.asarray(model.predict(values, conditions)[:, :, 3])
 
 
-def _is_frame(calibrated: CalibratedModel) -> np.ndarray:
-    return np.array([p.is_extrinsic for p in calibrated.estimate.parameters], bool)
-
-
 def _nominal_from_data(
     calibrated: CalibratedModel, measurements: Measurements, held_out: np.ndarray | None
 ) -> tuple[np.ndarray, list[str]]:
@@ -215,12 +211,11 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
 
 def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
     """Fit base and tool alone; a frame that the calibration took as known stays where it is."""
-    n = len(station.parameters)
-    frames = _is_frame(calibrated)[:n]
-    fitted = np.diag(calibrated.covariance)[:n] > 0.0
-    free = frames & (fitted if np.any(fitted & frames) else frames)
-    start = np.where(frames, calibrated.values[:n], 0.0)
-    station.split(start)[1][:] = station.split(calibrated.values[:n])[1]
+    found = calibrated.estimate.take(parameter.name for parameter in station.parameters)
+    frames = np.array([parameter.is_extrinsic for parameter in found.parameters], bool)
+    free = frames & (found.free if np.any(found.free & frames) else frames)
+    start = np.where(frames, found.values, 0.0)
+    station.split(start)[1][:] = station.split(found.values)[1]
     if not free.any():
         return start
     # Other targets than those of these rows are not seen: they stay.

@@ -205,7 +205,7 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
 
 
 def _coordinates(calibrated: CalibratedModel) -> np.ndarray:
-    return np.asarray(calibrated.model.rigid_coordinates(calibrated.values[: calibrated.model.n_parameters]))
+    return np.asarray(calibrated.model.rigid_coordinates(calibrated.model_values))
 
 
 def _base_in_instrument(chain: Chain, coordinates: np.ndarray) -> np.ndarray:
