@@ -19,13 +19,14 @@ from pincal.cli.view import view
 from pincal.errors import BadInputError, OutputError
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import write_table
-from pincal.model.catalogue import GearEccentricity, ThermalOffset
+from pincal.model.catalogue import AxisWobble, GearEccentricity, ThermalOffset
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, deviation_fields, held_out_rows, page, show, write_html
 from pincal.viewer.arm import axes_of, link_frames, steps_of
+from pincal.viewer.field import effect_name
 from pincal.viewer.shapes import shapes_of
 
 LOOK = '<link name="base"/><link name="tool0"/><link name="arm"><visual><geometry>{}</geometry></visual></link>'
@@ -118,6 +119,15 @@ def test_what_an_effect_explains_is_what_it_adds(kuka: Robot, rng: np.random.Gen
     assert layer.name == "deviations/explained by gear_eccentricity of joint_3"
     difference = calibrated.predict(conditions) - calibrated.model.predict(without, conditions)
     assert np.allclose(layer.vectors, difference[:, :, 3])
+
+
+def test_effects_of_one_joint_have_names_of_their_own() -> None:
+    """Two wobbles that differ in the side from which they are seen, or in their order, are told apart."""
+    wobbles = [AxisWobble("joint_3", order, frame) for order in (1, 2) for frame in ("before", "after")]
+    names = [effect_name(effect) for effect in wobbles]
+
+    assert names[:2] == ["axis_wobble of joint_3", "axis_wobble of joint_3 seen from the moving link"]
+    assert len(set(names)) == 4
 
 
 def test_a_distance_tells_the_part_along_the_line_of_sight(kuka: Robot, rng: np.random.Generator) -> None:

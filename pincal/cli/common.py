@@ -158,6 +158,12 @@ class SetupOptions:
 class FitOptions:
     """How the model is fitted."""
 
+    add: tuple[str, ...] = option(
+        "Also fit this effect: NAME, NAME:JOINT or NAME:JOINT:KEY=VALUE, e.g. gear_eccentricity:joint_2:order=2; "
+        "may be repeated.",
+        (),
+        metavar="EFFECT",
+    )
     equilibrium: bool = option("Compute moments in the deflected configuration, not the undeflected one.", False)
     stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
     loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,12 +11,16 @@ import numpy as np
 from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
+from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_lens, read_mount
 from pincal.measure.measurements import Measurements
 from pincal.measure.named_points import KnownDistance
 from pincal.measure.setup import Setup, read_distances, read_points
 from pincal.measure.table import column_names, read_measurements
+from pincal.model.catalogue.candidates import find_effect
+from pincal.model.chain import Chain
 from pincal.model.effects import ELASTIC, GEOMETRIC
+from pincal.model.model import Model
 from pincal.robot.robot import Robot, find_file
 from pincal.robot.urdf import read_urdf
 from pincal.units import readable_unit
@@ -51,7 +55,22 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     table = load_table(robot, source.data, ignore=source.ignore)
     setup = chosen.setup
     given = [path for path in (setup.points, setup.distances, setup.camera) if path is not None]
-    return Prepared(robot, table, options_of(chosen, table), (source.data, *given, Path(robot.source)))
+    options = with_effects(options_of(chosen, table), chosen.fit.add, robot=robot, table=table)
+    return Prepared(robot, table, options, (source.data, *given, Path(robot.source)))
+
+
+def with_effects(options: Options, added: tuple[str, ...], *, robot: Robot, table: Measurements) -> Options:
+    """Return the options with the effects that the command line adds.
+
+    Raises:
+        BadInputError: for an effect that is unknown or that these poses can't show.
+    """
+    if not added:
+        return options
+    chain = Chain.of(robot, targets=tuple(str(target) for target in np.unique(table.target)))
+    conditions = conditions_of(Model(chain, ()), table, np.array(options.payload_centre))
+    effects = (find_effect(text, chain, conditions) for text in added)
+    return replace(options, effects=(*options.effects, *effects))
 
 
 def load_robot(source: InputOptions) -> Robot:

@@ -21,20 +21,29 @@ from pincal.robot.se3 import compose, inverse
 Frame = Literal["instrument", "base"]
 FalseTarget = Literal["tip", "target"]
 
-# Effects of the instrument, not of the robot: where it stands, how it drifts, how it scales lengths.
-_PLACING = ("base_frame", "base_drift")
-_OF_INSTRUMENT = (*_PLACING, "measurement_scale")
-_OF_TOOL = ("tool_frame",)
+
+def _is_placing(effect: Effect) -> bool:
+    """Return whether an effect says where the base is in the instrument's frame, or how it drifts there."""
+    return effect.scope == "station" and effect.locus.acts_on == "base"
+
+
+def _is_of_tool(effect: Effect) -> bool:
+    return effect.scope == "station" and effect.locus.acts_on == "tool"
+
+
+def _is_of_robot_or_tool(effect: Effect) -> bool:
+    """Return whether an effect is not the instrument's: not where it stands, drifts or how it scales lengths."""
+    return effect.scope == "robot" or _is_of_tool(effect)
 
 
 def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
     """Return the calibrated model without the instrument: it predicts in the robot's base frame."""
-    return _with_effects(calibrated, lambda effect: effect.name not in _OF_INSTRUMENT, np.eye(3))
+    return _with_effects(calibrated, _is_of_robot_or_tool, np.eye(3))
 
 
 def nominal_model(calibrated: CalibratedModel) -> CalibratedModel:
     """Return the nominal robot with the calibrated tool; it predicts in the robot's base frame."""
-    return _with_effects(calibrated, lambda effect: effect.name in _OF_TOOL, np.eye(3))
+    return _with_effects(calibrated, _is_of_tool, np.eye(3))
 
 
 def _with_effects(
@@ -64,7 +73,7 @@ def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> n
 
     It differs from row to row only if the base drifts.
     """
-    placed = _with_effects(calibrated, lambda effect: effect.name in _PLACING, calibrated.model.chain.base_rotation)
+    placed = _with_effects(calibrated, _is_placing, calibrated.model.chain.base_rotation)
     bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
     return compose(placed.predict(conditions), inverse(bare.predict(conditions)))
 

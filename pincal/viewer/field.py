@@ -168,7 +168,7 @@ def _explained(
         if effect.family is not Family.EXTRINSICS and np.any(values[start:stop]):
             without = values.copy()
             without[start:stop] = 0.0
-            name = _effect_name(effect)
+            name = effect_name(effect)
             while name in used:
                 name += " again"
             used.add(name)
@@ -178,7 +178,8 @@ def _explained(
         start = stop
 
 
-def _effect_name(effect: Effect) -> str:
+def effect_name(effect: Effect) -> str:
+    """Return what an effect is called in the control tree."""
     return effect_words({**effect.describe(), "frame": effect.locus.frame})
 
 
@@ -256,5 +257,5 @@ def _without_unknown(calibrated: CalibratedModel, known: dict[str, float]) -> tu
     def is_known(effect: Effect) -> bool:
         return not any(need in ("temperature", "time") and need not in known for need in effect.needs)
 
-    left_out = [_effect_name(effect) for effect in calibrated.model.effects if not is_known(effect)]
+    left_out = [effect_name(effect) for effect in calibrated.model.effects if not is_known(effect)]
     return (calibrated.with_effects(is_known) if left_out else calibrated), left_out

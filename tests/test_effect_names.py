@@ -1,0 +1,67 @@
+"""Outside its own module and the catalogue an effect is known by its interface alone."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+from test_layers import MODULES
+
+from pincal.io.effect_entry import known_effects
+
+CLASSES = {cls.__name__: cls for cls in known_effects().values() if cls.__module__.split(".")[0] == "pincal"}
+# Who may name which effects, and why. The simulator has effects of its own, which share no code with these.
+ALLOWED = {
+    "pincal.model.registry": "registers the effects that a model is made of",
+    "pincal.model.catalogue": "registers the catalogue",
+    "pincal.identify.explain": "a reason names base and tool",
+    "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on",
+    "pincal.identify.problem": "makes them for each station",
+    "pincal.compensate.ik_problem": "moves joints as if their offsets were free",
+    "pincal.design.design_model": "makes them for a sensor that has not measured yet",
+}
+# Who may tell parameters apart by the name of the effect that they belong to, and why.
+ALLOWED_TEXTS = {
+    "pincal.identify.calibrate": "the paper's stages are lists of names",
+    "pincal.io.urdf_export": "notes what a URDF can't hold",
+    "pincal.viewer.scene": "draws where the base is known",
+    "pincal.cli.demo": "hides an effect of the simulator",
+}
+
+
+def named(module: str) -> set[str]:
+    """Return the classes of effects that a module names."""
+    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    names |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    names |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names}
+    return names & CLASSES.keys()
+
+
+def texts(module: str) -> set[str]:
+    """Return the names of effects that a module compares with or looks up."""
+    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    found = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    return found & known_effects().keys()
+
+
+@pytest.mark.parametrize("module", sorted(name for name in MODULES if not name.startswith("pincal.simulate")))
+def test_effects_are_known_by_their_interface(module: str) -> None:
+    """No module names the class of another module's effect, unless it stands in the table with its reason."""
+    own = {name for name, cls in CLASSES.items() if cls.__module__ == module}
+
+    assert module in ALLOWED or named(module) <= own, ALLOWED.get(module)
+
+
+@pytest.mark.parametrize("module", sorted(name for name in MODULES if not name.startswith("pincal.simulate")))
+def test_effects_are_not_looked_up_by_a_name(module: str) -> None:
+    """No module compares with the name of another module's effect, unless it stands in the table with its reason."""
+    own = {cls.name for cls in CLASSES.values() if cls.__module__ == module}
+
+    assert module in ALLOWED_TEXTS or texts(module) <= own
+
+
+def test_the_tables_of_exceptions_are_needed() -> None:
+    """An exception that nobody needs any more is taken out."""
+    assert all(named(module) for module in ALLOWED)
+    assert all(texts(module) for module in ALLOWED_TEXTS)
