@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.loop import History, discover_effects
+from pincal.discover.history import History
+from pincal.discover.loop import discover_effects
 from pincal.discover.nuisance import MassError, compliances_of
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit

@@ -13,7 +13,7 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.calibrated import CalibratedModel, estimate_of, load_model, save_model
 from pincal.cli import main
 from pincal.discover.locate import _window, levers, locate
-from pincal.discover.loop import ALPHA
+from pincal.discover.policy import ALPHA
 from pincal.discover.power import critical_gain, detectable_noncentrality, minimum_detectable, power_of
 from pincal.discover.precheck import precheck
 from pincal.discover.run import Discovery, run_discovery

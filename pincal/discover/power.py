@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
-from pincal.discover.loop import ALPHA, least_gain
 from pincal.discover.nuisance import MassError, situation_of
+from pincal.discover.policy import ALPHA, POLICY
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit
 from pincal.identify.problem import Problem
@@ -167,7 +167,7 @@ def critical_gain(test: Test) -> float:
     dof, rank, groups, alpha = test
     rest = max(dof - rank, 1.0)
     ratio = rank * float(fdtri(rank, rest, 1.0 - alpha / max(groups, 1))) / rest
-    return max(ratio / (1.0 + ratio) * dof, least_gain(dof, declared=True))
+    return max(ratio / (1.0 + ratio) * dof, POLICY.least_gain(dof, declared=True))
 
 
 def power_of(noncentrality: float, test: Test) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.discover.loop import ALPHA
+from pincal.discover.policy import ALPHA
 from pincal.discover.power import POWER, minimum_detectable
 from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.explain import explain

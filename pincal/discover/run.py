@@ -14,7 +14,10 @@ from scipy.special import chdtrc
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.calibration.result import result_of
 from pincal.calibration.run import Calibration, run_calibration
-from pincal.discover.loop import History, Step, discover_effects, least_gain, sampled
+from pincal.discover.candidate_tests import sampled
+from pincal.discover.history import History, Step
+from pincal.discover.loop import discover_effects
+from pincal.discover.policy import POLICY
 from pincal.discover.power import deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
 from pincal.discover.shrink import PartialResidual, StageError, gap_of, gaps_of, partial_residuals, period_of
@@ -27,7 +30,7 @@ from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import untestable
 from pincal.model.chain import MomentFrame
-from pincal.model.effect import Effect, Family
+from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
 
@@ -132,7 +135,7 @@ def _likeliest(fit: Fit, frames: Sequence[MomentFrame]) -> MomentFrame:
     """Return the convention in which elasticity explains most; the first unless another does so beyond chance."""
     if len(frames) == 1:
         return frames[0]
-    few, _ = sampled(fit)
+    few, _ = sampled(fit, POLICY)
     effects = [*fit.options.effects, *(e for e in ELASTIC if e.uses_moments and e not in fit.options.effects)]
     misfits = [_misfit(refit(few, effects, moment_frame=frame)) for frame in frames]
     best = int(np.argmin(misfits))
@@ -145,7 +148,7 @@ def _other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentF
     They fit what was found better, or as well without the effects of loads and the nameless that were found, which a wrong
     convention brings about. A convention that would take less off the squares than an effect must matters to nobody.
     """
-    fit, rows = sampled(trail.final)
+    fit, rows = sampled(trail.final, POLICY)
     effects = fit.options.effects
     if not any(effect.uses_moments for effect in effects):
         return []
@@ -153,7 +156,7 @@ def _other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentF
     plain = [effect for effect in effects if effect not in brought]
     rough = len(rows) < len(trail.final.station)
     cost = _fit_cost(refit(fit, effects, rough=rough))
-    enough = least_gain(fit.solution.degrees, declared=fit.noise.declared[0] is not None)
+    enough = POLICY.least_gain(fit.solution.degrees, declared=fit.noise.declared[0] is not None)
 
     def is_better(frame: MomentFrame) -> bool:
         if _fit_cost(refit(fit, effects, moment_frame=frame, rough=rough)) < cost - enough:
@@ -172,7 +175,7 @@ def _misfit(fit: Fit) -> float:
 
 def _cost(trail: History) -> float:
     """Return the extended Bayesian information criterion of all that was found."""
-    named = sum(step.effects[0].family is not Family.ELASTICITY for step in trail.steps)
+    named = sum(not step.is_elastic for step in trail.steps)
     return _fit_cost(trail.final) + 2.0 * named * float(np.log(max(len(trail.last.effects), 2)))
 
 
@@ -232,7 +235,7 @@ def _entries(
         "gap_before_mm": _gap(calibration, step.before)["mean_mm"],
         "gap_after_mm": _gap(calibration, step.after)["mean_mm"],
     }
-    if step.effects[0].family is Family.ELASTICITY:
+    if step.is_elastic:
         return [entry | gap | {"equivalent": [], "tell_apart": ""} for entry in elastic_entries(trail.final)]
     effect = step.effects[0]
     period = periods.get(effect)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.discover.history import History
 from pincal.discover.locate import levers
-from pincal.discover.loop import History
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.measure.measurements import Measurements

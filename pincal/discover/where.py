@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from pincal.discover.history import History
 from pincal.discover.locate import levers, locate
-from pincal.discover.loop import History
 from pincal.discover.scatter import Scatter
 from pincal.discover.words import location_words, region_words
 from pincal.identify.fit import Fit
-from pincal.model.effect import Family
 from pincal.model.effects import Compliance
 
 # Standard deviations that a compliance has to be away from zero to be named by itself.
@@ -40,7 +39,7 @@ def where_of(trail: History, scatter: Scatter | None, *, is_misfit: bool) -> lis
     fit, found = trail.first, list[dict[str, Any]]()
     sigma = noise_floor(trail.final)
     for step in trail.steps:
-        if step.effects[0].family is Family.ELASTICITY:
+        if step.is_elastic:
             fit = step.after
             found.append(_elastic(step.before, fit, sigma))
     location = locate(fit, sigma)

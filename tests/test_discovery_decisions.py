@@ -1,0 +1,209 @@
+"""What a discovery decides, from tables alone: no robot, no fit, no data."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pincal.discover.decisions import CandidateTable, Decision, Row, decide, each_heading_once, is_own_curve
+from pincal.discover.policy import Policy
+from pincal.discover.score_tests import Score
+from pincal.model.catalogue import (
+    AxisWobble,
+    Backlash,
+    GearEccentricity,
+    GearRatio,
+    GravityCompensator,
+    JointCoupling,
+    TransmissionError,
+    Unnamed,
+)
+from pincal.model.effect import Effect
+
+POLICY = Policy()
+LEAST = 20.0
+RATIO, WAVE, PLAY, OTHER = GearRatio("a"), GearEccentricity("a"), Backlash("a"), GearRatio("b")
+CURVE, FINE = TransmissionError("a", -1.0, 1.0, 8), TransmissionError("a", -1.0, 1.0, 26)
+STRANGE, ACROSS = Unnamed("a", "drive", "b"), Unnamed("a", "gamma_x", "b")
+
+
+@dataclass(frozen=True)
+class Told:
+    """Evidence as a test wants it: everything is told apart and predicts unless said otherwise."""
+
+    left: dict[tuple[int, int], float] = field(default_factory=dict)
+    together: dict[tuple[int, int], float] = field(default_factory=dict)
+    silent: frozenset[int] = frozenset()
+
+    def left_given(self, which: int, given: int) -> float:
+        """Return what the test says, else that it is told apart beyond doubt."""
+        return self.left.get((which, given), 1e-12)
+
+    def cost_together(self, one: int, other: int) -> float:
+        """Return what the test says, else that no pair is worth its cost."""
+        return self.together.get((one, other), np.inf)
+
+    def predicts(self, which: int) -> bool:
+        """Return whether it is not silent."""
+        return which not in self.silent
+
+
+def row(effect: Effect, cost: float, *, p: float = 1e-9, gain: float = 200.0, rank: int = 1) -> Row:
+    """Return a row of a table whose p-values have to stay below 1e-4."""
+    return Row(effect, Score(gain, rank, p, cost), cost, 1e-4)
+
+
+def table(*rows: Row, told: Told | None = None) -> CandidateTable:
+    """Return a table."""
+    return CandidateTable(rows, LEAST, told or Told())
+
+
+def decided(names: CandidateTable, *nameless: Row, told: Told | None = None) -> Decision | None:
+    """Return the decision between the names of a table, the cheapest first, and some dependences without a name."""
+    close = sorted(names.rows, key=lambda entry: entry.cost)
+    return decide(names, table(*close, *nameless, told=told), POLICY)
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ([], None),
+        ([row(RATIO, -50.0), row(PLAY, -60.0)], PLAY),
+        ([row(RATIO, -50.0), row(PLAY, -60.0, p=1e-3)], RATIO),
+        ([row(RATIO, -50.0), row(PLAY, -60.0, gain=19.0)], RATIO),
+        ([row(RATIO, -50.0, p=0.5), row(PLAY, -60.0, p=0.5)], None),
+        ([row(RATIO, -50.0), row(STRANGE, -55.0)], RATIO),
+        ([row(RATIO, -50.0), row(STRANGE, -57.0)], STRANGE),
+        ([row(RATIO, -50.0, p=0.5), row(STRANGE, -3.0)], STRANGE),
+    ],
+)
+def test_the_cheapest_that_is_more_than_chance_is_chosen(rows: list[Row], expected: Effect | None) -> None:
+    """A name has to pass its limit and matter; a dependence without a name has to be cheaper, its surcharge included."""
+    names = [entry for entry in rows if not entry.effect.is_nameless]
+    # The surcharge stands in the cost of a row already: here it is put on.
+    nameless = [Row(r.effect, r.score, r.cost + POLICY.without_name, r.limit) for r in rows if r.effect.is_nameless]
+    found = decided(table(*names), *nameless)
+
+    assert (None if found is None else found.effect) == expected
+
+
+def test_what_matters_to_nobody_is_left_out() -> None:
+    """An effect takes off a hundredth of the squares or a hundred noise variances; twice the share of undeclared noise."""
+    assert POLICY.least_gain(1000.0, declared=True) == 10.0 and POLICY.least_gain(1000.0, declared=False) == 20.0
+    assert POLICY.least_gain(1e6, declared=True) == POLICY.least_gain(1e6, declared=False) == 100.0
+    assert decided(table(row(RATIO, -50.0, gain=LEAST - 1e-9))) is None
+    assert decided(table(row(RATIO, -50.0, gain=LEAST))) is not None
+
+
+def test_what_does_not_predict_is_passed_over() -> None:
+    """The next that predicts rows left out is taken, and after five that do not, none."""
+    rows = [row(GearRatio(name), -50.0 - i) for i, name in enumerate("gfedcb")]
+    best = decided(table(*rows, told=Told(silent=frozenset({5, 4, 3, 2}))))
+    assert best is not None and best.effect == GearRatio("f")
+    assert decided(table(*rows, told=Told(silent=frozenset({5, 4, 3, 2, 1})))) is None
+    assert decided(table(), row(STRANGE, -50.0), told=Told(silent=frozenset({0}))) is None
+
+
+@pytest.mark.parametrize(
+    ("worse", "left", "is_rival"),
+    [
+        (5.9, 1.1e-5, True),
+        (5.9, 0.9e-5, False),
+        (6.1, 1.1e-3, True),
+        (6.1, 0.9e-3, False),
+        (14.9, 0.5, True),
+        (15.1, 0.5, False),
+    ],
+)
+def test_rivals_are_those_that_leave_little(worse: float, left: float, is_rival: bool) -> None:
+    """What is as cheap is a rival unless told apart beyond doubt; what is dearer only if the best adds nothing to it."""
+    found = decided(table(row(OTHER, -60.0), row(PLAY, -60.0 + worse), told=Told(left={(0, 1): left})))
+
+    assert found is not None and found.effect == OTHER
+    assert found.equivalent == ((PLAY,) if is_rival else ())
+
+
+def test_what_the_data_do_not_see_is_no_rival() -> None:
+    """Rank zero leaves all to the best, and says nothing of it."""
+    found = decided(table(row(OTHER, -60.0), row(PLAY, -59.0, rank=0), told=Told(left={(0, 1): 1.0})))
+    assert found is not None and found.equivalent == ()
+
+
+def test_dependences_without_a_name_are_rivals_of_a_name() -> None:
+    """What the contest can't tell from the best name is listed after its rivals among the names."""
+    names = table(row(OTHER, -60.0), row(PLAY, -58.0), told=Told(left={(0, 1): 0.5}))
+    found = decided(names, row(STRANGE, -57.0), told=Told(left={(0, 2): 0.5}))
+    assert found is not None and found.equivalent == (PLAY, STRANGE)
+
+
+def test_a_simple_curve_may_be_part_of_a_whole_one() -> None:
+    """The drive curve is an equivalent where it hints at more, and is chosen where it surely explains more."""
+    rows = row(RATIO, -60.0), row(CURVE, -50.0), row(PLAY, -20.0)
+    for left, effect, equivalent in ((0.5, RATIO, ()), (0.1, RATIO, (CURVE,)), (1e-6, CURVE, ())):
+        found = decided(table(*rows, told=Told(left={(1, 0): left})))
+        assert found is not None and (found.effect, found.equivalent) == (effect, equivalent)
+
+
+def test_a_second_name_is_better_than_a_whole_curve() -> None:
+    """Two names that together cost less than the curve keep it from being chosen."""
+    rows = row(RATIO, -60.0), row(CURVE, -65.0, p=0.5), row(WAVE, -20.0)
+    told = {(1, 0): 1e-6}
+    alone = decided(table(*rows, told=Told(left=told, together={(0, 2): -64.0})))
+    pair = decided(table(*rows, told=Told(left=told, together={(0, 2): -66.0})))
+    assert alone is not None and alone.effect == CURVE
+    assert pair is not None and pair.effect == RATIO and CURVE in pair.equivalent
+
+
+def test_the_best_of_simple_curves_counts() -> None:
+    """The drive curve has to add something to every simple curve of the joint that is nearly as good."""
+    rows = row(RATIO, -60.0), row(CURVE, -50.0), row(WAVE, -55.0)
+    found = decided(table(*rows, told=Told(left={(1, 0): 1e-9, (1, 2): 0.9})))
+    assert found is not None and found.effect == RATIO and found.equivalent == ()
+
+
+def test_each_heading_is_listed_once() -> None:
+    """Variants of one effect are one entry, the best is none, and there are six at most."""
+    orders = [GearEccentricity("a", 2), WAVE, GearEccentricity("b")]
+    assert each_heading_once([RATIO, *orders, FINE, CURVE], RATIO, POLICY) == (orders[0], orders[2], FINE)
+    many = [JointCoupling("a", source) for source in "bcdefghij"]
+    assert each_heading_once(many, RATIO, POLICY) == tuple(many[:6])
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (RATIO, True),
+        (WAVE, True),
+        (GravityCompensator("a"), True),
+        (Unnamed("a", "drive", "a"), True),
+        (CURVE, False),
+        (PLAY, False),
+        (AxisWobble("a"), False),
+        (JointCoupling("a", "b"), False),
+        (ACROSS, False),
+    ],
+)
+def test_simple_curves_are_functions_of_the_joints_own_position(effect: Effect, expected: bool) -> None:
+    """They act about the joint's own axis and follow nothing else; the drive curve itself is none."""
+    assert is_own_curve(effect) is expected
+
+
+def _tests() -> set[str]:
+    """Return all tests and benchmarks by file and name."""
+    found = set[str]()
+    for path in Path(__file__).parent.glob("*.py"):
+        names = (n.name for n in ast.parse(path.read_text("utf-8")).body if isinstance(n, ast.FunctionDef))
+        found |= {path.name, *(f"{path.name}::{name}" for name in names)}
+    return found
+
+
+def test_every_number_of_the_policy_has_an_origin_and_a_test() -> None:
+    """Each says its unit, its meaning, why it has this value, and which test fixes it; these tests exist."""
+    known = _tests()
+    for entry in fields(Policy):
+        assert all(entry.metadata[key].strip() for key in ("unit", "meaning", "origin", "pinned_by")), entry.name
+        assert entry.metadata["pinned_by"] in known, entry.name
