@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
     from pincal.identify.explain import explain
-    from pincal.identify.options import Options
+    from pincal.identify.options import Options, StationOptions
     from pincal.identify.repeat import bootstrap, cross_validate, monte_carlo
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.measure.lens import Lens
@@ -53,7 +53,7 @@ _HOMES = {
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
     "pincal.identify.explain": ("explain",),
-    "pincal.identify.options": ("Options",),
+    "pincal.identify.options": ("Options", "StationOptions"),
     "pincal.identify.repeat": ("bootstrap", "cross_validate", "monte_carlo"),
     "pincal.io.urdf_export": ("calibrated_urdf",),
     "pincal.measure.lens": ("Lens",),
@@ -104,6 +104,7 @@ __all__ = [
     "Robot",
     "SensorSetup",
     "Setup",
+    "StationOptions",
     "Term",
     "augmented_model",
     "bootstrap",
