@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pincal.compensate.frames import false_targets
     from pincal.design.design import Design, design_poses
     from pincal.design.reach import Limits, SensorSetup
+    from pincal.discover.findings import Findings, FoundEffect, Verdict
+    from pincal.discover.policy import Policy
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
     from pincal.identify.explain import explain
@@ -35,8 +37,10 @@ if TYPE_CHECKING:
     from pincal.measure.table import read_measurements
     from pincal.model.augmented import augmented_model, pinocchio_model
     from pincal.model.chain import Chain
+    from pincal.model.effect import Candidate, Discoverable, Locus
     from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
     from pincal.model.model import Model
+    from pincal.model.registry import register
     from pincal.parameters import Parameter
     from pincal.robot.robot import Robot
 
@@ -50,6 +54,8 @@ _HOMES = {
     "pincal.compensate.frames": ("false_targets",),
     "pincal.design.design": ("Design", "design_poses"),
     "pincal.design.reach": ("Limits", "SensorSetup"),
+    "pincal.discover.findings": ("Findings", "FoundEffect", "Verdict"),
+    "pincal.discover.policy": ("Policy",),
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
     "pincal.identify.explain": ("explain",),
@@ -63,8 +69,10 @@ _HOMES = {
     "pincal.measure.table": ("read_measurements",),
     "pincal.model.augmented": ("augmented_model", "pinocchio_model"),
     "pincal.model.chain": ("Chain",),
+    "pincal.model.effect": ("Candidate", "Discoverable", "Locus"),
     "pincal.model.effects": ("ELASTIC", "GEOMETRIC", "Conditions", "Effect", "Term"),
     "pincal.model.model": ("Model",),
+    "pincal.model.registry": ("register",),
     "pincal.parameters": ("Parameter",),
     "pincal.robot.robot": ("Robot",),
 }
@@ -84,28 +92,35 @@ __all__ = [
     "CalibratedModel",
     "CalibratedStations",
     "Calibration",
+    "Candidate",
     "Chain",
     "Compensation",
     "Conditions",
     "Design",
+    "Discoverable",
     "Discovery",
     "Effect",
+    "Findings",
     "Fit",
+    "FoundEffect",
     "IdentificationError",
     "KnownDistance",
     "Lens",
     "Limits",
+    "Locus",
     "Measurements",
     "Model",
     "Options",
     "Parameter",
     "PincalError",
     "PincalWarning",
+    "Policy",
     "Robot",
     "SensorSetup",
     "Setup",
     "StationOptions",
     "Term",
+    "Verdict",
     "augmented_model",
     "bootstrap",
     "calibrate",
@@ -122,6 +137,7 @@ __all__ = [
     "monte_carlo",
     "pinocchio_model",
     "read_measurements",
+    "register",
     "run_calibration",
     "run_discovery",
     "save_model",

@@ -127,10 +127,10 @@ def _surcharge(effect: Effect, policy: Policy) -> float:
 
 def addable(fit: Fit, search: Search) -> list[Effect]:
     """Return what may be added by name: what the data can test and the model does not have yet."""
-    present = fit.model.effects
-    has_loads = search.elastic and has_compliance(present)
+    present = {effect.identity for effect in fit.model.effects}
+    has_loads = search.elastic and has_compliance(fit.model.effects)
     every = [*variants(fit), *search.extra]
-    return [e for e in every if not _is_among(e, present) and (has_loads or not e.is_of_loads)]
+    return [e for e in every if e.identity not in present and (has_loads or not e.is_of_loads)]
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:
@@ -149,13 +149,9 @@ def _nameless(fit: Fit, near: str | None) -> list[Effect]:
     names = fit.model.chain.robot.joint_names
     at = names.index(near) if near in names else None
     joints = names if at is None else names[max(at - 1, 0) : at + 2]
+    present = {effect.identity for effect in fit.model.effects}
     every = nameless_candidates(fit.model.chain, fit.station.conditions, joints)
-    return [effect for effect in every if not _is_among(effect, fit.model.effects)]
-
-
-def _is_among(effect: Effect, present: Sequence[Effect]) -> bool:
-    """Return whether a model has an effect already, perhaps in another resolution."""
-    return any(effect.identity == other.identity for other in present)
+    return [effect for effect in every if effect.identity not in present]
 
 
 def sampled(fit: Fit, policy: Policy) -> tuple[Fit, np.ndarray]:

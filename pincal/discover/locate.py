@@ -24,21 +24,22 @@ from pincal.model.conditions import Conditions, Situation, recorded_variable, va
 from pincal.model.effect import Effect, Locus, Term
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
-# Chance that sound data show a place at all.
+# Chance that sound data show a place at all (test_nothing_is_located_where_there_is_only_noise).
 _ALPHA = 0.01
 # Part of the excess below which a further place is not worth a line.
 _SHARE = 0.05
 _MOST_PLACES = 3
 # Part of a column's square that must be left after projection for the data to see it.
 _SEEN = 1e-5
-# Pieces of curves: of a joint's own position a gear may be finer.
+# Pieces of curves: smooth ones, of a joint's own position also as fine as a gear's waves, of slow variables coarser.
 _SIZE, _OWN_SIZES, _SLOW_SIZE = 8, (24, 60), 5
-# Rows that each piece of a curve needs.
+# Rows that each piece of a curve needs, as a drive curve in a discovery does.
 _ROWS = 6
 # What counts as sitting in one range: this part of it in less than that part of range and of rows.
 _MOST, _NARROW = 0.6, 0.4
-# Rows beyond this number are thinned: places do not need more.
+# Rows beyond this number are thinned, for time: a place worth a line shows in fewer.
 _ENOUGH_ROWS = 1000
+# Shuffles by which chance is judged: enough for a level of 0.01, three of them beyond it.
 _SHUFFLES = 300
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.discover.candidate_tests import sampled
 from pincal.discover.history import History
-from pincal.discover.policy import POLICY
+from pincal.discover.policy import Policy
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.identify.noise import outlier_limit
@@ -19,24 +19,24 @@ from pincal.model.effects import ELASTIC
 FRAME_BETTER = 10.0
 
 
-def likeliest_frame(fit: Fit, frames: Sequence[MomentFrame]) -> MomentFrame:
+def likeliest_frame(fit: Fit, frames: Sequence[MomentFrame], policy: Policy) -> MomentFrame:
     """Return the convention in which elasticity explains most; the first unless another does so beyond chance."""
     if len(frames) == 1:
         return frames[0]
-    few, _ = sampled(fit, POLICY)
+    few, _ = sampled(fit, policy)
     effects = [*fit.options.effects, *(e for e in ELASTIC if e.uses_moments and e not in fit.options.effects)]
     misfits = [_misfit(refit(few, effects, moment_frame=frame)) for frame in frames]
     best = int(np.argmin(misfits))
     return frames[best] if misfits[best] < misfits[0] - FRAME_BETTER else frames[0]
 
 
-def other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentFrame]:
+def other_frames(trail: History, frames: Sequence[MomentFrame], policy: Policy) -> list[MomentFrame]:
     """Return the conventions worth a discovery of their own.
 
     They fit what was found better, or as well without the effects of loads and the nameless that were found, which a wrong
     convention brings about. A convention that would take less off the squares than an effect must matters to nobody.
     """
-    fit, rows = sampled(trail.final, POLICY)
+    fit, rows = sampled(trail.final, policy)
     effects = fit.options.effects
     if not any(effect.uses_moments for effect in effects):
         return []
@@ -44,7 +44,7 @@ def other_frames(trail: History, frames: Sequence[MomentFrame]) -> list[MomentFr
     plain = [effect for effect in effects if effect not in brought]
     rough = len(rows) < len(trail.final.station)
     cost = _fit_cost(refit(fit, effects, rough=rough))
-    enough = POLICY.least_gain(fit.solution.degrees, declared=fit.noise.declared[0] is not None)
+    enough = policy.least_gain(fit.solution.degrees, declared=fit.noise.declared[0] is not None)
 
     def is_better(frame: MomentFrame) -> bool:
         if _fit_cost(refit(fit, effects, moment_frame=frame, rough=rough)) < cost - enough:

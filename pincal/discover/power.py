@@ -18,19 +18,19 @@ from pincal.model.conditions import Conditions
 from pincal.model.effect import Curve, Effect, Reducible
 from pincal.model.model import Model
 
-# Chance with which an effect of the size that is called detectable is found.
+# Chance with which an effect of the size that is called detectable is found (test_discovery_report.py counts it).
 POWER = 0.9
-# Below this many degrees of freedom nothing is left to judge an effect by.
+# Below this many degrees of freedom nothing is left to judge an effect by: the noise is known to 22 % then.
 _FEWEST = 10.0
 # Non-centrality beyond which a test is given up: the readings are too few for it.
 _HOPELESS = 1e7
-# Shapes of an effect of several parameters that are tried, all directions alike.
+# Random shapes of an effect of several parameters over which its power is averaged: to 1.5 % at a power of 0.9.
 _SHAPES = 400
-# Non-centrality above which two effects count as told apart.
+# Non-centrality above which two effects count as told apart: 5.5 standard deviations of one parameter.
 TOLD_APART = 30.0
 # A design has to do better than the same poses once more, by this factor.
 _TELLING = 1.5
-# What another run could change.
+# Change of temperature that another run could make [K].
 _WARMER = 10.0
 
 

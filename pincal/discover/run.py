@@ -16,6 +16,7 @@ from pincal.discover.history import History
 from pincal.discover.judge import findings_of
 from pincal.discover.loop import discover_effects
 from pincal.discover.moment_frames import FRAME_BETTER, cost_of, likeliest_frame, other_frames
+from pincal.discover.policy import POLICY, Policy
 from pincal.discover.shrink import PartialResidual, StageError, gaps_of, partial_residuals
 from pincal.identify.options import Options
 from pincal.identify.split import Split, row_groups
@@ -66,6 +67,7 @@ def run_discovery(
     seed: int = 0,
     holdout: Measurements | None = None,
     moment_frames: Sequence[MomentFrame] = (),
+    policy: Policy = POLICY,
 ) -> Discovery:
     """Calibrate, find what the model misses, name it, add it and show the gap shrink on rows that criticism never saw.
 
@@ -80,6 +82,7 @@ def run_discovery(
         holdout: other measurements to hold out instead.
         moment_frames: conventions of where moments bend the arm to choose from by the data; that of the options unless
             given. The first stays unless another fits better beyond chance.
+        policy: thresholds and limits.
 
     Returns:
         The calibration with all that was found, and how it was found.
@@ -118,12 +121,12 @@ def run_discovery(
         )
 
     first = start(frames[0])
-    likeliest = frames[0] if robot.massless else likeliest_frame(first.fit, frames)
-    found = {likeliest: _discover(first if likeliest == frames[0] else start(likeliest), extra)}
-    others = other_frames(found[likeliest][1], [frame for frame in frames if frame != likeliest])
+    likeliest = frames[0] if robot.massless else likeliest_frame(first.fit, frames, policy)
+    found = {likeliest: _discover(first if likeliest == frames[0] else start(likeliest), extra, policy)}
+    others = other_frames(found[likeliest][1], [frame for frame in frames if frame != likeliest], policy)
     for k, frame in enumerate(others, 1):
         log.info("once more with --moment-frame %s", frame, extra={"done": k, "of": 1 + len(others)})
-        found[frame] = _discover(start(frame), extra)
+        found[frame] = _discover(start(frame), extra, policy)
     costs = {frame: cost_of(trail) + FRAME_BETTER * (frame != frames[0]) for frame, (_, trail) in found.items()}
     frame = min(costs, key=lambda f: costs[f])
     first, trail = found[frame]
@@ -138,6 +141,6 @@ def run_discovery(
     return Discovery(final, trail, findings_of(final, trail, traces), gaps, traces)
 
 
-def _discover(first: Calibration, extra: tuple[Effect, ...]) -> tuple[Calibration, History]:
+def _discover(first: Calibration, extra: tuple[Effect, ...], policy: Policy) -> tuple[Calibration, History]:
     blocks = row_groups(first.train, split="blocked", seed=0) % _CV_BLOCKS
-    return first, discover_effects(first.fit, blocks, extra=extra, elastic=not first.robot.massless)
+    return first, discover_effects(first.fit, blocks, extra=extra, policy=policy, elastic=not first.robot.massless)

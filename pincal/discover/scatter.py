@@ -11,7 +11,8 @@ from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
 
-# Twice the log-likelihood that scatter of a joint has to gain; in sound data it stays below about 6 (DISCOVERY 3.6).
+# Twice the log-likelihood that scatter of a joint has to gain: 5 standard deviations of one parameter, so that none of a
+# robot's joints gets there by chance (test_scatter.py: neither noise nor several targets do, 50 urad do).
 _ENOUGH = 25.0
 # Candidate variances of the joint, in units of the noise seen at the joint's mean lever.
 _RATIOS = np.logspace(-2, 3, 101)

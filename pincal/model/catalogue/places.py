@@ -13,7 +13,8 @@ from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Term
 from pincal.parameters import Parameter
 
-# Typical sizes of what an effect does to its coordinate (DISCOVERY.md, table of effects) [rad or m].
+# Typical sizes of what an effect does to its coordinate [rad or m]: some tenths of a milliradian or of a millimetre, ratios
+# to a thousandth. They are priors where the data can't tell, so the order of magnitude is what counts.
 PLAY = 2e-4
 WAVE = 3e-4
 TILT = 1e-4
