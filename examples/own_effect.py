@@ -1,4 +1,4 @@
-"""An effect of your own in a few lines: it takes part in discovery, in the fit and in everything after it.
+"""An effect of your own (``hose_pull.py``) takes part in discovery, in the fit and in everything after it.
 
 The hose package along the forearm of this KUKA is too short. Wound up by joint 4 it pulls, and joint 5 gives way. No
 catalogue lists that; without help, discovery can only say "something at joint_5 that depends on joint_4". Run it as
@@ -13,11 +13,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal import GEOMETRIC, Chain, Conditions, Effect, Options, Parameter, Robot, Term, measurements_from_arrays
+from pincal import GEOMETRIC, Options, Robot, load_plugin, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.run import run_discovery
-from pincal.model.effect import Locus
-from pincal.model.registry import register
 from pincal.simulate import Arm, Instrument, Poses, TrueMachine, plan_poses
 from pincal.simulate.effect import DeformingEffect
 from pincal.simulate.state import Deformation, Loads
@@ -25,32 +23,6 @@ from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 
 NOISE, POSES = 5e-5, 250  # standard deviation of one coordinate [m], number of measured poses
 PULL = 2e-5  # turn of joint 5 when joint 4 has turned by one radian [rad]
-
-
-@register
-@dataclass(frozen=True)
-class HosePull(Effect):
-    """A short hose: the joint turns by p q_wound^2, as the hose stretches with the square of the angle that winds it up."""
-
-    joint: str
-    wound: str
-    name: ClassVar[str] = "hose_pull"
-    meaning: ClassVar[str] = "a hose that is too short pulls at the joint when another one winds it up"
-
-    @property
-    def locus(self) -> Locus:
-        """The joint's drive, by the position of the joint that winds the hose up."""
-        return Locus(self.joint, "drive", self.wound)
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Turn of the joint at one radian of winding [rad]; ``size`` says how far it may move the joint at all."""
-        return (Parameter(f"{self.joint}.hose", "rad", self.name, nominal=0.0, size=1e-3),)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add to the coordinate that the joint drives."""
-        names = chain.robot.joint_names
-        angle = conditions.q[:, names.index(self.wound)]
-        return (Term(0, int(chain.drives[names.index(self.joint)]), angle**2),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,14 +50,16 @@ def main() -> None:
     table = measurements_from_arrays(machine.names, q, position=np.column_stack([read[axis] for axis in "xyz"]))
     robot, options = Robot.from_urdf(kuka_urdf_path()), Options(effects=GEOMETRIC, sigma=NOISE)
 
-    for title, extra in (("The catalogue alone", ()), ("With hose_pull", (HosePull("joint_5", "joint_4"),))):
-        report = run_discovery(robot, table, options, extra=extra).report
+    for title in ("The catalogue alone", "With hose_pull"):
+        if title == "With hose_pull":
+            load_plugin("hose_pull")
+        report = run_discovery(robot, table, options).report
         print(title)
         for found in (entry for entry in report["effects"] if "elasticity" not in entry["effect"]):
             depends = f", depends on {found['depends_on']}" if "depends_on" in found else ""
             gap = f"{found['gap_before_mm']:.4f} -> {found['gap_after_mm']:.4f} mm"
             print(f"  {found['effect']} at {found['joint']}{depends}: held-out mean {gap}, p {found['p_value']:.0e}")
-    own = next(entry["parameters"]["joint_5.hose"] for entry in report["effects"] if entry["effect"] == HosePull.name)
+    own = next(entry["parameters"]["joint_5.hose"] for entry in report["effects"] if entry["effect"] == "hose_pull")
     print(f"Turn at one radian: put in {PULL:.3e} rad, found {own['value']:.3e} +- {own['sigma']:.1e} rad")
 
 

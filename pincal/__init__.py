@@ -33,23 +33,27 @@ if TYPE_CHECKING:
     from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements_from_arrays
     from pincal.measure.named_points import KnownDistance
+    from pincal.measure.registry import register_sensor
+    from pincal.measure.sensor import Sensor
     from pincal.measure.setup import Setup
     from pincal.measure.table import read_measurements
     from pincal.model.augmented import augmented_model, pinocchio_model
     from pincal.model.chain import Chain
-    from pincal.model.effect import Candidate, Discoverable, Locus
-    from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
+    from pincal.model.conditions import Conditions, Situation
+    from pincal.model.effect import Candidate, Discoverable, Effect, Locus, Term
+    from pincal.model.effects import ELASTIC, GEOMETRIC
     from pincal.model.model import Model
-    from pincal.model.registry import register
+    from pincal.model.registry import register_effect
     from pincal.parameters import Parameter
+    from pincal.plugins import load_plugin
     from pincal.robot.robot import Robot
 
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
 _HOMES = {
     "pincal.calibration.calibrated": ("CalibratedModel", "load_model", "save_model"),
     "pincal.calibration.fit": ("Fit", "calibrate"),
-    "pincal.calibration.stations": ("CalibratedStations", "load_stations"),
     "pincal.calibration.run": ("Calibration", "run_calibration"),
+    "pincal.calibration.stations": ("CalibratedStations", "load_stations"),
     "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
     "pincal.compensate.frames": ("false_targets",),
     "pincal.design.design": ("Design", "design_poses"),
@@ -65,15 +69,19 @@ _HOMES = {
     "pincal.measure.lens": ("Lens",),
     "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
     "pincal.measure.named_points": ("KnownDistance",),
+    "pincal.measure.registry": ("register_sensor",),
+    "pincal.measure.sensor": ("Sensor",),
     "pincal.measure.setup": ("Setup",),
     "pincal.measure.table": ("read_measurements",),
     "pincal.model.augmented": ("augmented_model", "pinocchio_model"),
     "pincal.model.chain": ("Chain",),
-    "pincal.model.effect": ("Candidate", "Discoverable", "Locus"),
-    "pincal.model.effects": ("ELASTIC", "GEOMETRIC", "Conditions", "Effect", "Term"),
+    "pincal.model.conditions": ("Conditions", "Situation"),
+    "pincal.model.effect": ("Candidate", "Discoverable", "Locus", "Effect", "Term"),
+    "pincal.model.effects": ("ELASTIC", "GEOMETRIC"),
     "pincal.model.model": ("Model",),
-    "pincal.model.registry": ("register",),
+    "pincal.model.registry": ("register_effect",),
     "pincal.parameters": ("Parameter",),
+    "pincal.plugins": ("load_plugin",),
     "pincal.robot.robot": ("Robot",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -116,8 +124,10 @@ __all__ = [
     "PincalWarning",
     "Policy",
     "Robot",
+    "Sensor",
     "SensorSetup",
     "Setup",
+    "Situation",
     "StationOptions",
     "Term",
     "Verdict",
@@ -132,12 +142,14 @@ __all__ = [
     "explain",
     "false_targets",
     "load_model",
+    "load_plugin",
     "load_stations",
     "measurements_from_arrays",
     "monte_carlo",
     "pinocchio_model",
     "read_measurements",
-    "register",
+    "register_effect",
+    "register_sensor",
     "run_calibration",
     "run_discovery",
     "save_model",

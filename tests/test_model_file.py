@@ -24,7 +24,7 @@ from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain
 from pincal.model.effect import Locus
 from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
-from pincal.model.registry import register
+from pincal.model.registry import register_effect
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 from pincal.simulate import Instrument, TrueMachine, plan_poses
@@ -254,7 +254,7 @@ def test_outside_names_rows_joints_and_ranges(fit: Fit, calibrated: CalibratedMo
     assert found[1][2:] == (q[2, 4], lower[4], upper[4])
 
 
-@register
+@register_effect
 @dataclass(frozen=True)
 class ShapedEffect(Effect):
     """An effect with every sort of field that a file has to carry."""

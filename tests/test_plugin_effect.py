@@ -23,11 +23,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from pincal.model.effect import Candidate, Discoverable, Locus, Term
-from pincal.model.registry import register
+from pincal.model.registry import register_effect
 from pincal.parameters import Parameter
 
 
-@register
+@register_effect
 @dataclass(frozen=True)
 class HosePull(Discoverable):
     joint: str

@@ -33,7 +33,7 @@ def _check(cls: type[Effect]) -> None:
 EFFECTS: Registry[Effect] = Registry("effect", group="pincal.effects", name_of=lambda cls: cls.name, check=_check)
 
 
-def register(cls: E) -> E:
+def register_effect(cls: E) -> E:
     """Make an effect known to model files, discovery and reports, by its name; a class decorator.
 
     Raises:

@@ -1,0 +1,119 @@
+"""The architecture page: its table of layers is the real one, its places exist, and its recipes do what they promise."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from report_cases import kuka_run
+from test_layers import LAYERS, PACKAGE
+
+from pincal import Chain, Conditions, Model, Robot, calibrate, measurements_from_arrays
+from pincal.builtin import kuka_urdf_path
+from pincal.cli import _COMMANDS
+from pincal.cli import pincal as pincal_command
+from pincal.identify.options import Options
+from pincal.measure.registry import SENSORS
+from pincal.measure.table import write_table
+from pincal.model.effects import JointOffset
+from pincal.model.registry import EFFECTS
+from pincal.plugins import load_plugin
+from pincal.report.html import SECTIONS, report_page
+from pincal.simulate import TrueMachine, plan_poses
+
+PAGE = (Path(__file__).parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def recipe(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ModuleType]:
+    """Return the code block of a recipe as a module of its own; what it registered is forgotten again."""
+    block = re.search(rf"<!-- recipe: {request.param} -->\n```python\n(.*?)```", PAGE, re.DOTALL)
+    assert block is not None
+    before = dict(EFFECTS._classes), dict(SENSORS._classes)
+    name = f"recipe_{request.param}"
+    (tmp_path / f"{name}.py").write_text(block[1])
+    yield load_plugin(str(tmp_path / f"{name}.py"))
+    for registry, classes in zip((EFFECTS, SENSORS), before, strict=True):
+        registry._classes.clear()
+        registry._classes.update(classes)
+    sys.modules.pop(name, None)
+
+
+def test_the_table_of_layers_is_the_one_that_is_enforced() -> None:
+    """The layers of the page, top down, are those of the layer test, bottom up."""
+    table = PAGE.split("## The layers")[1].split("## Three walks")[0]
+    told = [name for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
+    assert [name for name in LAYERS if name != "__main__"] == told
+
+
+def test_every_place_that_the_page_names_exists() -> None:
+    """Files stand where the page says, and functions in them."""
+    nouns = re.findall(r"`([a-z_]+(?:/[a-z_]+)*\.py|[a-z_]+(?:/[a-z_]+)+(?:\.[A-Za-z_]+)?/?)`", PAGE)
+    root = PACKAGE.parent
+    for place in nouns:
+        path, _, name = place.partition(".") if not place.endswith(".py") else (place.removesuffix(".py"), "", "")
+        found = [
+            p for top in (PACKAGE, root) for p in (top / f"{path}.py", top / path / "__init__.py", top / path) if p.exists()
+        ]
+        assert found, place
+        if name and found[0].is_file():
+            assert re.search(rf"\b{name}\b", found[0].read_text(encoding="utf-8")), place
+
+
+@pytest.mark.parametrize("recipe", ["effect"], indirect=True)
+def test_the_recipe_of_an_effect(recipe: ModuleType, kuka: Robot) -> None:
+    """It is known by its name, and its Jacobian is that of its predictions."""
+    assert EFFECTS.known()["encoder_sag"] is recipe.EncoderSag
+    chain, at = Chain.of(kuka), Conditions.at(kuka.random_configurations(5, np.random.default_rng(0)))
+    model = Model(chain, (recipe.EncoderSag("joint_2"),))
+    poses, jacobian = model.linearise(np.array([1e-3]), at)
+    ends = [model.predict(np.array([value]), at)[:, :, 3] for value in (1e-3 - 1e-5, 1e-3 + 1e-5)]
+
+    assert np.abs(jacobian[:, :, 0] - (ends[1] - ends[0]) / 2e-5).max() < 1e-7
+    assert poses.shape == (5, 3, 4)
+
+
+@pytest.mark.parametrize("recipe", ["sensor"], indirect=True)
+def test_the_recipe_of_a_sensor(recipe: ModuleType, kuka: Robot) -> None:
+    """Heights over a plate find the joint offsets that they can see."""
+    rng = np.random.default_rng(3)
+    machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(
+        rng, sigma_length=0.0, sigma_angle=0.0, sigma_offset=1e-3
+    )
+    q = plan_poses(machine.arm, 80, rng)
+    tips = machine.tip(q)
+    height = tips[:, 2, 3] + tips[:, 2, :3] @ (0.1, 0.05, 0.2) + 0.7
+    table = measurements_from_arrays(kuka.joint_names, q, height=height)
+    fit = calibrate(kuka, table, Options(effects=(JointOffset(),)))
+
+    assert SENSORS.known()["height"] is recipe.HeightGauge and table.kind == "height"
+    assert np.abs(fit.station.residuals(fit.values)).max() < 1e-9
+
+
+@pytest.mark.parametrize("recipe", ["verb"], indirect=True)
+def test_the_recipe_of_a_verb(
+    recipe: ModuleType, kuka: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line makes it a verb of the command, with help and typed errors."""
+    monkeypatch.setitem(_COMMANDS, "ranges", recipe.__name__)
+    q = np.linspace(-0.5, 0.5, 12)[:, None] * np.ones(6)
+    columns = dict(zip(kuka.joint_names, q.T, strict=True)) | dict.fromkeys("xyz", np.ones(12))
+    write_table(tmp_path / "table.csv", columns)
+    code = pincal_command.main(args=["ranges", str(kuka_urdf_path()), str(tmp_path / "table.csv")], standalone_mode=False)
+
+    assert code == 0
+    assert "joint_1: -0.500 to 0.500" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("recipe", ["section"], indirect=True)
+def test_the_recipe_of_a_section(recipe: ModuleType, kuka: Robot) -> None:
+    """It has its place and its link on the page."""
+    run = kuka_run(kuka, 60)
+    page = report_page(run, {"inputs": {}}, (), layout=(SECTIONS[0], recipe.coverage))
+
+    assert f"{run.n_poses('train')} poses were fitted." in page and 'href="#coverage"' in page
