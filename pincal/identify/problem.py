@@ -120,7 +120,7 @@ class Problem:
         """For each station, where its blocks stand among all blocks."""
         return _spans(len(station.sensor.blocks) for station in self.stations)
 
-    @property
+    @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """What may deviate, beside base and tool."""
         return tuple(e for e in self.stations[0].model.effects if not isinstance(e, BaseFrame | ToolFrame))

@@ -68,7 +68,7 @@ class Model:
         sizes = [len(effect.parameters(self.chain)) for effect in self.effects]
         return tuple(int(start) for start in np.cumsum([0, *sizes]))
 
-    @property
+    @cached_property
     def spans(self) -> tuple[slice, ...]:
         """For each effect, where its parameters stand."""
         return tuple(slice(a, b) for a, b in pairwise(self._starts))
