@@ -80,28 +80,32 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     """Return the machine that is measured."""
     from pincal.cli.effect_option import parse_effect
     from pincal.simulate.machine import TrueMachine
-    from pincal.simulate.request import MachineOptions, draw_machine
+    from pincal.simulate.request import draw_machine
 
     given = arguments.machine
-    wanted = MachineOptions(
+    nominal = TrueMachine.from_urdf(
+        Path(robot.source),
+        tip=robot.tip,
+        base=robot.base,
+        moment_frame=given.moment_frame,
+        gravity=given.gravity or tuple(robot.gravity.tolist()),
+    )
+    return draw_machine(
+        nominal,
         seed=arguments.campaign.seed,
         errors=given.errors,
         elastic=given.elastic,
         masses_off=given.masses_off,
         effects=[parse_effect(text, robot.joint_names) for text in given.effects],
+        massless=robot.massless,
     )
-    gravity = given.gravity or tuple(robot.gravity.tolist())
-    nominal = TrueMachine.from_urdf(
-        Path(robot.source), tip=robot.tip, base=robot.base, moment_frame=given.moment_frame, gravity=gravity
-    )
-    return draw_machine(nominal, wanted, massless=robot.massless)
 
 
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
     """Return poses, conditions and set-up."""
     from pincal.cli.inputs import load_table
     from pincal.simulate.campaign import Campaign
-    from pincal.simulate.request import ConditionOptions, Stream, poses_of_table, repeat_poses
+    from pincal.simulate.request import Stream, poses_of_table, repeat_poses
     from pincal.simulate.sensors import draw_setup
 
     given = arguments.campaign
@@ -118,7 +122,10 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
             raise BadInputError(
                 f"{error}; a lower --floor, or --no-floor, gives the arm more room, another --seed another place"
             ) from None
-    wanted = ConditionOptions(
+    q, all_conditions = repeat_poses(
+        machine,
+        q,
+        given=conditions,
         seed=arguments.pose_seed,
         cycles=given.cycles,
         recorded=given.recorded,
@@ -126,5 +133,4 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
         payload_order=given.payload_order,
         payload_com=given.payload_com,
     )
-    q, all_conditions = repeat_poses(machine, q, wanted, given=conditions)
     return Campaign(q=q, conditions=all_conditions, setup=setup, hidden=given.hide)

@@ -9,12 +9,12 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import DeformingEffect
+from pincal.simulate.effect import DeformingEffect, DriveEffect
 from pincal.simulate.state import Deformation, Loads, Poses
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearEccentricity(DeformingEffect):
+class GearEccentricity(DriveEffect):
     """Eccentric or elliptical gear wheel; ``size`` is the amplitude [rad].
 
     Order 1 is a crank: the output points from an eccentric centre to the driven point. Order 2 is a pair of
@@ -30,9 +30,7 @@ class GearEccentricity(DeformingEffect):
     order: int = 1
     phase: float = 0.6
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Turn the joint by the difference between output and input of the wheel."""
-        joint = arm.index(self.joint)
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         q = poses.q[:, joint]
         if self.order == 1:
             x, y = self.size * np.cos(self.phase), self.size * np.sin(self.phase)
@@ -42,11 +40,11 @@ class GearEccentricity(DeformingEffect):
             output = np.arctan2((1.0 + self.size) * np.sin(angle), (1.0 - self.size) * np.cos(angle))
         else:
             raise BadInputError(f"gear_eccentricity of {self.joint}: order {self.order}; expected 1 or 2")
-        deformation.joint[:, joint] += np.angle(np.exp(1j * (output - angle)))
+        return np.asarray(np.angle(np.exp(1j * (output - angle))))
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransmissionError(DeformingEffect):
+class TransmissionError(DriveEffect):
     """Irregular gear: a smooth random curve of the joint's angle; ``size`` is its rms value [rad].
 
     Attributes:
@@ -80,24 +78,20 @@ class TransmissionError(DeformingEffect):
         error: np.ndarray = self.size * (raw(np.asarray(q, float)) - turn.mean()) / turn.std()
         return error
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Turn the joint by the curve at its recorded angle."""
-        joint = arm.index(self.joint)
-        deformation.joint[:, joint] += self.curve(poses.q[:, joint])
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return self.curve(poses.q[:, joint])
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearRatio(DeformingEffect):
+class GearRatio(DriveEffect):
     """Wrong gear or encoder ratio; ``size`` is the relative error of the ratio [-]."""
 
     effect: ClassVar[str] = "gear_ratio"
     unit: ClassVar[str] = "1"
     typical_size: ClassVar[float] = 1e-4
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Let the joint run ahead in proportion to its angle."""
-        joint = arm.index(self.joint)
-        deformation.joint[:, joint] += self.size * poses.q[:, joint]
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(self.size * poses.q[:, joint])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +144,7 @@ class AxisWobble(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(DeformingEffect):
+class Backlash(DriveEffect):
     """Play in a gear; ``size`` is the full play [rad].
 
     The joint lags behind its drive by half the play. Where the approach was recorded it decides the side;
@@ -162,22 +156,19 @@ class Backlash(DeformingEffect):
     typical_size: ClassVar[float] = 2e-4
     column: ClassVar[str | None] = "approach"
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Hold the joint back on the side from which it came."""
-        joint = arm.index(self.joint)
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         q, half = poses.q[:, joint], 0.5 * self.size
         if poses.approach is not None:
-            deformation.joint[:, joint] -= half * poses.approach[:, joint]
-            return
+            return np.asarray(-half * poses.approach[:, joint])
         place, lag = 0.0, np.empty_like(q)
         for row, drive in enumerate(q):
             place = drive if row == 0 else min(max(place, drive - half), drive + half)
             lag[row] = place - drive
-        deformation.joint[:, joint] += lag
+        return lag
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThermalOffset(DeformingEffect):
+class ThermalOffset(DriveEffect):
     """Joint zero that shifts with temperature; ``size`` is the shift [rad/K]."""
 
     effect: ClassVar[str] = "thermal_offset"
@@ -185,19 +176,16 @@ class ThermalOffset(DeformingEffect):
     typical_size: ClassVar[float] = 1e-5
     column: ClassVar[str | None] = "temperature"
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Shift the joint in proportion to the temperature."""
-        deformation.joint[:, arm.index(self.joint)] += self.size * poses.temperature
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(self.size * poses.temperature)
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointScatter(DeformingEffect):
+class JointScatter(DriveEffect):
     """Joint that does not repeat; ``size`` is the standard deviation [rad]."""
 
     effect: ClassVar[str] = "joint_scatter"
     typical_size: ClassVar[float] = 1e-4
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Turn the joint by its random draw of this pose."""
-        joint = arm.index(self.joint)
-        deformation.joint[:, joint] += self.size * poses.scatter[:, joint]
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(self.size * poses.scatter[:, joint])

@@ -98,6 +98,19 @@ class DeformingEffect(HiddenEffect):
         """
 
 
+class DriveEffect(DeformingEffect):
+    """An effect that moves one joint along its own freedom."""
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Add the motion to the position of the joint."""
+        joint = arm.index(self.joint)
+        deformation.joint[:, joint] += self._motion(joint, poses, loads)
+
+    @abstractmethod
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        """Return what is added to the position of the joint with this index [rad or m], shape (N,)."""
+
+
 class LoadingEffect(HiddenEffect):
     """An effect that changes what the arm carries."""
 

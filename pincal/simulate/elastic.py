@@ -1,4 +1,4 @@
-"""Hidden effects of gravity loads: drives, bearings, links and base that give way.
+"""Hidden effects of gravity loads: compliant drives, bearings, links and base.
 
 A positive compliance turns a joint in the sense of the moment that gravity exerts on it: the arm sags.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import WINDUP, DeformingEffect, Scope, Site, SizedByLoad
+from pincal.simulate.effect import WINDUP, DeformingEffect, DriveEffect, Scope, Site, SizedByLoad
 from pincal.simulate.state import Deformation, Loads, Poses
 
 MOMENT_FRAMES = ("paper", "before", "after")
@@ -27,7 +27,7 @@ _COMPENSATOR_REACH = 2.6
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointElasticity(DeformingEffect, SizedByLoad):
+class JointElasticity(DriveEffect, SizedByLoad):
     """Linear wind-up of a drive; ``size`` is the compliance c_z [rad/(N m)], or [m/N] for a sliding joint."""
 
     effect: ClassVar[str] = "joint_elasticity"
@@ -38,15 +38,13 @@ class JointElasticity(DeformingEffect, SizedByLoad):
         """Return half of a drive's wind-up under the largest moment."""
         return {"size": 0.5 * WINDUP / site.moment}
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Move the joint in proportion to the load along its freedom."""
-        joint = arm.index(self.joint)
-        deformation.joint[:, joint] += self.size * loads.drive[:, joint]
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(self.size * loads.drive[:, joint])
 
 
 @dataclass(frozen=True, kw_only=True)
 class BearingElasticity(DeformingEffect, SizedByLoad):
-    """Bearing that gives way about the transverse axes; ``size`` is the compliance about x [rad/(N m)].
+    """Bearing that is compliant about the transverse axes; ``size`` is the compliance about x [rad/(N m)].
 
     Attributes:
         size_y: Compliance about y [rad/(N m)]; that about x if None.
@@ -77,7 +75,7 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NonlinearElasticity(DeformingEffect, SizedByLoad):
+class NonlinearElasticity(DriveEffect, SizedByLoad):
     """Drive that stiffens with torque; ``size`` is the extra compliance near torque 0 [rad/(N m)].
 
     The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral is the
@@ -97,15 +95,12 @@ class NonlinearElasticity(DeformingEffect, SizedByLoad):
         stiffening = 0.3 * site.moment
         return {"size": 3e-4 / (stiffening * float(np.arcsinh(1.0 / 0.3))), "stiffening": stiffening}
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Add the extra wind-up."""
-        joint = arm.index(self.joint)
-        windup = np.arcsinh(loads.drive[:, joint] / self.stiffening)
-        deformation.joint[:, joint] += self.size * self.stiffening * windup
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(self.size * self.stiffening * np.arcsinh(loads.drive[:, joint] / self.stiffening))
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadBacklash(DeformingEffect, SizedByLoad):
+class LoadBacklash(DriveEffect, SizedByLoad):
     """Play that the load takes up; ``size`` is the full play [rad].
 
     Attributes:
@@ -120,15 +115,13 @@ class LoadBacklash(DeformingEffect, SizedByLoad):
         """Return a play of 0.2 mrad, taken up by a fiftieth of the largest moment."""
         return {"size": 2e-4, "transition": 0.02 * site.moment}
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Push the joint to the side to which the load pulls."""
-        joint = arm.index(self.joint)
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         torque = loads.drive[:, joint]
-        deformation.joint[:, joint] += 0.5 * self.size * torque / np.hypot(torque, self.transition)
+        return np.asarray(0.5 * self.size * torque / np.hypot(torque, self.transition))
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravityCompensator(DeformingEffect, SizedByLoad):
+class GravityCompensator(DriveEffect, SizedByLoad):
     """Spring between two adjacent links; ``size`` is its rate [N/m].
 
     The drive no longer winds up under the torque that the spring takes: joint angle += compliance * torque of
@@ -177,10 +170,8 @@ class GravityCompensator(DeformingEffect, SizedByLoad):
         moment: np.ndarray = np.cross(end, force)[..., 2]
         return moment
 
-    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Turn the joint by what the spring relieves."""
-        joint = arm.index(self.joint)
-        deformation.joint[:, joint] += self.compliance * self.torque(poses.q[:, joint])
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(self.compliance * self.torque(poses.q[:, joint]))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The true machine: a robot with errors that nobody has told the fit about.
+"""The true machine: a robot with errors that the fit does not know.
 
 Kinematics are Pinocchio's, loads are sums over bodies at their deformed places and every error is a
 placement. Nothing here is shared with the model that pincal fits, so that the two can be held against each
@@ -16,15 +16,19 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, read_arm
-from pincal.simulate.chain import build_chain
+from pincal.simulate.chain import build_chain, configurations, gravity_loads, place
 from pincal.simulate.conditions import broadcast_copy, poses_of
 from pincal.simulate.effect import DeformingEffect, HiddenEffect, LoadingEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity
-from pincal.simulate.equilibrium import Equilibrium, Settler
-from pincal.simulate.state import Poses
+from pincal.simulate.state import Deformation, Equilibrium, Loads, Poses, no_deformation, no_loads
 
 GRAVITY = (0.0, 0.0, -9.81)
 """Acceleration of gravity in the base frame of an upright robot [m/s^2]."""
+
+# Change of the deformation in one round below which the arm is at rest [rad and m]; far below any measurement.
+_AT_REST = 1e-12
+# Each round gains about three digits on an industrial arm; if many more than five are needed, the arm collapses.
+_ROUNDS = 100
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class TrueMachine:
 
     @classmethod
     def from_urdf(cls, urdf: str | Path, *, tip: str, base: str | None = None, **errors: Any) -> TrueMachine:
-        """Make the true machine of a URDF, without errors unless they are given.
+        """Make the true machine of a URDF, by default without errors.
 
         Args:
             urdf: Path of a URDF file, or its XML text.
@@ -195,9 +199,23 @@ class TrueMachine:
         for effect in self.effects:
             if isinstance(effect, LoadingEffect):
                 mass, com = effect.true_payload(mass, com)
-        carried = replace(poses, payload=mass, payload_com=com)
-        settler = Settler(self.arm, self._chain, self._data, self._deforming, np.asarray(self.gravity, float))
-        return settler.settle(carried, poses.q + self.joint_offsets)
+        poses = replace(poses, payload=mass, payload_com=com)
+        q, gravity = poses.q + self.joint_offsets, np.asarray(self.gravity, float)
+        deformation = self._deformed(poses, no_loads(*q.shape))
+        for _ in range(_ROUNDS):
+            places = place(self._chain, self._data, configurations(q, deformation))
+            loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity)
+            settled = self._deformed(poses, loads)
+            if settled.change(deformation) < _AT_REST:
+                return Equilibrium(tip=places[:, -1], deformation=deformation, loads=loads)
+            deformation = settled
+        raise BadInputError(f"the arm does not come to rest in {_ROUNDS} rounds; use a smaller compliance")
+
+    def _deformed(self, poses: Poses, loads: Loads) -> Deformation:
+        deformation = no_deformation(*poses.q.shape)
+        for effect in self._deforming:
+            effect.deform(self.arm, poses, loads, deformation)
+        return deformation
 
     def tip(self, q: np.ndarray, **conditions: Any) -> np.ndarray:
         """Return where the tip really is.

@@ -19,8 +19,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.simulate.arm import Arm, read_arm
 from pincal.simulate.conditions import Conditions, poses_of
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
-from pincal.simulate.equilibrium import Equilibrium
-from pincal.simulate.state import Poses, no_deformation, no_loads
+from pincal.simulate.state import Equilibrium, Poses, no_deformation, no_loads
 
 _HALF_TURN, _QUARTER_TURN = np.pi, np.pi / 2.0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -48,32 +47,26 @@ class Stream(IntEnum):
         return np.random.default_rng([seed, int(self)])
 
 
-@dataclass(frozen=True, kw_only=True)
-class MachineOptions:
-    """What may be chosen of a true machine; the rest is drawn.
-
-    Attributes:
-        seed: Seed of the machine.
-        errors: Size of the geometric errors relative to typical ones, 0 for none.
-        elastic: Compliance of drives and bearings relative to a typical one, 0 for a rigid arm; None for a
-            typical one if the arm has masses.
-        masses_off: Standard deviation of masses and centres of mass [%].
-        effects: Hidden effects: name and given fields of each.
-    """
-
-    seed: int = 0
-    errors: float = 1.0
-    elastic: float | None = None
-    masses_off: float = 0.0
-    effects: Sequence[tuple[str, Mapping[str, Any]]] = ()
-
-
-def draw_machine(nominal: TrueMachine, options: MachineOptions, *, massless: Sequence[str] = ()) -> TrueMachine:
+def draw_machine(
+    nominal: TrueMachine,
+    *,
+    seed: int = 0,
+    errors: float = 1.0,
+    elastic: float | None = None,
+    masses_off: float = 0.0,
+    effects: Sequence[tuple[str, Mapping[str, Any]]] = (),
+    massless: Sequence[str] = (),
+) -> TrueMachine:
     """Draw a machine with errors, elasticity and hidden effects.
 
     Args:
         nominal: The machine without errors.
-        options: What is chosen.
+        seed: Seed of the machine.
+        errors: Size of the geometric errors relative to typical ones, 0 for none.
+        elastic: Compliance of drives and bearings relative to a typical one, 0 for a rigid arm; default: a typical
+            one if the arm has masses.
+        masses_off: Standard deviation of masses and centres of mass [%].
+        effects: Hidden effects: name and given fields of each.
         massless: Names of the arm's links that lack a mass.
 
     Returns:
@@ -82,70 +75,63 @@ def draw_machine(nominal: TrueMachine, options: MachineOptions, *, massless: Seq
     Raises:
         BadInputError: If an effect is unknown, or loads are asked for on an arm without masses.
     """
-    loaded = ["elasticity"] if options.elastic else []
-    loaded += [name for name, _ in options.effects if issubclass(HIDDEN_EFFECTS[name], SizedByLoad)]
+    loaded = ["elasticity"] if elastic else []
+    loaded += [name for name, _ in effects if issubclass(HIDDEN_EFFECTS[name], SizedByLoad)]
     if massless and loaded:
         raise BadInputError(
             f"{loaded[0]} needs inertial data, and {', '.join(massless)} of the URDF "
             f"{'has' if len(massless) == 1 else 'have'} no mass; leave it out (--elastic 0)"
         )
-    machine = draw_typical_errors(nominal, Stream.ERRORS.generator(options.seed), scale=options.errors)
-    machine = machine.draw_masses(Stream.MASSES.generator(options.seed), sigma=options.masses_off / 100.0)
-    scale = (0.0 if massless else 1.0) if options.elastic is None else options.elastic
+    machine = draw_typical_errors(nominal, Stream.ERRORS.generator(seed), scale=errors)
+    machine = machine.draw_masses(Stream.MASSES.generator(seed), sigma=masses_off / 100.0)
+    scale = (0.0 if massless else 1.0) if elastic is None else elastic
     if scale:
-        machine = draw_typical_elasticity(machine, Stream.ELASTICITY.generator(options.seed), scale=scale)
-    rng = Stream.EFFECTS.generator(options.seed)
-    return machine.with_effects(*(typical_effect(machine, name, rng, **values) for name, values in options.effects))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConditionOptions:
-    """What may be chosen of the conditions of a campaign; the rest is drawn.
-
-    Attributes:
-        seed: Seed of poses, conditions and noise.
-        cycles: Number of times that every pose is measured, one round after the other.
-        recorded: Of ``RECORDED``, columns to record whether an effect needs them or not.
-        payload: Payloads [kg]; None for no payload column.
-        payload_order: ``blocks`` or ``alternating``, see :func:`pincal.simulate.campaign.spread_payloads`.
-        payload_com: Centre of mass of the payload in the tip frame [m].
-    """
-
-    seed: int = 0
-    cycles: int = 1
-    recorded: Sequence[str] = ()
-    payload: Sequence[float] | None = None
-    payload_order: str = "blocks"
-    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        machine = draw_typical_elasticity(machine, Stream.ELASTICITY.generator(seed), scale=scale)
+    rng = Stream.EFFECTS.generator(seed)
+    return machine.with_effects(*(typical_effect(machine, name, rng, **values) for name, values in effects))
 
 
 def repeat_poses(
-    machine: TrueMachine, q: np.ndarray, options: ConditionOptions, *, given: Mapping[str, np.ndarray] | None = None
+    machine: TrueMachine,
+    q: np.ndarray,
+    *,
+    given: Mapping[str, np.ndarray],
+    seed: int = 0,
+    cycles: int = 1,
+    recorded: Sequence[str] = (),
+    payload: Sequence[float] | None = None,
+    payload_order: str = "blocks",
+    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[np.ndarray, Conditions]:
     """Return the poses of all cycles and the conditions under which they are measured.
 
     Args:
         machine: The machine, whose effects decide which conditions matter.
         q: Joint positions of one cycle [rad or m], shape (N, n).
-        options: What is chosen.
         given: Conditions of these poses that are not to be drawn, shape (N, ...).
+        seed: Seed of poses, conditions and noise.
+        cycles: Number of times that every pose is measured, one round after the other.
+        recorded: Of ``RECORDED``, columns to record whether an effect needs them or not.
+        payload: Payloads [kg]; None for no payload column.
+        payload_order: ``blocks`` or ``alternating``, see :func:`pincal.simulate.campaign.spread_payloads`.
+        payload_com: Centre of mass of the payload in the tip frame [m].
 
     Returns:
         Joint positions, shape (cycles N, n), and their conditions.
     """
-    needed = {effect.column for effect in machine.effects} | set(options.recorded)
+    needed = {effect.column for effect in machine.effects} | set(recorded)
     names, poses = [name for name in RECORDED if name in needed], len(q)
-    rng = Stream.CONDITIONS.generator(options.seed)
-    drawn = draw_conditions(names, options.cycles * poses, joints=len(machine.names), rng=rng)
-    fixed = dict(given or {})
-    if options.payload is not None:
-        fixed["payload"] = spread_payloads(options.payload, poses, order=options.payload_order)
+    rng = Stream.CONDITIONS.generator(seed)
+    drawn = draw_conditions(names, cycles * poses, joints=len(machine.names), rng=rng)
+    fixed = dict(given)
+    if payload is not None:
+        fixed["payload"] = spread_payloads(payload, poses, order=payload_order)
     if "approach" in drawn:
         # Every cycle comes to a pose from the same side, as ISO 9283 has it.
         fixed = {"approach": drawn["approach"][:poses]} | fixed
-    repeated = {name: np.tile(value, (options.cycles, *[1] * (value.ndim - 1))) for name, value in fixed.items()}
-    conditions: Any = drawn | repeated | {"payload_com": options.payload_com}
-    return np.tile(q, (options.cycles, 1)), conditions
+    repeated = {name: np.tile(value, (cycles, *[1] * (value.ndim - 1))) for name, value in fixed.items()}
+    conditions: Any = drawn | repeated | {"payload_com": payload_com}
+    return np.tile(q, (cycles, 1)), conditions
 
 
 def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray]]:

@@ -81,7 +81,7 @@ def draw_setup(kind: str, arm: Arm, *, rng: np.random.Generator, options: SetupO
 
 def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
     if options.ball_bar is not None:
-        return _ball_bar(arm, rng, options)
+        return _contact("distance", arm, rng, options)
     instrument, targets = _instrument_and_targets(arm, rng, options)
     anchors = {f"anchor_{i + 1}": place_beside(arm, rng) for i in range(options.anchors)}
     return Instrument(
@@ -94,19 +94,23 @@ def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
     )
 
 
-def _sockets(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
-    instrument, tool = _instrument_and_tool(arm, rng, options)
-    places = draw_fixed_points(arm, options.sockets, rng, tool=tool, spacing=options.spacing, min_height=options.min_height)
-    fixed = {f"socket_{i + 1}": place for i, place in enumerate(places)}
-    return Contact(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma)
-
-
-def _ball_bar(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
-    instrument, tool = _instrument_and_tool(arm, rng, options)
-    length = 0.0 if options.ball_bar is None else options.ball_bar
-    places = draw_fixed_points(arm, max(options.anchors, 1), rng, tool=tool, radius=length, min_height=options.min_height)
-    fixed = {f"anchor_{i + 1}": place for i, place in enumerate(places)}
-    return Contact(tool=tool, fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
+def _contact(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+    """Return sockets, or the anchors of a ball bar."""
+    instrument, targets = _instrument_and_targets(arm, rng, replace(options, targets=1))
+    x, y, z = (float(value) for value in next(iter(targets.values()))[:3, 3])
+    length = options.ball_bar if kind == "distance" and options.ball_bar is not None else 0.0
+    label, count = ("anchor", max(options.anchors, 1)) if kind == "distance" else ("socket", options.sockets)
+    places = draw_fixed_points(
+        arm,
+        count,
+        rng,
+        tool=(x, y, z),
+        radius=length,
+        spacing=options.spacing if kind == "socket" else None,
+        min_height=options.min_height,
+    )
+    fixed = {f"{label}_{i + 1}": place for i, place in enumerate(places)}
+    return Contact(tool=(x, y, z), fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
 
 
 def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
@@ -131,7 +135,7 @@ SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], Senso
     "position": _beside,
     "pose": _beside,
     "distance": _beside,
-    "socket": _sockets,
+    "socket": _contact,
     "camera_point": _eye_in_hand,
     "camera_pixel": _eye_in_hand,
 }
@@ -146,10 +150,3 @@ def _instrument_and_targets(arm: Arm, rng: np.random.Generator, options: SetupOp
             raise BadInputError(f"tool {options.tool} places one target; expected targets 1, not {len(targets)}")
         next(iter(targets.values()))[:3, 3] = options.tool
     return np.eye(4) if options.at_base else instrument, targets
-
-
-def _instrument_and_tool(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, Point]:
-    """Return the frame in which fixed points are known, and the tool point."""
-    instrument, targets = _instrument_and_targets(arm, rng, replace(options, targets=1))
-    x, y, z = (float(value) for value in next(iter(targets.values()))[:3, 3])
-    return instrument, (x, y, z)

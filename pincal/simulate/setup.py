@@ -13,8 +13,7 @@ from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
 from pincal.simulate.conditions import Conditions
 from pincal.simulate.effect import HiddenEffect, MeasuringEffect
-from pincal.simulate.equilibrium import Equilibrium
-from pincal.simulate.state import Poses
+from pincal.simulate.state import Equilibrium, Poses
 
 Table = dict[str, np.ndarray]
 """Columns of a table of measurements, by name."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -19,9 +19,9 @@ class Poses:
         payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
         temperature: Temperature minus the reference temperature [K], shape (N,).
         time: Time since the start [s], shape (N,).
-        approach: Direction from which each joint arrived (-1, 0, 1), or None: then the order of the poses
-            tells, shape (N, n).
-        scatter: Standard normal draws, one a joint and pose, that unrepeatable effects scale, shape (N, n).
+        approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n); None: it follows from the order
+            of the poses.
+        scatter: Standard normal draws per joint and pose, scaled by unrepeatable effects, shape (N, n).
     """
 
     q: np.ndarray
@@ -92,26 +92,36 @@ class Deformation:
         else:
             self.tip[:] += at_end
 
+    def change(self, before: Deformation) -> float:
+        """Return the largest change of any component [rad or m]."""
+        pairs = ((getattr(self, field.name), getattr(before, field.name)) for field in fields(self))
+        return max(float(np.abs(new - old).max(initial=0.0)) for new, old in pairs)
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """The arm at rest under gravity.
+
+    Attributes:
+        tip: Transform from the tip to the undeformed base frame, shape (N, 4, 4).
+        deformation: Sum of all effects.
+        loads: Gravity loads on the deformed arm.
+    """
+
+    tip: np.ndarray
+    deformation: Deformation
+    loads: Loads
+
 
 def no_deformation(poses: int, joints: int) -> Deformation:
     """Return a deformation of zeros for N poses of n joints."""
+    at_joints = (poses, joints, 6)
     return Deformation(
-        joint=np.zeros((poses, joints)),
-        before=np.zeros((poses, joints, 6)),
-        after=np.zeros((poses, joints, 6)),
-        base=np.zeros((poses, 6)),
-        tip=np.zeros((poses, 6)),
+        np.zeros((poses, joints)), np.zeros(at_joints), np.zeros(at_joints), np.zeros((poses, 6)), np.zeros((poses, 6))
     )
 
 
 def no_loads(poses: int, joints: int) -> Loads:
     """Return loads of zeros for N poses of n joints."""
-    each = (poses, joints, 3)
-    return Loads(
-        before=np.zeros(each),
-        after=np.zeros(each),
-        drive=np.zeros((poses, joints)),
-        end_moment=np.zeros(each),
-        end_force=np.zeros(each),
-        base=np.zeros((poses, 3)),
-    )
+    before, after, end_moment, end_force = np.zeros((4, poses, joints, 3))
+    return Loads(before, after, np.zeros((poses, joints)), end_moment, end_force, np.zeros((poses, 3)))
