@@ -103,19 +103,6 @@ def format_digits(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{float(f'{value:.2g}'):.{2 if abs(value) >= 0.1 else 4}g}"
 
 
-def format_noise(sigma: float, unit: str) -> str:
-    """Return the standard deviation of one coordinate of a reading.
-
-    Example:
-        >>> format_noise(5e-5, "m"), format_noise(3e-7, "m"), format_noise(0.1, "px")
-        ('0.0500 mm per coordinate', '0.0003 mm per coordinate', '0.1 px per coordinate')
-    """
-    factor, name = readable_unit(unit)
-    scaled = sigma * factor
-    form = ".4g" if unit == "px" else ".4f" if scaled >= 1e-3 else ".2g"
-    return f"{scaled:{form}} {name} per coordinate"
-
-
 # Cells of tables
 
 

@@ -17,6 +17,7 @@ from pincal.discover.run import Discovery, run_discovery
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import measurements_from_arrays
 from pincal.report.html import report_page
+from pincal.report.subject import Subject
 from pincal.robot.robot import find_file
 
 NOISE = 5e-5
@@ -95,4 +96,4 @@ def panda_run() -> Calibration:
 
 def page_of(run: Calibration, **more: Any) -> str:
     """Return the report of a calibration."""
-    return report_page(run, ORIGIN, ("elasticity stays in model.json",), **more)
+    return report_page(Subject(run, ORIGIN, ("elasticity stays in model.json",), **more))

@@ -9,7 +9,8 @@ import pytest
 from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run
 
 from pincal import Robot
-from pincal.report.html import write_report
+from pincal.report.html import report_page
+from pincal.report.subject import Subject
 
 SIZES = {"desk": (1280, 800), "phone": (390, 844)}
 # Text with its colour and that of the ground it stands on; contrast as in WCAG 2.
@@ -52,11 +53,14 @@ def pages(tmp_path_factory: pytest.TempPathFactory, kuka: Robot) -> dict[str, Pa
     """Write a report without held-out rows, one with hostile names, and one of a discovery."""
     folder = tmp_path_factory.mktemp("reports")
     found = discovered()
-    runs = {"plain": kuka_run(kuka, test_fraction=0.0), "hostile": hostile_run()}
-    for name, run in runs.items():
-        write_report(folder / f"{name}.html", run, ORIGIN, ("a note",))
-    write_report(folder / "found.html", found.calibration, ORIGIN, (), found)
-    return {name: folder / f"{name}.html" for name in (*runs, "found")}
+    subjects = {
+        "plain": Subject(kuka_run(kuka, test_fraction=0.0), ORIGIN, ("a note",)),
+        "hostile": Subject(hostile_run(), ORIGIN, ("a note",)),
+        "found": Subject(found.calibration, ORIGIN, (), found),
+    }
+    for name, subject in subjects.items():
+        (folder / f"{name}.html").write_text(report_page(subject), encoding="utf-8")
+    return {name: folder / f"{name}.html" for name in subjects}
 
 
 def show(browser: Any, page: Path, size: str = "desk", scheme: str = "light") -> None:

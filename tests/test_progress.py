@@ -12,7 +12,7 @@ from rich.console import Console
 from pincal.calibration.result import ParameterRow
 from pincal.calibration.tables import parameter_table
 from pincal.cli import progress, show_progress
-from pincal.cli.screen import console
+from pincal.cli.progress import console
 from pincal.identify.reasons import Cause, Reason, Status
 from pincal.tables import one_line
 

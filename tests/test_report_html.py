@@ -16,10 +16,10 @@ from pincal.discover.run import Discovery
 from pincal.identify.reasons import Cause, Reason
 from pincal.report.advice import narrow_joints, unidentified_groups
 from pincal.report.blocks import Section, paragraph
-from pincal.report.glossary import effect_meaning
-from pincal.report.html import SECTIONS, report_page, write_report
+from pincal.report.html import SECTIONS, report_page
 from pincal.report.subject import Subject
 from pincal.report.verdict import next_steps, verdict_of
+from pincal.report.words import effect_meaning
 from pincal.tables import Column, Kind, Table
 from pincal.units import fixed
 
@@ -150,16 +150,15 @@ def test_a_section_is_a_function(run: Calibration, no_figures: None) -> None:
         table = Table("Ranges", (Column("<joint>"), Column("range", "rad", Kind.NUMBER, fixed(2))), (("a<b", 1.5),))
         return Section("ranges", "Ranges of joints", (paragraph("How far & wide."), table), "Ranges")
 
-    page = report_page(run, ORIGIN, (), layout=(SECTIONS[0], ranges))
+    page = report_page(Subject(run, ORIGIN), layout=(SECTIONS[0], ranges))
     assert '<a href="#ranges">Ranges</a>' in page and '<h2 id="ranges">Ranges of joints</h2>' in page
     assert "How far &amp; wide." in page and "a&lt;b" in page and "1.50" in page and 'id="parameters"' not in page
     assert page.index('id="summary"') < page.index('id="ranges"')
 
 
-def test_a_discovery_is_told_step_by_step(found: Discovery, tmp_path: Path) -> None:
+def test_a_discovery_is_told_step_by_step(found: Discovery) -> None:
     """Where, which, how sure, what else, and a figure of the gap and of each effect."""
-    write_report(tmp_path / "report.html", found.calibration, ORIGIN, (), found)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = report_page(Subject(found.calibration, ORIGIN, discovery=found))
     text = " ".join(Page(page).text.split())
     for entry in found.report["where"]:
         assert entry["statement"] in text
@@ -216,7 +215,7 @@ def test_twelve_thousand_rows_take_seconds_and_few_megabytes(kuka: Robot, tmp_pa
     """The report of 12000 rows is written within 5 s and is no larger than 5 MB."""
     run = kuka_run(kuka, 12000)
     begun = time.perf_counter()
-    write_report(tmp_path / "report.html", run, ORIGIN, ())
+    (tmp_path / "report.html").write_text(report_page(Subject(run, ORIGIN)), encoding="utf-8")
     seconds, size = time.perf_counter() - begun, (tmp_path / "report.html").stat().st_size / 1e6
     print(f"report of {len(run.train) + len(run.test)} rows: {seconds:.2f} s, {size:.2f} MB")
     assert size <= 5.0 and seconds <= 5.0

@@ -33,7 +33,8 @@ def check(arguments: CheckArguments) -> Exit:
     if arguments.general.as_json:
         print_json(found.to_dict())
     else:
-        from pincal.cli.tables import console, print_precheck
+        from pincal.cli.progress import console
+        from pincal.cli.tables import print_precheck
 
         print_precheck(found, console())
     return Exit.DONE

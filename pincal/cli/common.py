@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import click
 
 from pincal.cli.arguments import argument, group, option
 
-F = TypeVar("F", bound=Callable[..., Any])
 Vector = tuple[float, float, float]
 
 _LENGTHS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -51,10 +49,6 @@ class Noise(click.ParamType[tuple[float, str]]):
     """The noise of a reading: a length in metres, or pixels; with the unit, "m" or "px"."""
 
     name = "0.05mm"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """Return examples of the value, for the help text."""
-        return "0.05mm|0.1px"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
         """Return the value in SI units, or in pixels, and its unit."""
@@ -129,7 +123,7 @@ class SetupOptions:
     """The noise of the instrument, and what is known of the measurement setup."""
 
     noise: tuple[float, str] | None = option(
-        "Standard deviation of one position or image coordinate.", type=Noise(), words="estimated"
+        "Standard deviation of one position or image coordinate.", type=Noise(), metavar="0.05mm|0.1px", words="estimated"
     )
     noise_angle: float | None = option("Standard deviation of one orientation component.", type=ANGLE, words="estimated")
     tool: Vector | None = option("Target position in the tip frame [m], if known.", words="identified")

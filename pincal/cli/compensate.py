@@ -19,10 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pincal.calibration.calibrated import CalibratedModel
-    from pincal.cli.model_use import Extrapolation
     from pincal.compensate.frames import FalseTarget
-    from pincal.compensate.run import CompensatedTable
-    from pincal.compensate.targets import Targets
+    from pincal.compensate.targets import CompensatedTable, Targets
     from pincal.robot.robot import Robot
 
 # Rows that are listed one by one.
@@ -87,9 +85,8 @@ def compensate(arguments: CompensateArguments) -> Exit:
     Of all that bring the real robot there, the closest to those given are chosen.
     """
     from pincal.calibration.calibrated import load_model
-    from pincal.cli.model_use import Extrapolation
-    from pincal.compensate.run import run_compensation
-    from pincal.compensate.targets import read_targets
+    from pincal.cli.model_use import extrapolation
+    from pincal.compensate.targets import read_targets, run_compensation
     from pincal.measure.table import write_table
 
     calibrated = load_model(arguments.model)
@@ -104,13 +101,13 @@ def compensate(arguments: CompensateArguments) -> Exit:
         limits=not arguments.ignore_limits,
     )
     write_table(arguments.out, _columns(calibrated, done, arguments.false_targets))
-    beyond = Extrapolation.of(calibrated, done.commanded, table.rows.rows)
+    beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
     result = _result(robot, done, beyond) | {"out": str(arguments.out)}
     if arguments.general.as_json:
         print_json(result)
     else:
         click.echo("\n".join(_summary(result)))
-    print_notes([*_failures(result), *beyond.notes()], quiet=arguments.general.quiet)
+    print_notes([*_failures(result), *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
 
@@ -161,7 +158,7 @@ def _columns(
     return columns
 
 
-def _result(robot: Robot, done: CompensatedTable, beyond: Extrapolation) -> dict[str, Any]:
+def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any]) -> dict[str, Any]:
     """Return the outcome for programs."""
     from pincal.compensate.solve_ik import STATUSES
 
@@ -186,7 +183,7 @@ def _result(robot: Robot, done: CompensatedTable, beyond: Extrapolation) -> dict
         "sigma_mm": 1e3 * float(np.sqrt(np.mean(done.sigma**2))),
         "change": _largest_change(robot, done) if done.targets.has_joints else None,
         "not_ok": left,
-    } | beyond.to_dict()
+    } | beyond
 
 
 def _statistics(errors: np.ndarray) -> dict[str, float]:

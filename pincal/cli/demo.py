@@ -153,7 +153,7 @@ def _sizes(run: Any, values: np.ndarray) -> np.ndarray:
 
 def _tell(runs: dict[str, Any], out: Path) -> None:
     from pincal.calibration.tables import parameter_table
-    from pincal.cli.tables import console
+    from pincal.cli.progress import console
 
     screen = console()
     full = runs["DH,s,e"]
@@ -170,7 +170,8 @@ def _tell(runs: dict[str, Any], out: Path) -> None:
 
 
 def _tell_hidden(found: Any) -> None:
-    from pincal.cli.tables import console, print_discovery
+    from pincal.cli.progress import console
+    from pincal.cli.tables import print_discovery
 
     screen = console()
     screen.rule("A hidden effect")
@@ -190,7 +191,7 @@ def _tell_hidden(found: Any) -> None:
 
 def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
     from pincal.cli.fitting import VIEW
-    from pincal.cli.tables import console
+    from pincal.cli.progress import console
 
     screen, folder = console(), out / _HIDDEN_FOLDER
     screen.rule("Go where it was meant")

@@ -15,8 +15,7 @@ from pincal.cli.outputs import print_json
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
-    from pincal.design.reach import Limits, SensorSetup
-    from pincal.identify.options import Options
+    from pincal.design.reach import Limits
     from pincal.robot.robot import Robot
 
 _EXAMPLES = """
@@ -112,13 +111,16 @@ def design(arguments: DesignArguments) -> Exit:
 
     All are within reach and in view; also reports how many are needed.
     """
-    from pincal.cli.inputs import load_table
+    from pincal.cli.inputs import EFFECTS, load_table
     from pincal.design.design import design_poses
+    from pincal.design.reach import SensorSetup
+    from pincal.identify.options import Options
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
 
     if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError("give --poses N, or --accuracy for as many as are needed")
+    model, instrument, constraints = arguments.model, arguments.instrument, arguments.constraints
     robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
     task, measured = (
         None if path is None else load_table(robot, path, joints_only=True) for path in (arguments.task, arguments.measured)
@@ -126,15 +128,28 @@ def design(arguments: DesignArguments) -> Exit:
     found = design_poses(
         robot,
         arguments.poses,
-        _options(arguments),
-        rig=_sensor_setup(arguments),
+        Options(
+            effects=EFFECTS[model.model],
+            sigma=instrument.noise,
+            sigma_orientation=instrument.noise_angle,
+            moment_frame=model.moment_frame or "paper",
+            gravity=model.gravity,
+            payload_centre=model.payload_com,
+        ),
+        rig=SensorSetup(
+            sensor=instrument.sensor,
+            tool=instrument.tool,
+            instrument=constraints.instrument,
+            normal=constraints.normal,
+            cone=constraints.cone,
+        ),
         limits=_limits(robot, arguments),
         criterion=arguments.criterion,
         tell_apart=arguments.tell_apart,
         accuracy=arguments.accuracy,
         task=task,
         measured=measured,
-        payloads=_payloads(arguments.instrument.payload),
+        payloads=_payloads(instrument.payload),
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
@@ -142,39 +157,12 @@ def design(arguments: DesignArguments) -> Exit:
     if arguments.general.as_json:
         print_json(found.to_dict() | {"out": str(arguments.out)})
     else:
-        from pincal.cli.tables import console, print_design
+        from pincal.cli.progress import console
+        from pincal.cli.tables import print_design
 
         print_design(found, console())
         click.echo(f"written to {arguments.out}, ordered for short motions")
     return Exit.DONE
-
-
-def _options(arguments: DesignArguments) -> Options:
-    from pincal.cli.inputs import EFFECTS
-    from pincal.identify.options import Options
-
-    model = arguments.model
-    return Options(
-        effects=EFFECTS[model.model],
-        sigma=arguments.instrument.noise,
-        sigma_orientation=arguments.instrument.noise_angle,
-        moment_frame=model.moment_frame or "paper",
-        gravity=model.gravity,
-        payload_centre=model.payload_com,
-    )
-
-
-def _sensor_setup(arguments: DesignArguments) -> SensorSetup:
-    from pincal.design.reach import SensorSetup
-
-    constraints, instrument = arguments.constraints, arguments.instrument
-    return SensorSetup(
-        sensor=instrument.sensor,
-        tool=instrument.tool,
-        instrument=constraints.instrument,
-        normal=constraints.normal,
-        cone=constraints.cone,
-    )
 
 
 def _limits(robot: Robot, arguments: DesignArguments) -> Limits:

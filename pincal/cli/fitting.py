@@ -18,7 +18,6 @@ from pincal.errors import Exit, IdentificationError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from pincal.calibration.calibrated import CalibratedModel
     from pincal.calibration.run import Calibration
     from pincal.discover.run import Discovery
 
@@ -72,7 +71,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., R], *, show: Callable[[R
     if arguments.general.as_json:
         print_json(result.to_dict() if discovery is None else discovery.report)
     else:
-        from pincal.cli.screen import console
+        from pincal.cli.progress import console
 
         show(found, console())
         for note in notes:
@@ -109,7 +108,8 @@ def write_results(
     from pincal.calibration.calibrated import CalibratedModel, save_model
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
-    from pincal.report.html import write_report
+    from pincal.report.html import report_page
+    from pincal.report.subject import Subject
 
     fit = calibration.fit
     model = CalibratedModel.of(fit, origin)
@@ -121,18 +121,16 @@ def write_results(
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
-        _write_view(folder / VIEW, calibration, model)
-    write_report(folder / "report.html", calibration, origin, export.notes, discovery, view=VIEW if view else None)
+        from pincal.measure.table import concatenate
+        from pincal.viewer import build_scene, write_html
+
+        train, test = calibration.train, calibration.test
+        rows = concatenate([train, test]) if len(test) else train
+        held = np.repeat([False, True], [len(train), len(test)])
+        write_html(folder / VIEW, build_scene(model, rows, held_out=held))
+    page = report_page(Subject(calibration, origin, export.notes, discovery, view=VIEW if view else None))
+    (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)
-
-
-def _write_view(path: Path, calibration: Calibration, model: CalibratedModel) -> None:
-    from pincal.measure.table import concatenate
-    from pincal.viewer import build_scene, write_html
-
-    train, test = calibration.train, calibration.test
-    rows = concatenate([train, test]) if len(test) else train
-    write_html(path, build_scene(model, rows, held_out=np.repeat([False, True], [len(train), len(test)])))
 
 
 def _write_residuals(path: Path, calibration: Calibration) -> None:

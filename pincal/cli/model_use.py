@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +10,6 @@ from pincal.robot.se3 import quaternions
 
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel
-    from pincal.calibration.covered import Outside, OutsideCurve
     from pincal.model.effects import Conditions
 
 # Rows outside the calibrated range that are listed one by one.
@@ -28,47 +25,30 @@ def pose_columns(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.n
     return columns
 
 
-@dataclass(frozen=True)
-class Extrapolation:
-    """Where a model is used outside the range of the data that it was calibrated with.
+def extrapolation(
+    calibrated: CalibratedModel, conditions: Conditions, lines: np.ndarray
+) -> tuple[dict[str, Any], list[str]]:
+    """Return where a model is used outside the range of the data that it was calibrated with.
 
-    Attributes:
-        values: joint positions and payloads outside the range of the training rows.
-        curves: curves of the model used outside the range in which they were identified.
+    Args:
+        calibrated: the model.
+        conditions: the N rows that it is used for.
         lines: shape (N,), line of each row in its file.
-        units: name of a joint -> unit of its position.
+
+    Returns:
+        Entries for programs, and notes for the user.
     """
-
-    values: list[Outside]
-    curves: list[OutsideCurve]
-    lines: np.ndarray
-    units: dict[str, str]
-
-    @classmethod
-    def of(cls, calibrated: CalibratedModel, conditions: Conditions, lines: np.ndarray) -> Extrapolation:
-        """Return where these conditions lie outside the range of a model."""
-        robot = calibrated.model.chain.robot
-        units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
-        return cls(calibrated.outside(conditions), calibrated.outside_curves(conditions), lines, units | _UNITS)
-
-    @property
-    def rows(self) -> list[int]:
-        """The rows with a joint position or payload outside the range."""
-        return sorted({value.row for value in self.values})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entries for programs."""
-        return {"outside": len(self.rows), "curves": [curve._asdict() for curve in self.curves]}
-
-    def notes(self) -> Iterator[str]:
-        """Yield what the user should know."""
-        if self.rows:
-            yield f"rows outside the range of the calibration data: {len(self.rows)}"
-        for row, name, value, low, high in self.values[:_SHOWN]:
-            yield f"line {self.lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}"
-        for curve in self.curves:
-            yield (
-                f"{curve.rows} rows need the {curve.effect} of {curve.joint} at {curve.variable} {curve.lowest:.4g} to "
-                f"{curve.highest:.4g} {self.units[curve.variable]}; it was identified from {curve.lower:.4g} to "
-                f"{curve.upper:.4g} only and is held constant outside"
-            )
+    values, curves = calibrated.outside(conditions), calibrated.outside_curves(conditions)
+    robot = calibrated.model.chain.robot
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True)) | _UNITS
+    rows = len({value.row for value in values})
+    notes = [f"rows outside the range of the calibration data: {rows}"] if rows else []
+    for row, name, value, low, high in values[:_SHOWN]:
+        notes.append(f"line {lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}")
+    for curve in curves:
+        notes.append(
+            f"{curve.rows} rows need the {curve.effect} of {curve.joint} at {curve.variable} {curve.lowest:.4g} to "
+            f"{curve.highest:.4g} {units[curve.variable]}; it was identified from {curve.lower:.4g} to {curve.upper:.4g} "
+            "only and is held constant outside"
+        )
+    return {"outside": rows, "curves": [curve._asdict() for curve in curves]}, notes

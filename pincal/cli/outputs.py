@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,19 +27,16 @@ def output_folder(path: Path) -> Iterator[Path]:
     is_new = not path.exists()
     try:
         path.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=".pincal-", dir=path))
+        try:
+            with tempfile.TemporaryDirectory(prefix=".pincal-", dir=path, ignore_cleanup_errors=True) as draft:
+                yield Path(draft)
+                for file in sorted(Path(draft).iterdir()):
+                    os.replace(file, path / file.name)
+        finally:
+            if is_new and not any(path.iterdir()):
+                path.rmdir()
     except OSError as error:
         raise OutputError(f"{path}: can't write here ({error.strerror}); choose another --out") from None
-    try:
-        yield draft
-        for file in sorted(draft.iterdir()):
-            os.replace(file, path / file.name)
-    except OSError as error:
-        raise OutputError(f"{path}: can't write here ({error.strerror}); choose another --out") from None
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        if is_new and not any(path.iterdir()):
-            path.rmdir()
 
 
 def print_json(contents: Mapping[str, Any]) -> None:

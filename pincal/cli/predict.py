@@ -32,7 +32,7 @@ def predict(arguments: PredictArguments) -> Exit:
     """
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
-    from pincal.cli.model_use import Extrapolation, pose_columns
+    from pincal.cli.model_use import extrapolation, pose_columns
     from pincal.measure.table import write_table
 
     calibrated = load_model(arguments.model)
@@ -46,10 +46,10 @@ def predict(arguments: PredictArguments) -> Exit:
     columns |= pose_columns(found, with_orientation=calibrated.model.has_tool_orientation)
     columns |= zip(("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True)
     write_table(arguments.out, columns)
-    beyond = Extrapolation.of(calibrated, conditions, table.rows)
+    beyond, notes = extrapolation(calibrated, conditions, table.rows)
     if arguments.general.as_json:
-        print_json({"rows": len(table), "out": str(arguments.out)} | beyond.to_dict())
+        print_json({"rows": len(table), "out": str(arguments.out)} | beyond)
     else:
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
-    print_notes(beyond.notes(), quiet=arguments.general.quiet)
+    print_notes(notes, quiet=arguments.general.quiet)
     return Exit.DONE

@@ -12,7 +12,7 @@ import time
 
 import click
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 # Loggers of steps too small to stay on the screen.
@@ -20,6 +20,8 @@ _TRANSIENT = ("pincal.identify", "pincal.report.html")
 # Commands that consist of fits; for others a fit is one step of many.
 _OF_FITS = ("calibrate",)
 _LONG = 1.0  # [s]
+# Columns of results that are not printed on a terminal.
+_WIDTH = 100
 
 _handler: logging.Handler | None = None
 
@@ -50,24 +52,29 @@ def end_progress() -> None:
     logging.getLogger("pincal").handlers = []
 
 
+def console() -> Console:
+    """Return where results are printed: stdout, with boxes and colours on a terminal, plain text elsewhere."""
+    end_progress()
+    return Console(width=None if sys.stdout.isatty() else _WIDTH, highlight=False)
+
+
 def _is_transient(record: logging.LogRecord) -> bool:
     return record.name.startswith(_TRANSIENT)
 
 
-def _completed(record: logging.LogRecord) -> tuple[int, int] | None:
-    """Return the number of steps done and their total, if the record has them."""
-    done, of = getattr(record, "done", None), getattr(record, "of", None)
-    return (done, of) if isinstance(done, int) and isinstance(of, int) and of > 0 else None
+def _completed(record: logging.LogRecord) -> tuple[int, int]:
+    """Return the number of steps done and their total; zeros if the record has none."""
+    return getattr(record, "done", 0), getattr(record, "of", 0)
 
 
-def time_left(seconds: float, done: int, of: int) -> float | None:
-    """Return the remaining time if all steps take equally long [s]; None before the first is done.
+def _left(seconds: float, done: int, of: int) -> str:
+    """Return the remaining time in words if all steps take equally long; nothing before the first is done.
 
     Example:
-        >>> time_left(10.0, 2, 5)
-        15.0
+        >>> _left(10.0, 2, 5), _left(10.0, 0, 5)
+        ('about 15 s left', '')
     """
-    return seconds * (of - done) / done if done > 0 else None
+    return f"about {_clock(seconds * (of - done) / done)} left" if done > 0 and of > 0 else ""
 
 
 def _clock(seconds: float) -> str:
@@ -114,12 +121,9 @@ class _Plain(logging.Handler):
 
     def _write(self, record: logging.LogRecord) -> None:
         seconds = time.monotonic() - self._begun
-        completed = _completed(record)
-        left = None if completed is None else time_left(seconds, *completed)
-        after = f" [{_clock(seconds)}" if seconds > _LONG else ""
-        if after:
-            after += "]" if left is None else f", about {_clock(left)} left]"
-        click.echo(f"pincal: {record.getMessage()}{after}", err=True)
+        left = _left(seconds, *_completed(record))
+        times = f" [{_clock(seconds)}{left and ', '}{left}]" if seconds > _LONG else ""
+        click.echo(f"pincal: {record.getMessage()}{times}", err=True)
 
 
 def _stage(record: logging.LogRecord) -> object:
@@ -127,18 +131,12 @@ def _stage(record: logging.LogRecord) -> object:
     return record.args[0] if isinstance(record.args, tuple) and record.args else record.msg
 
 
-class _Left(TextColumn):
+class _Left(ProgressColumn):
     """The remaining time, if the number of steps is known."""
-
-    def __init__(self) -> None:
-        super().__init__("")
 
     def render(self, task: Task) -> Text:
         """Return the remaining time, or nothing."""
-        if task.total is None:
-            return Text("")
-        left = time_left(task.elapsed or 0.0, int(task.completed), int(task.total))
-        return Text("" if left is None else f"about {_clock(left)} left")
+        return Text(_left(task.elapsed or 0.0, int(task.completed), int(task.total or 0)))
 
 
 class _Overwritten(logging.Handler):
@@ -152,25 +150,21 @@ class _Overwritten(logging.Handler):
             *columns, console=self._console, transient=True, redirect_stdout=False, redirect_stderr=False
         )
         self._task = self._progress.add_task("", total=None)
-        self._is_shown = False
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a step, or write an event above the line."""
-        if not self._is_shown:
-            self._progress.start()
-            self._is_shown = True
+        self._progress.start()
         text = record.getMessage()
         if _is_transient(record):
             self._progress.update(self._task, description=text[: max(self._console.width - 28, 20)])
         else:
             self._console.print(f"pincal: {text}", markup=False, soft_wrap=True)
-        completed = _completed(record)
-        if completed is not None:
-            self._progress.update(self._task, completed=completed[0], total=completed[1])
+        done, of = _completed(record)
+        if of > 0:
+            self._progress.update(self._task, completed=done, total=of)
 
     def close(self) -> None:
         """Remove the line."""
-        if self._is_shown:
+        if self._progress.live.is_started:
             self._progress.stop()
-        self._is_shown = False
         super().close()

@@ -9,7 +9,6 @@ from rich.console import Console
 
 from pincal.calibration.result import Result
 from pincal.calibration.tables import error_table, iso9283_table, parameter_table
-from pincal.cli.screen import console
 from pincal.design.design import Design
 from pincal.design.observability import SOURCES
 from pincal.design.study import RANDOM_DESIGNS
@@ -32,8 +31,6 @@ from pincal.tables import hanging, one_line
 from pincal.units import Quantity, format_small
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.replicates import cycle_words
-
-__all__ = ["console", "print_design", "print_discovery", "print_notes", "print_precheck", "print_replicates", "print_result"]
 
 # Observability indices that are worth a line; the others are in --json.
 _SHOWN = ("O1", "O2")

@@ -31,7 +31,7 @@ def validate(arguments: ValidateArguments) -> Exit:
     """Report the accuracy of a calibrated model on new measurements."""
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
-    from pincal.cli.model_use import Extrapolation
+    from pincal.cli.model_use import extrapolation
     from pincal.measure.admission import scorable_rows
     from pincal.measure.admit import check_table
     from pincal.validate.accuracy import error_table
@@ -49,17 +49,18 @@ def validate(arguments: ValidateArguments) -> Exit:
     iso, lack = replicate_statistics(
         problem, calibrated.values, table, sigma=calibrated.sigma, covariance=calibrated.covariance
     )
-    beyond = Extrapolation.of(calibrated, problem.conditions, table.rows)
+    beyond, notes = extrapolation(calibrated, problem.conditions, table.rows)
     if arguments.general.as_json:
         repeated = {} if iso is None else {"iso9283": iso}
         repeated |= {} if lack is None else {"lack_of_fit": asdict(lack)}
-        print_json({"rows": {"test": len(table)}, "error": error} | repeated | beyond.to_dict())
+        print_json({"rows": {"test": len(table)}, "error": error} | repeated | beyond)
     else:
         from pincal.calibration.tables import error_table as as_table
-        from pincal.cli.tables import console, print_replicates
+        from pincal.cli.progress import console
+        from pincal.cli.tables import print_replicates
 
         console().print(as_table(error))
         print_replicates(iso, lack, console())
-    print_notes(beyond.notes(), quiet=arguments.general.quiet)
+    print_notes(notes, quiet=arguments.general.quiet)
     require_accuracy(error["calibrated"]["test"]["mean_mm"], arguments.max_error, rows="new")
     return Exit.DONE

@@ -108,7 +108,9 @@ def compensate_poses(
     """
     _check_choice("frame", frame, get_args(Frame))
     _check_choice("orientation", orientation, get_args(Orientation))
-    _check_seeds(conditions.q, calibrated.model.chain.robot)
+    n = calibrated.model.chain.robot.n_joints
+    if conditions.q.ndim != 2 or conditions.q.shape[1] != n or not np.isfinite(conditions.q).all():
+        raise BadInputError(f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers")
     poses = _as_poses(wanted, len(conditions))
     if np.ndim(wanted) == 2 and orientation == "keep":
         poses[:, :, :3] = _orientation_of_seeds(calibrated, conditions, frame)
@@ -183,11 +185,6 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     else:
         poses[:, :, 3] = given
     return poses
-
-
-def _check_seeds(q: np.ndarray, robot: Robot) -> None:
-    if q.ndim != 2 or q.shape[1] != robot.n_joints or not np.isfinite(q).all():
-        raise BadInputError(f"seeds have shape {q.shape}; expected (N, {robot.n_joints}), all of them numbers")
 
 
 def _check_choice(name: str, value: str, known: tuple[str, ...]) -> None:

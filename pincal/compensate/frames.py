@@ -22,23 +22,13 @@ Frame = Literal["instrument", "base"]
 FalseTarget = Literal["tip", "target"]
 
 
-def _is_placing(effect: Effect) -> bool:
-    """Return whether an effect says where the base is in the instrument's frame, or how it drifts there."""
-    return effect.scope == "station" and effect.locus.acts_on == "base"
-
-
 def _is_of_tool(effect: Effect) -> bool:
     return effect.scope == "station" and effect.locus.acts_on == "tool"
 
 
-def _is_of_robot_or_tool(effect: Effect) -> bool:
-    """Return whether an effect is not the instrument's: not where it stands, drifts or how it scales lengths."""
-    return effect.scope == "robot" or _is_of_tool(effect)
-
-
 def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
     """Return the calibrated model without the instrument: it predicts in the robot's base frame."""
-    return _with_effects(calibrated, _is_of_robot_or_tool, np.eye(3))
+    return _with_effects(calibrated, lambda effect: effect.scope == "robot" or _is_of_tool(effect), np.eye(3))
 
 
 def nominal_model(calibrated: CalibratedModel) -> CalibratedModel:
@@ -56,14 +46,10 @@ def _with_effects(
 
 
 def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
-    """Return the wanted poses of a nominal program: those of the target on the nominal robot at these joint positions.
-
-    Args:
-        calibrated: the calibrated model.
-        conditions: the N poses of the program.
+    """Return the poses of the target that N poses of a nominal program mean: those of the nominal robot.
 
     Returns:
-        Poses of the target in the robot's base frame, shape (N, 3, 4) [m].
+        Poses in the robot's base frame, shape (N, 3, 4) [m].
     """
     return nominal_model(calibrated).predict(conditions)
 
@@ -73,7 +59,11 @@ def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> n
 
     It differs from row to row only if the base drifts.
     """
-    placed = _with_effects(calibrated, _is_placing, calibrated.model.chain.base_rotation)
+    placed = _with_effects(
+        calibrated,
+        lambda effect: effect.scope == "station" and effect.locus.acts_on == "base",
+        calibrated.model.chain.base_rotation,
+    )
     bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
     return compose(placed.predict(conditions), inverse(bare.predict(conditions)))
 
@@ -93,6 +83,6 @@ def false_targets(calibrated: CalibratedModel, conditions: Conditions, *, of: Fa
         Poses in the robot's base frame, shape (N, 3, 4) [m].
     """
     if of == "target":
-        return nominal_model(calibrated).predict(conditions)
+        return program_poses(calibrated, conditions)
     bare = Model(Chain.of(calibrated.model.chain.robot), ())
     return bare.predict(np.zeros(0), replace(conditions, target=np.zeros(len(conditions), int)))

@@ -49,7 +49,8 @@ def solve_ik(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[n
     """
     if problem.is_overdetermined:
         return _solve_with_few_joints(problem, seed, limits=limits)
-    near = _is_near(problem, seed)
+    distance, angle = problem.distances(problem.residuals(seed))
+    near = (distance <= _NEAR) & (angle <= _NEAR_ANGLE)
     corridor = limits.around(seed, near, distance=_CORRECTION)
     q, exact = newton(problem, seed, seed=seed)
     q = _unwind(problem, q, reached=exact, seed=seed, limits=limits)
@@ -83,11 +84,6 @@ def _solve_with_few_joints(problem: IkProblem, seed: np.ndarray, *, limits: Boun
         nowhere = np.zeros(len(rows), bool)
         q[rows], _ = _best_effort(problem.select(rows), q[rows], seed=q[rows], near=nowhere, limits=limits)
     return q, status
-
-
-def _is_near(problem: IkProblem, seed: np.ndarray) -> np.ndarray:
-    distance, angle = problem.distances(problem.residuals(seed))
-    return np.asarray((distance <= _NEAR) & (angle <= _NEAR_ANGLE))
 
 
 def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.ndarray, limits: Bounds) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The table of targets: wanted poses with seeds or without, or the joint positions of a nominal program."""
+"""The table of targets, wanted poses with seeds or without or a nominal program, and the joint positions that reach them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.compensate.compensation import Compensation, Orientation, compensate_poses, middle_of_range
+from pincal.compensate.frames import Frame, base_in_instrument, in_base_frame, program_poses
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS
 from pincal.measure.joint_values import check_joint_values
@@ -18,6 +20,7 @@ from pincal.measure.reader import Schema, read_table
 from pincal.measure.registry import known_fields
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import compose, inverse, rotation_matrices
 
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 # Further columns that the command writes: they are ignored, so that its output can be its input.
@@ -53,6 +56,28 @@ class Targets:
         """
         found = calibrated.conditions(self.rows)
         return found if self.has_joints else replace(found, q=np.tile(seed, (len(self.rows), 1)))
+
+
+@dataclass(frozen=True)
+class CompensatedTable:
+    """A table of targets with the joint positions to command.
+
+    Attributes:
+        targets: the table.
+        seeds: the conditions of its rows, with the joint positions that the search started from.
+        commanded: the same conditions with the joint positions to command.
+        found: how each row ended.
+        orientation: "keep" if the rows want an orientation, "free" if any will do.
+        sigma: shape (N,), standard deviation of the predicted position, all three coordinates combined [m]: the uncertainty
+            of the calibration.
+    """
+
+    targets: Targets
+    seeds: Conditions
+    commanded: Conditions
+    found: Compensation
+    orientation: Orientation
+    sigma: np.ndarray
 
 
 def read_targets(path: str | os.PathLike[str], robot: Robot, *, ignore: Sequence[str] = ()) -> Targets:
@@ -91,20 +116,69 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, ignore: Sequence
     return Targets(rows, has_joints)
 
 
-def check_positions(targets: Targets, robot: Robot, *, positions: np.ndarray) -> None:
-    """Reject wanted positions that are evidently in another unit.
+def run_compensation(
+    calibrated: CalibratedModel,
+    targets: Targets,
+    *,
+    frame: Frame = "instrument",
+    seed: np.ndarray | None = None,
+    any_orientation: bool = False,
+    limits: bool = True,
+) -> CompensatedTable:
+    """Find the joint positions to command for a table of targets or a nominal program.
 
     Args:
+        calibrated: the calibrated model.
         targets: the table.
-        robot: the arm.
-        positions: shape (N, 3), the wanted positions in the robot's base frame [m].
+        frame: frame of its positions and of the wanted poses in the result; a program is always meant in the base frame.
+        seed: shape (n,), joint positions to start from if the table has none; default: the middle of the joint ranges, with
+            any orientation for positions without a quaternion.
+        any_orientation: whether to reach positions in any orientation, even if the table has one.
+        limits: whether to stay within the joint limits of the URDF.
 
     Raises:
-        MeasurementError: if most of them are far beyond the robot's reach and the header does not give their unit.
+        BadInputError: as :func:`pincal.compensate.compensation.compensate_poses`.
+        MeasurementError: if the wanted positions are evidently in another unit.
     """
-    away = float(np.median(np.linalg.norm(positions, axis=1)))
-    if away > _OTHER_UNIT * robot.reach and "x" not in targets.rows.units:
+    robot = calibrated.model.chain.robot
+    seeds = targets.conditions(calibrated, middle_of_range(robot) if seed is None else seed)
+    has_orientation = targets.rows.quaternion is not None or targets.has_joints or seed is not None
+    orientation: Orientation = "keep" if has_orientation and not any_orientation else "free"
+    if targets.is_program:
+        poses = program_poses(calibrated, seeds)
+        wanted = poses if orientation == "keep" else poses[:, :, 3]
+        found = compensate_poses(calibrated, wanted, seeds, frame="base", orientation=orientation, limits=limits)
+        if frame == "instrument":
+            in_instrument = compose(base_in_instrument(calibrated, seeds), found.wanted)
+            found = replace(found, wanted=in_instrument, frame=frame)
+    else:
+        wanted = _wanted(targets, with_orientation=orientation == "keep")
+        _check_unit(calibrated, targets, seeds=seeds, frame=frame)
+        found = compensate_poses(calibrated, wanted, seeds, frame=frame, orientation=orientation, limits=limits)
+    commanded = replace(seeds, q=found.q)
+    predictor = in_base_frame(calibrated) if frame == "base" else calibrated
+    sigma = np.linalg.norm(predictor.position_sigma(commanded), axis=1)
+    return CompensatedTable(targets, seeds, commanded, found, orientation, sigma)
+
+
+def _wanted(targets: Targets, *, with_orientation: bool) -> np.ndarray:
+    """Return the wanted positions, shape (N, 3), or poses, shape (N, 3, 4), of the table."""
+    position, quaternion = targets.rows.position, targets.rows.quaternion
+    assert position is not None
+    if quaternion is None or not with_orientation:
+        return position
+    return np.concatenate([rotation_matrices(quaternion), position[:, :, None]], axis=2)
+
+
+def _check_unit(calibrated: CalibratedModel, targets: Targets, *, seeds: Conditions, frame: Frame) -> None:
+    """Reject a table most of whose positions are far beyond the robot's reach, if its header does not give their unit."""
+    places, reach = _wanted(targets, with_orientation=False), calibrated.model.chain.robot.reach
+    if frame == "instrument":
+        to_base = inverse(base_in_instrument(calibrated, seeds))
+        places = np.einsum("nij,nj->ni", to_base[:, :, :3], places) + to_base[:, :, 3]
+    away = float(np.median(np.linalg.norm(places, axis=1)))
+    if away > _OTHER_UNIT * reach and "x" not in targets.rows.units:
         raise MeasurementError(
-            f"{targets.rows.source}: wanted positions lie {away:.4g} m from the robot's base, whose reach is "
-            f"{robot.reach:.3g} m; this looks like millimetres: write `x [mm]` in the header, or `x [m]` if it is correct"
+            f"{targets.rows.source}: wanted positions lie {away:.4g} m from the robot's base, whose reach is {reach:.3g} m; "
+            "this looks like millimetres: write `x [mm]` in the header, or `x [m]` if it is correct"
         )

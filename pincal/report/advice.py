@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,80 +13,66 @@ from pincal.identify.reasons import Cause, Status
 
 
 class Advice(NamedTuple):
-    """What it means that parameters are not identified, and what to measure if that matters."""
+    """What it means that parameters are not identified for some causes, and what to measure if that matters."""
 
+    causes: tuple[Cause, ...]
     title: str
     text: str
 
 
-_PLACEMENT = Advice(
-    "Placement of instrument and target",
-    "The uncertainty shown only says how the placement and the robot's first or last link share an offset. Predictions are "
-    "as sharp as they need to be; nothing has to be measured.",
-)
-_UNKNOWN_FRAMES = Advice(
-    "Absorbed by the unknown placement of instrument or target",
-    "Neither the instrument's nor the target's position is known, and moving either looks exactly like a change of these "
-    "parameters. Predictions in the instrument's frame do not depend on the choice. To separate them, measure the robot's "
-    "foot or the target's offset independently and pass it to the calibration (--tool).",
-)
-_SAME_EFFECT = Advice(
-    "Parameters with the same effect",
-    "In every pose these parameters act exactly like others; only the combination moves the target, and the combination is "
-    "calibrated. No measurement of this kind can separate them, and none is needed.",
-)
-_NO_MOMENT = Advice(
-    "Never loaded by gravity",
-    "No pose has a moment about this axis, so its compliance never shows. It does not matter as long as the robot stays "
-    "mounted as it is; only a tilted mounting would reveal it.",
-)
-_NOT_EXCITED = Advice(
-    "Not excited",
-    "No pose excites these parameters. Measure poses in which the joint moves through its whole range.",
-)
-_WEAK = Advice(
-    "Too little signal in these poses",
-    "The effect of these parameters is small compared with the noise. Measure with the heaviest payload, with the arm "
-    "stretched out, and with this joint through its whole range; four times as many poses halve the uncertainty.",
-)
-_AT_BOUND = Advice(
-    "Stopped at a bound",
-    "The data ask for more than the bound allows. Check this length in the URDF and the units of the table, or raise the "
-    "bound with --length-bound.",
-)
-_GIVEN = Advice("Given", "Fixed at your request, or by default.")
 # In the order in which they are shown: those that call for action last.
-_BY_CAUSE = {
-    Cause.ABSORBS: _PLACEMENT,
-    Cause.BASE: _UNKNOWN_FRAMES,
-    Cause.TOOL: _UNKNOWN_FRAMES,
-    Cause.FRAMES: _UNKNOWN_FRAMES,
-    Cause.PARALLEL_AXES: _SAME_EFFECT,
-    Cause.COMBINATION: _SAME_EFFECT,
-    Cause.ALIASED: _SAME_EFFECT,
-    Cause.HIDDEN: _SAME_EFFECT,
-    Cause.NO_MOMENT: _NO_MOMENT,
-    Cause.NOT_EXCITED: _NOT_EXCITED,
-    Cause.NOT_OBSERVED: _NOT_EXCITED,
-    Cause.UNINFORMED: _WEAK,
-    Cause.WEAK: _WEAK,
-    Cause.AT_BOUND: _AT_BOUND,
-    Cause.GIVEN: _GIVEN,
-    Cause.NOT_NEEDED: _GIVEN,
-}
+_ADVICE = (
+    Advice(
+        (Cause.ABSORBS,),
+        "Placement of instrument and target",
+        "The uncertainty shown only says how the placement and the robot's first or last link share an offset. Predictions "
+        "are as sharp as they need to be; nothing has to be measured.",
+    ),
+    Advice(
+        (Cause.BASE, Cause.TOOL, Cause.FRAMES),
+        "Absorbed by the unknown placement of instrument or target",
+        "Neither the instrument's nor the target's position is known, and moving either looks exactly like a change of "
+        "these parameters. Predictions in the instrument's frame do not depend on the choice. To separate them, measure the "
+        "robot's foot or the target's offset independently and pass it to the calibration (--tool).",
+    ),
+    Advice(
+        (Cause.PARALLEL_AXES, Cause.COMBINATION, Cause.ALIASED, Cause.HIDDEN),
+        "Parameters with the same effect",
+        "In every pose these parameters act exactly like others; only the combination moves the target, and the combination "
+        "is calibrated. No measurement of this kind can separate them, and none is needed.",
+    ),
+    Advice(
+        (Cause.NO_MOMENT,),
+        "Never loaded by gravity",
+        "No pose has a moment about this axis, so its compliance never shows. It does not matter as long as the robot stays "
+        "mounted as it is; only a tilted mounting would reveal it.",
+    ),
+    Advice(
+        (Cause.NOT_EXCITED, Cause.NOT_OBSERVED),
+        "Not excited",
+        "No pose excites these parameters. Measure poses in which the joint moves through its whole range.",
+    ),
+    Advice(
+        (Cause.UNINFORMED, Cause.WEAK),
+        "Too little signal in these poses",
+        "The effect of these parameters is small compared with the noise. Measure with the heaviest payload, with the arm "
+        "stretched out, and with this joint through its whole range; four times as many poses halve the uncertainty.",
+    ),
+    Advice(
+        (Cause.AT_BOUND,),
+        "Stopped at a bound",
+        "The data ask for more than the bound allows. Check this length in the URDF and the units of the table, or raise "
+        "the bound with --length-bound.",
+    ),
+    Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
+)
 # Share of its range below which a joint hardly shows what depends on its position: with a turn as the range, a wave of one
 # period per turn is there hard to tell from a slope. A judgement, not a measurement; it only words a recommendation.
 _NARROW = 0.3
 
 
-@dataclass(frozen=True)
-class UnidentifiedGroup:
-    """Parameters that are not identified for one and the same cause.
-
-    Attributes:
-        advice: what it means, and what to measure.
-        names: the parameters.
-    """
+class UnidentifiedGroup(NamedTuple):
+    """The names of parameters that are not identified for one and the same cause, with what to do about it."""
 
     advice: Advice
     names: tuple[str, ...]
@@ -103,11 +88,12 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
         >>> [(group.advice.title, group.names) for group in unidentified_groups([row])]
         [('Never loaded by gravity', ('a.k_z',))]
     """
-    found: dict[Advice, list[str]] = {advice: [] for advice in _BY_CAUSE.values()}
-    for row in parameters:
-        if row.status is not Status.IDENTIFIED:
-            found[_BY_CAUSE[row.reason.cause]].append(row.name)
-    return tuple(UnidentifiedGroup(advice, tuple(names)) for advice, names in found.items() if names)
+    open_rows = [row for row in parameters if row.status is not Status.IDENTIFIED]
+    groups = (
+        UnidentifiedGroup(advice, tuple(row.name for row in open_rows if row.reason.cause in advice.causes))
+        for advice in _ADVICE
+    )
+    return tuple(group for group in groups if group.names)
 
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:

@@ -30,6 +30,9 @@ class Evidence:
         up: shape (3,), against gravity in this frame.
         line: shape (N,), line of each row in its file.
         time: shape (N,) [s], None where it was not recorded.
+
+    Raises:
+        ValueError: without rows.
     """
 
     name: str
@@ -47,6 +50,10 @@ class Evidence:
     line: np.ndarray
     time: np.ndarray | None
 
+    def __post_init__(self) -> None:
+        if not len(self.line):
+            raise ValueError("no rows to draw; expected at least one")
+
     def sizes(self, which: str) -> np.ndarray:
         """Return the size of the error at each row, shape (N,), "before" or "after" calibration."""
         return np.asarray(np.linalg.norm(self.before if which == "before" else self.after, axis=0))
@@ -57,7 +64,7 @@ class Evidence:
 
 
 def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
-    """Return the errors of a calibration, one :class:`Evidence` a kind of reading, that of places first."""
+    """Return the errors of a calibration, one :class:`Evidence` per kind of reading, that of places first."""
     fit, robot = calibration.fit, calibration.robot
     tables = [table for table in (calibration.train, calibration.test) if len(table)]
     problems = [fit.station, *filter(None, [calibration.test_problem()])]

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from pincal.calibration.result import ParameterRow
 from pincal.discover.run import Discovery
 from pincal.discover.shrink import gap_names, partial_residual_title
+from pincal.report import plots
 from pincal.report.blocks import group, picture
 from pincal.report.evidence import Evidence
 from pincal.report.svg import inline_svg
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _HISTOGRAM = "Share of poses by size of error, on a logarithmic scale: the further left, the better."
 _CUMULATIVE = (
@@ -42,7 +40,7 @@ _SHRINKING = (
     "noise of the instrument."
 )
 
-Drawing = tuple["Figure", str, str]
+Drawing = tuple[Figure, str, str]
 """A figure, its title and its caption."""
 
 
@@ -62,61 +60,49 @@ def figures(key: str, drawings: Iterable[Drawing]) -> Markup:
 
 def error_drawings(readings: Iterable[Evidence]) -> Iterator[Drawing]:
     """Yield the distribution of errors, held-out and fitted, of each kind of reading."""
-    from pincal.report.plots import cumulative_figure, histogram_figure
-
     for evidence in readings:
         for held in (True, False):
             if evidence.part(held=held).any():
                 rows = "held-out" if held else "fitted"
                 title = f"Histogram of {evidence.name} errors of {rows} poses before and after calibration"
                 caption = f"{_HISTOGRAM} These poses were {'not used by the fit' if held else 'used by the fit'}."
-                yield histogram_figure(evidence, held=held), title, caption
-        yield cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", _CUMULATIVE
+                yield plots.histogram_figure(evidence, held=held), title, caption
+        yield plots.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", _CUMULATIVE
 
 
 def joint_drawings(evidence: Evidence) -> Iterator[Drawing]:
     """Yield the error against the position of each joint."""
-    from pincal.report.plots import joint_figure, median_range
-
     for i, name in enumerate(evidence.joint_names):
         title = f"Error against the position of {name}, before and after calibration"
-        low, high = median_range(evidence, i)
+        low, high = plots.median_range(evidence, i)
         caption = f"{name}: after calibration the median error varies from {low:.3g} to {high:.3g} {evidence.unit}."
-        yield joint_figure(evidence, i), title, caption
+        yield plots.joint_figure(evidence, i), title, caption
 
 
 def workspace_drawings(evidence: Evidence) -> Iterator[Drawing]:
     """Yield the mean error over the workspace, from above and from the side."""
-    from pincal.report.plots import workspace_figure
-
-    yield workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", _TOP
-    yield workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", _SIDE
+    yield plots.workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", _TOP
+    yield plots.workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", _SIDE
 
 
 def order_drawings(evidence: Evidence) -> Iterator[Drawing]:
     """Yield the error and the mean residual in the order of measurement."""
-    from pincal.report.plots import drift_figure, order_figure
-
-    yield order_figure(evidence), "Error in the order of measurement", _ORDER
-    yield drift_figure(evidence), "Mean residual in the order of measurement", _DRIFT
+    yield plots.order_figure(evidence), "Error in the order of measurement", _ORDER
+    yield plots.drift_figure(evidence), "Mean residual in the order of measurement", _DRIFT
 
 
 def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]:
     """Yield the identified corrections, lengths and angles apart."""
-    from pincal.report.plots import correction_figure
-
     for unit, what in (("m", "lengths"), ("rad", "angles")):
         with contextlib.suppress(ValueError):
-            yield correction_figure(parameters, unit), f"Corrections of {what} with their uncertainty", _CORRECTION
+            yield plots.correction_figure(parameters, unit), f"Corrections of {what} with their uncertainty", _CORRECTION
 
 
 def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     """Yield the error step by step, and what each effect explains."""
-    from pincal.report.plots import effect_figure, shrinking_figure
-
     gaps = discovery.gaps
     errors = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
-    figure = shrinking_figure(gap_names(gaps), errors, discovery.report["noise_floor_mm"])
+    figure = plots.shrinking_figure(gap_names(gaps), errors, discovery.report["noise_floor_mm"])
     yield figure, "Error on held-out rows after each step", _SHRINKING
     for trace in discovery.traces:
         title = partial_residual_title(trace)
@@ -125,4 +111,4 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
             "(below). Small dots are poses, dots with bars the mean of neighbouring poses, the line the fitted effect. In "
             "the lower panel the bars should include zero."
         )
-        yield effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption
+        yield plots.effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption

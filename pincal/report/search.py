@@ -9,11 +9,10 @@ import numpy as np
 from markupsafe import Markup
 
 from pincal.report.blocks import Block, Section, bullets, card, code, group, heading, joined, paragraph, rich
-from pincal.report.glossary import effect_meaning
 from pincal.report.illustrations import discovery_drawings, figures
 from pincal.report.subject import Subject
 from pincal.report.tables import by_reason, location_table, show_chance, stage_table
-from pincal.report.words import effect_words
+from pincal.report.words import effect_meaning, effect_words
 from pincal.units import format_digits, small_unit
 
 # An effect with more parameters than this is a curve; its numbers stand in discovery.json.

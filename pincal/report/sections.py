@@ -10,7 +10,6 @@ from pincal.calibration.result import Result
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table, shown_parameters
 from pincal.report.advice import unidentified_groups
 from pincal.report.blocks import Block, Section, bars, bullets, card, code, facts, group, heading, joined, paragraph, rich
-from pincal.report.glossary import TERMS, effect_meaning
 from pincal.report.illustrations import (
     correction_drawings,
     error_drawings,
@@ -21,7 +20,7 @@ from pincal.report.illustrations import (
 )
 from pincal.report.subject import Subject
 from pincal.report.verdict import Judgement, next_steps, verdict_of
-from pincal.report.words import noise_words
+from pincal.report.words import TERMS, effect_meaning, noise_words
 from pincal.tables import Tone
 from pincal.validate.replicates import cycle_words
 

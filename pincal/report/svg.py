@@ -6,10 +6,11 @@ import html
 import io
 import re
 import warnings
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+import matplotlib
+from matplotlib.figure import Figure
+
+from pincal.report.plots import style
 
 
 def inline_svg(figure: Figure, *, key: str, title: str) -> str:
@@ -23,10 +24,6 @@ def inline_svg(figure: Figure, *, key: str, title: str) -> str:
         key: what tells the identifiers of this figure from those of others in the page.
         title: what the figure shows, for those who can't see it.
     """
-    import matplotlib
-
-    from pincal.report.plots import style
-
     drawn = io.StringIO()
     # The SVG's text is set in the page's own fonts, so it matters to nobody which characters matplotlib's have.
     with warnings.catch_warnings(), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):

@@ -119,9 +119,7 @@ def coverage_table(report: DataReport) -> Table:
         Column("from", kind=Kind.NUMBER, show=fixed(3)),
         Column("to", kind=Kind.NUMBER, show=fixed(3)),
         Column("limits", kind=Kind.NUMBER),
-        Column(
-            "covered", kind=Kind.NUMBER, show=lambda share: show_plainly(share) if share is None else f"{100 * share:.0f} %"
-        ),
+        Column("covered", kind=Kind.NUMBER, show=show_percent),
     )
     rows: list[tuple[Cell, ...]] = []
     for joint in report.joints:

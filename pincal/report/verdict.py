@@ -27,14 +27,30 @@ class Judgement(StrEnum):
     NOT_CONVERGED = "not converged"
 
 
-class Ground(Enum):
-    """What a judgement rests on."""
+_LACKS = "the robot does something that this model does not describe."
 
-    CONVERGENCE = "the fit did not converge"
-    SEARCH = "a search for missing effects"
-    REPLICATES = "repeated measurements of the same pose"
-    DECLARED_NOISE = "the declared noise of the instrument"
-    NOTHING = "no independent measure of the noise"
+
+class Ground(Enum):
+    """What a judgement rests on; the values are what is said if the model is not adequate, and if it is."""
+
+    CONVERGENCE = ("The fit did not converge; do not use its numbers.", "")
+    SEARCH = (
+        "{added}; {unexplained:.3f} mm rms beyond the noise remain unexplained.",
+        "{added}; the remaining residuals look like noise.",
+    )
+    REPLICATES = (
+        f"The residuals exceed the scatter between repeated measurements of a pose: {_LACKS}",
+        "The residuals are no larger than the scatter between repeated measurements of a pose.",
+    )
+    DECLARED_NOISE = (
+        f"The residuals are {{ratio:.2f}} times the declared noise: {_LACKS}",
+        "The residuals are no larger than the declared noise of the instrument.",
+    )
+    NOTHING = (
+        "The noise of the instrument was estimated from the residuals, so they cannot show whether the model is complete: "
+        "declare the noise (--noise), or let pincal discover look for missing effects.",
+        "",
+    )
 
 
 @dataclass(frozen=True)
@@ -60,42 +76,12 @@ class Verdict:
         added = (
             f"{n} effects were found and added" if n > 1 else "One effect was found and added" if n else "Nothing was added"
         )
-        words = _WORDS[self.ground][self.judgement is Judgement.ADEQUATE]
+        words = self.ground.value[self.judgement is Judgement.ADEQUATE]
         return words.format(added=added, unexplained=self.unexplained_mm, ratio=self.ratio)
 
 
-# Ground -> what is said if the model is not adequate, and if it is.
-_LACKS = "the robot does something that this model does not describe."
-_NOT_JUDGED = (
-    "The noise of the instrument was estimated from the residuals, so they cannot show whether the model is complete: "
-    "declare the noise (--noise), or let pincal discover look for missing effects."
-)
-_NOT_CONVERGED = "The fit did not converge; do not use its numbers."
-_WORDS = {
-    Ground.CONVERGENCE: (_NOT_CONVERGED, _NOT_CONVERGED),
-    Ground.NOTHING: (_NOT_JUDGED, _NOT_JUDGED),
-    Ground.SEARCH: (
-        "{added}; {unexplained:.3f} mm rms beyond the noise remain unexplained.",
-        "{added}; the remaining residuals look like noise.",
-    ),
-    Ground.REPLICATES: (
-        f"The residuals exceed the scatter between repeated measurements of a pose: {_LACKS}",
-        "The residuals are no larger than the scatter between repeated measurements of a pose.",
-    ),
-    Ground.DECLARED_NOISE: (
-        f"The residuals are {{ratio:.2f}} times the declared noise: {_LACKS}",
-        "The residuals are no larger than the declared noise of the instrument.",
-    ),
-}
-
-
 def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
-    """Return whether the model explains the data down to their noise.
-
-    Args:
-        result: the calibration.
-        discovery: the search for what is missing, if there was one.
-    """
+    """Return whether the model explains the data down to their noise, after a search for what is missing or without."""
     if not result.converged:
         return Verdict(Judgement.NOT_CONVERGED, Ground.CONVERGENCE)
     if discovery is not None:
@@ -141,12 +127,7 @@ class NextStep:
 
 
 def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[NextStep]:
-    """Return what to do next, the most pressing first.
-
-    Args:
-        calibration: the calibration.
-        discovery: the search for what is missing, if there was one.
-    """
+    """Return what to do next after a calibration or a discovery, the most pressing first."""
     result, steps = calibration.result, list[NextStep]()
     judgement = verdict_of(result, discovery).judgement
     if judgement is Judgement.NOT_CONVERGED:

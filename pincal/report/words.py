@@ -1,11 +1,53 @@
-"""Effects and noise in words."""
+"""Effects, noise and the terms of the report in words, for readers who do not know the paper."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from pincal.units import format_noise
+from pincal.model.registry import meaning_of
+from pincal.units import readable_unit
+
+# What a fit finds beside effects of the robot -> what it is.
+_BESIDE = {"lens_distortion": "the camera's lens bends the image"}
+
+TERMS = (
+    (
+        "accuracy",
+        "distance from the predicted to the measured pose of the tool, of a single measurement or of the mean of several "
+        "(ISO 9283: pose accuracy).",
+    ),
+    (
+        "repeatability",
+        "scatter between repeated measurements of the same pose. Calibration does not improve it; it limits what can be "
+        "achieved.",
+    ),
+    ("replicates", "repeated measurements of the same pose, one per measurement cycle."),
+    ("lack of fit", "residuals that exceed the scatter between replicates: the model is incomplete."),
+    ("residual", "measured minus predicted value: what the model does not explain."),
+    ("held out", "poses that were not used by the fit. Only these show what to expect of new poses."),
+    ("noise", "standard deviation of the instrument's readings; no model can be better than this."),
+    ("sigma", "standard deviation: in 95 of 100 cases the true value lies within two of them."),
+    (
+        "identifiable rank",
+        "number of independent combinations of parameters that the data determine better than prior knowledge does.",
+    ),
+    ("prior", "what is known of a parameter before any measurement, as a standard deviation about its nominal value."),
+    ("compliance", "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse of stiffness."),
+    ("rms", "root mean square: like the mean, but large errors count more."),
+    ("p", "probability that noise alone looks like this. A small value says that there is an effect, not which."),
+)
+"""The terms of the report; every text uses them in this sense."""
+
+
+def effect_meaning(name: str) -> str:
+    """Return what an effect means, in plain words; one that nobody registered has only its name.
+
+    Example:
+        >>> effect_meaning("link_bending")
+        'the link itself bends under load'
+    """
+    return meaning_of(name) or _BESIDE.get(name, "an effect of your own")
 
 
 def effect_words(entry: Mapping[str, Any], *, joint: bool = True) -> str:
@@ -34,6 +76,14 @@ def effect_words(entry: Mapping[str, Any], *, joint: bool = True) -> str:
 
 
 def noise_words(noise: Mapping[str, Any]) -> str:
-    """Return the noise of the first block of readings in words, from its ``sigma_m`` or ``sigma_px``."""
+    """Return the noise of the first block of readings in words, from its ``sigma_m`` or ``sigma_px``.
+
+    Example:
+        >>> noise_words({"sigma_m": 5e-5}), noise_words({"sigma_m": 3e-7}), noise_words({"sigma_px": 0.1})
+        ('0.0500 mm per coordinate', '0.0003 mm per coordinate', '0.1 px per coordinate')
+    """
     unit = "px" if "sigma_px" in noise else "m"
-    return format_noise(noise[f"sigma_{unit}"], unit)
+    factor, name = readable_unit(unit)
+    sigma = noise[f"sigma_{unit}"] * factor
+    form = ".4g" if unit == "px" else ".4f" if sigma >= 1e-3 else ".2g"
+    return f"{sigma:{form}} {name} per coordinate"

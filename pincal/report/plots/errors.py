@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from scipy.special import chdtr
 
 from pincal.report.evidence import Evidence
-from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, canvas, dress, legend, log_axis, span_of
+from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, canvas, dress, legend, log_axis, span_of, thinned
 
 # Bins of a histogram over the whole logarithmic axis.
 _BINS = 36
@@ -47,16 +47,7 @@ def histogram_figure(evidence: Evidence, *, held: bool = True) -> Figure:
 
 
 def cumulative_figure(evidence: Evidence) -> Figure:
-    """Draw which share of poses has an error below each size, beside what noise alone would leave.
-
-    Args:
-        evidence: errors row by row.
-
-    Raises:
-        ValueError: without rows.
-    """
-    if not len(evidence.line):
-        raise ValueError("no rows to draw; expected at least one")
+    """Draw which share of poses has an error below each size, beside what noise alone would leave."""
     low, high = span_of(evidence.sizes("before"), evidence.sizes("after"))
     figure = canvas()
     axes = figure.subplots()
@@ -65,7 +56,7 @@ def cumulative_figure(evidence: Evidence) -> Figure:
             rows = evidence.part(held=held)
             if rows.any():
                 sizes = np.sort(evidence.sizes(which)[rows])
-                at = np.unique(np.linspace(0, len(sizes) - 1, _POINTS).astype(int))
+                at = thinned(len(sizes), _POINTS)
                 style = "-" if held or not evidence.is_held.any() else ":"
                 label = which if held or not evidence.is_held.any() else None
                 axes.plot(sizes[at], 100.0 * (at + 1) / len(sizes), style, color=colour, linewidth=1.8, label=label)

@@ -9,15 +9,27 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pincal.discover.shrink import PartialResidual
-from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, TEXT, THIRD, canvas, dress, legend, log_axis, plain
+from pincal.report.plots.style import (
+    AFTER,
+    BEFORE,
+    INK,
+    MUTED,
+    SMALL,
+    TEXT,
+    THIRD,
+    canvas,
+    dress,
+    legend,
+    log_axis,
+    plain,
+    thinned,
+)
 from pincal.units import format_small, small_unit
 
 # Bins of a variable, and rows that a bin needs.
 _BINS, _FEWEST = 30, 4
 # A variable with no more values than this is a category.
 _CATEGORIES = 5
-# Dots of a scatter; more only cover each other and make the file large.
-_MOST_DOTS = 700
 # Height of one step, and letters of a name that fit beside it.
 _PER_STEP = 0.5  # [in]
 _LONGEST = 58
@@ -32,7 +44,7 @@ def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]]
         floor: rms of the noise alone [mm].
 
     Raises:
-        ValueError: if there is no model, or a statistic does not have one number a model.
+        ValueError: if there is no model, or a statistic does not have one number per model.
 
     Example:
         >>> figure = shrinking_figure(["start", "+ backlash"], {"rms": [0.2, 0.1]}, 0.09)
@@ -122,7 +134,7 @@ def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
 
 def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> list[float]:
     """Draw rows and their means in bins; return what the axis should reach, whatever rows with short levers say."""
-    shown = np.unique(np.linspace(0, len(x) - 1, _MOST_DOTS).astype(int))
+    shown = thinned(len(x))
     jitter = np.zeros(len(x))
     values = np.unique(x)
     if len(values) <= _CATEGORIES:
@@ -141,7 +153,7 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
 
 
 def _draw_dots(axes: Axes, x: np.ndarray, errors: np.ndarray, strength: np.ndarray) -> None:
-    """Draw a dot a row in three strengths; one for each row of its own would make the file large."""
+    """Draw one dot per row in three strengths; one for each row of its own would make the file large."""
     for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
         rows = (strength >= low) & (strength < high)
         label = "one row" if k == 2 else None
@@ -173,6 +185,6 @@ def _draw_effect(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
     size = np.ptp(y) or 1.0
     near = np.diff(x) < 2e-3 * (np.ptp(x) or 1.0)
     is_function = np.quantile(np.abs(np.diff(y))[near], 0.9) < 0.1 * size if near.any() else True
-    shown = np.unique(np.linspace(0, len(x) - 1, _MOST_DOTS).astype(int))
+    shown = thinned(len(x))
     style = "-" if is_function else "."
     axes.plot(x[shown], y[shown], style, color=AFTER, linewidth=1.8, markersize=2.5, label="fitted", zorder=4)

@@ -25,6 +25,7 @@ from pincal.report.plots.style import (
     log_axis,
     plain,
     span_of,
+    thinned,
 )
 
 View = Literal["top", "side"]
@@ -34,8 +35,6 @@ _BINS, _FEWEST = 18, 12
 _SOME = 3
 # Pauses longer than this part of the whole time break a line.
 _PAUSE = 0.04
-# Dots of a scatter; more only cover each other and make the file large.
-_MOST_DOTS = 700
 # Hexagons across the workspace.
 _CELLS = 15
 # Viridis: even steps of lightness, distinguishable to the colour-blind and in print without colours.
@@ -43,16 +42,7 @@ _MAP = "viridis"
 
 
 def joint_figure(evidence: Evidence, joint: int) -> Figure:
-    """Draw the error against the position of one joint: median and the range of 90 % of the rows, before and after.
-
-    Args:
-        evidence: errors row by row.
-        joint: its place among the joints.
-
-    Raises:
-        ValueError: without rows.
-    """
-    _refuse_empty(evidence)
+    """Draw the error against the position of one joint: median and the range of 90 % of the rows, before and after."""
     x = evidence.q[:, joint] if evidence.is_prismatic[joint] else np.degrees(evidence.q[:, joint])
     unit = "m" if evidence.is_prismatic[joint] else "deg"
     low, high = span_of(evidence.sizes("before"), evidence.sizes("after"))
@@ -99,11 +89,7 @@ def workspace_figure(evidence: Evidence, view: View) -> Figure:
     Args:
         evidence: errors row by row.
         view: "top" looks down on the robot, "side" shows distance from the vertical through its base against height.
-
-    Raises:
-        ValueError: without rows.
     """
-    _refuse_empty(evidence)
     across, along, labels = _seen_from(evidence, view)
     figure = canvas(2.75)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -147,20 +133,12 @@ def _extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def order_figure(evidence: Evidence) -> Figure:
-    """Draw the error in the order of measurement: a dot a pose, and the running median.
-
-    Args:
-        evidence: errors row by row.
-
-    Raises:
-        ValueError: without rows.
-    """
-    _refuse_empty(evidence)
+    """Draw the error in the order of measurement: one dot per pose, and the running median."""
     x, label = _order(evidence)
     figure = canvas(3.3)
     axes = figure.subplots()
     order = np.argsort(x, kind="stable")
-    shown = order[np.unique(np.linspace(0, len(order) - 1, _MOST_DOTS).astype(int))]
+    shown = order[thinned(len(order))]
     low, high = span_of(evidence.sizes("before"), evidence.sizes("after"))
     for which, colour in (("before", BEFORE), ("after", AFTER)):
         sizes = np.maximum(evidence.sizes(which), low)
@@ -191,14 +169,7 @@ def drift_figure(evidence: Evidence) -> Figure:
     """Draw the mean of what calibration leaves, component by component, in the order of measurement.
 
     Bars are two standard deviations of a mean: where most of them reach zero nothing has moved.
-
-    Args:
-        evidence: errors row by row.
-
-    Raises:
-        ValueError: without rows.
     """
-    _refuse_empty(evidence)
     x, label = _order(evidence)
     rows = np.flatnonzero(~evidence.is_outlier)
     order = rows[np.argsort(x[rows], kind="stable")]
@@ -226,8 +197,3 @@ def _order(evidence: Evidence) -> tuple[np.ndarray, str]:
     if evidence.time is not None:
         return (evidence.time - evidence.time.min()) / 3600.0, "time since the first pose [h]"
     return evidence.line.astype(float), "line of the table"
-
-
-def _refuse_empty(evidence: Evidence) -> None:
-    if not len(evidence.line):
-        raise ValueError("no rows to draw; expected at least one")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import unicodedata
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
+
+from pincal.tables import one_line
 
 # Okabe and Ito's colours, distinguishable to colour-blind readers: vermilion, orange, blue, green, sky blue, purple.
 COLOURS = ("#D55E00", "#E69F00", "#0072B2", "#009E73", "#56B4E9", "#CC79A7")
@@ -24,9 +25,7 @@ _LEFT, _RIGHT, _BOTTOM, _TOP = 0.86, 0.16, 0.58, 0.36
 _LONGEST = 34
 
 
-def canvas(
-    height: float = HEIGHT, *, rows: int = 1, left: float = _LEFT, top: float = _TOP, right: float = _RIGHT
-) -> Figure:
+def canvas(height: float = HEIGHT, *, rows: int = 1, left: float = _LEFT, top: float = _TOP) -> Figure:
     """Return an empty figure of the usual width with room for ``rows`` panels, one above the other [in]."""
     figure = Figure(figsize=(WIDTH, height), dpi=150)
     figure.subplots_adjust(
@@ -54,6 +53,11 @@ def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
     axes.patch.set_alpha(0.0)
 
 
+def thinned(count: int, most: int = 700) -> np.ndarray:
+    """Return at most so many rows of all, evenly spread: more dots only cover each other and make the file large."""
+    return np.unique(np.linspace(0, count - 1, most).astype(int))
+
+
 def legend(axes: Axes, **where: Any) -> None:
     """Draw the legend without a box."""
     axes.legend(fontsize=SMALL, frameon=False, labelcolor=INK, **where)
@@ -66,7 +70,7 @@ def plain(text: str, longest: int = _LONGEST) -> str:
         >>> print(plain("a$b$\nc"), len(plain("long " * 30)))
         a\$b\$ c 34
     """
-    clean = "".join(" " if unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") else c for c in text)
+    clean = one_line(text)
     short = clean if len(clean) <= longest else clean[: longest - 1] + "…"
     return short.replace("$", r"\$")
 
