@@ -17,7 +17,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
 from pincal.io.effect_entry import effect_from_entry, effect_to_entry, known_effects
-from pincal.io.entries import ModelEntry, restored
+from pincal.io.entries import ModelEntry, plain, restored
 from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.model import catalogue
 from pincal.model.catalogue import (
@@ -130,7 +130,7 @@ def surrounded(effect: Effect, chain: Chain, *, equilibrium: bool = False) -> Mo
 
 def written_and_read(model: Model) -> Model:
     """Return a model written as JSON and read again."""
-    text = json.dumps(ModelEntry.of(model).contents())
+    text = json.dumps(plain(ModelEntry.of_model(model)))
     return decode(text.encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restored).model()
 
 

@@ -19,8 +19,8 @@ from pincal.calibration.tables import estimate_table
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station, conditions_of, station_of
-from pincal.io.entries import CoveredEntry, ModelEntry, ParameterEntry, SetupEntry
-from pincal.io.model_file import FORMAT_VERSION, ModelFile, read_model_file, sensor_module, write_model_file
+from pincal.io.entries import ModelEntry, ParameterEntry
+from pincal.io.model_file import FORMAT_VERSION, MeasuredEntry, ModelFile, read_model_file, write_model_file
 from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.measurements import Measurements
@@ -200,19 +200,37 @@ class CalibratedModel(Calibrated):
             fit: the fit.
             provenance: where it came from, in types that JSON knows.
         """
-        station = fit.station
+        parameters = fit.station.parameters
         covariance = np.zeros((len(fit.values), len(fit.values)))
         covariance[np.ix_(fit.solution.free, fit.solution.free)] = fit.solution.posterior.covariance
+        estimate = estimate_of(parameters, fit.values.copy(), covariance)
+        return cls.of_station(fit, 0, estimate=estimate, nominal=fit.nominal.values.copy(), provenance=provenance)
+
+    @classmethod
+    def of_station(
+        cls, fit: Fit, k: int, *, estimate: Estimate, nominal: np.ndarray, provenance: dict[str, Any] | None
+    ) -> CalibratedModel:
+        """Return the calibrated model of the k-th station of a fit.
+
+        Args:
+            fit: the fit.
+            k: number of the station.
+            estimate: the station's parameters, by their names within the station.
+            nominal: shape (P,), their values with only base and tool fitted.
+            provenance: where it came from, in types that JSON knows.
+        """
+        station = fit.problem.stations[k]
+        options = fit.options.at(station.name)
         return cls(
-            model=fit.model,
-            estimate=estimate_of(station.parameters, fit.values.copy(), covariance),
+            model=station.model,
+            estimate=estimate,
             sensor_kind=station.sensor.kind,
-            payload_centre=np.array(fit.options.payload_centre, float),
+            payload_centre=np.array(options.payload_centre, float),
             covered=Covered.of(station.conditions),
-            sigma=np.array(fit.solution.sigma, float),
+            sigma=np.array(fit.solution.sigma[fit.problem.block_spans[k]], float),
             provenance=dict(provenance or {}),
-            setup=fit.options.setup,
-            nominal_values=fit.nominal.values.copy(),
+            setup=options.setup,
+            nominal_values=nominal,
         )
 
     def __repr__(self) -> str:
@@ -354,7 +372,12 @@ def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> Non
         OutputError: if the place can't be written to, or a number is not finite.
     """
     try:
-        file = _file_of(calibrated)
+        file = ModelFile.of_station(
+            calibrated,
+            format_version=FORMAT_VERSION,
+            parameters=tuple(map(ParameterEntry.of_parameter, calibrated.estimate.parameters)),
+            model=ModelEntry.of_model(calibrated.model),
+        )
     except Fault as fault:
         place = fault.key.removeprefix(".")
         raise OutputError(f"{os.fspath(path)}: not finite or not whole: {place} {fault}; calibrate again") from None
@@ -369,33 +392,27 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     """
     file = read_model_file(path)
     parameters = [entry.parameter() for entry in file.parameters]
-    return CalibratedModel(
-        model=file.model.model(),
+    return calibrated_from(
+        file,
+        file.model.model(),
         estimate=estimate_of(parameters, file.values, file.covariance),
-        sensor_kind=file.sensor_kind,
-        payload_centre=file.payload_centre,
-        covered=Covered(file.covered.q, file.covered.payload),
-        sigma=file.sigma,
+        nominal=file.nominal_values,
         provenance=file.provenance,
-        setup=file.setup.setup(),
-        nominal_values=file.nominal_values,
     )
 
 
-def _file_of(calibrated: CalibratedModel) -> ModelFile:
-    c = calibrated
-    return ModelFile(
-        format_version=FORMAT_VERSION,
-        provenance=c.provenance,
-        sensor_kind=c.sensor_kind,
-        sensor_module=sensor_module(c.sensor_kind),
-        sigma=c.sigma,
-        payload_centre=c.payload_centre,
-        covered=CoveredEntry(q=c.covered.q, payload=c.covered.payload),
-        parameters=tuple(ParameterEntry.of(parameter) for parameter in c.estimate.parameters),
-        values=c.values,
-        covariance=c.covariance,
-        model=ModelEntry.of(c.model),
-        setup=SetupEntry.of(c.setup),
-        nominal_values=c.nominal_values,
+def calibrated_from(
+    entry: MeasuredEntry, model: Model, *, estimate: Estimate, nominal: np.ndarray | None, provenance: dict[str, Any]
+) -> CalibratedModel:
+    """Return the calibrated model of a station of a file, see :class:`CalibratedModel`."""
+    return CalibratedModel(
+        model=model,
+        estimate=estimate,
+        sensor_kind=entry.sensor_kind,
+        payload_centre=entry.payload_centre,
+        covered=Covered(entry.covered.q, entry.covered.payload),
+        sigma=entry.sigma,
+        provenance=provenance,
+        setup=entry.setup.setup(),
+        nominal_values=nominal,
     )

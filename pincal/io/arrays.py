@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from itertools import chain
-from typing import Annotated, Any, ClassVar, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Self, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -77,6 +77,12 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     # Field -> what null stands for in its array; elsewhere null is no number.
     NULLS: ClassVar[Mapping[str, float]] = {}
+
+    @classmethod
+    def of(cls, found: object, **others: Any) -> Self:
+        """Return the record of an object that has the same fields as attributes, except for ``others``."""
+        same = {name: getattr(found, name) for name in cls.__struct_fields__ if name not in others}
+        return cls(**same | others)
 
     def __post_init__(self) -> None:
         counts: dict[str, int] = {}

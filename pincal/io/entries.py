@@ -82,17 +82,9 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         return (self.urdf or "").encode("utf-8", "surrogateescape")
 
     @classmethod
-    def of(cls, robot: Robot) -> RobotEntry:
+    def of_robot(cls, robot: Robot) -> RobotEntry:
         """Return the entry of a robot."""
-        frames = {name: getattr(robot.frames, name) for name in FramesEntry.__struct_fields__}
-        same = {name: getattr(robot, name) for name in cls.__struct_fields__ if name not in ("frames", "urdf")}
-        return cls(**same, frames=FramesEntry(**frames), urdf=robot.urdf.decode("utf-8", "surrogateescape"))
-
-    def contents(self) -> dict[str, Any]:
-        """Return the entry in types that JSON knows, null for limits that are not there."""
-        found: dict[str, Any] = msgspec.to_builtins(self, enc_hook=plain)
-        limits = {name: [v if np.isfinite(v) else None for v in found[name]] for name in self.NULLS}
-        return found | limits
+        return cls.of(robot, frames=FramesEntry.of(robot.frames), urdf=robot.urdf.decode("utf-8", "surrogateescape"))
 
     def robot(self) -> Robot:
         """Return the robot."""
@@ -109,11 +101,6 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     targets: Annotated[tuple[str, ...], Shape("targets")]
     tool_rotations: Rotations
 
-    @classmethod
-    def of(cls, chain: Chain) -> ChainEntry:
-        """Return the entry of a chain."""
-        return cls(**{name: getattr(chain, name) for name in cls.__struct_fields__})
-
 
 class ModelEntry(Record, frozen=True, kw_only=True):
     """A model, see :class:`pincal.model.model.Model`."""
@@ -125,27 +112,31 @@ class ModelEntry(Record, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        try:
-            self.model().parameters  # noqa: B018  (an effect of a joint that the robot does not have fails here)
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            expected = "joints and symbols of this robot"
-            raise Fault(f"do not fit the robot ({error})", expected, key=".effects") from None
+        self.model()
 
     @classmethod
-    def of(cls, model: Model) -> ModelEntry:
+    def of_model(cls, model: Model) -> ModelEntry:
         """Return the entry of a model."""
-        robot, chain = RobotEntry.of(model.chain.robot), ChainEntry.of(model.chain)
-        return cls(robot=robot, chain=chain, effects=model.effects, equilibrium=model.equilibrium)
+        return cls.of(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.of(model.chain))
 
     def model(self) -> Model:
         """Return the model."""
-        chain = Chain(robot=self.robot.robot(), **msgspec.structs.asdict(self.chain))
-        return Model(chain, self.effects, equilibrium=self.equilibrium)
+        return model_of(self.robot.robot(), self.chain, self.effects, equilibrium=self.equilibrium)
 
-    def contents(self) -> dict[str, Any]:
-        """Return the entry in types that JSON knows, effects by name."""
-        found: dict[str, Any] = msgspec.to_builtins(self, enc_hook=plain)
-        return found | {"robot": self.robot.contents(), "effects": [effect_to_entry(effect) for effect in self.effects]}
+
+def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, equilibrium: bool, key: str = "") -> Model:
+    """Return a robot's model.
+
+    Raises:
+        Fault: below ``key``, if an effect is of a joint or symbol that the robot does not have.
+    """
+    model = Model(Chain(robot=robot, **msgspec.structs.asdict(chain)), effects, equilibrium=equilibrium)
+    try:
+        model.parameters  # noqa: B018
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        expected = "joints and symbols of this robot"
+        raise Fault(f"do not fit the robot ({error})", expected, key=f"{key}.effects") from None
+    return model
 
 
 class ParameterEntry(Record, frozen=True, kw_only=True):
@@ -162,10 +153,9 @@ class ParameterEntry(Record, frozen=True, kw_only=True):
     station: str = ""
 
     @classmethod
-    def of(cls, parameter: Parameter) -> ParameterEntry:
+    def of_parameter(cls, parameter: Parameter) -> ParameterEntry:
         """Return the entry of a parameter."""
-        same = {name: getattr(parameter, name) for name in cls.__struct_fields__ if name != "size"}
-        return cls(**same, size=parameter.size if np.isfinite(parameter.size) else None)
+        return cls.of(parameter, size=parameter.size if np.isfinite(parameter.size) else None)
 
     def parameter(self) -> Parameter:
         """Return the parameter."""
@@ -211,35 +201,41 @@ class SetupEntry(Record, frozen=True, kw_only=True):
             raise Fault(str(error), "distances of two points", key=".gaps") from None
 
     @classmethod
-    def of(cls, setup: Setup) -> SetupEntry:
+    def of_setup(cls, setup: Setup) -> SetupEntry:
         """Return the entry of a setup."""
-        return cls(
-            points=tuple(PointEntry(name=name, position=position) for name, position in setup.points.items()),
-            gaps=tuple(
-                DistanceEntry(first=gap.first, second=gap.second, length=gap.length, sigma=gap.sigma)
-                for gap in setup.distances
-            ),
-            lens=None if setup.lens is None else setup.lens.values,
-            fit_lens=setup.fit_lens,
-        )
+        points = tuple(PointEntry(name=name, position=position) for name, position in setup.points.items())
+        lens = None if setup.lens is None else setup.lens.values
+        return cls(points=points, gaps=tuple(map(DistanceEntry.of, setup.distances)), lens=lens, fit_lens=setup.fit_lens)
 
     def setup(self) -> Setup:
         """Return the setup."""
         return Setup(
             points={point.name: point.position for point in self.points},
-            distances=tuple(KnownDistance(gap.first, gap.second, gap.length, gap.sigma) for gap in self.gaps),
+            distances=tuple(KnownDistance(**msgspec.structs.asdict(gap)) for gap in self.gaps),
             lens=None if self.lens is None else Lens(*self.lens.tolist()),
             fit_lens=self.fit_lens,
         )
 
 
 def restored(kind: Any, value: Any) -> Any:
-    """Build what only pincal knows from what a JSON file has."""
+    """Return the array or effect that a value of a JSON file stands for."""
     return array_of(value) if kind is np.ndarray else effect_from_entry(value)
 
 
 def plain(value: Any) -> Any:
-    """Return what only pincal knows in types that JSON knows."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"a {type(value).__name__} can't be written to a file")
+    """Return a record, or what stands in one, in types that JSON knows: effects by name, null for a limit that is not there.
+
+    Fields that have their default are left out.
+    """
+    if isinstance(value, Record):
+        fields = {field.name: field.default for field in msgspec.structs.fields(value)}
+        found = {name: getattr(value, name) for name in fields}
+        contents = {name: plain(part) for name, part in found.items() if part is not fields[name]}
+        for name in value.NULLS:
+            contents[name] = [number if np.isfinite(number) else None for number in contents[name]]
+        return contents
+    if isinstance(value, tuple):
+        return [plain(part) for part in value]
+    if isinstance(value, Effect):
+        return effect_to_entry(value)
+    return value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)

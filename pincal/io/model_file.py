@@ -1,88 +1,184 @@
-"""The structure of ``model.json``: all that a prediction needs in numbers, without the URDF."""
+"""The structure of ``model.json``, of one station or several: all that a prediction needs in numbers, without the URDF."""
 
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import msgspec
+import numpy as np
 
-from pincal.io.arrays import (
-    Matrix,
-    Numbers,
-    Record,
-    Shape,
-    Vector,
-    shaped,
+from pincal.io.arrays import Matrix, Numbers, Record, Shape, Vector, shaped
+from pincal.io.entries import (
+    ChainEntry,
+    CoveredEntry,
+    ModelEntry,
+    ParameterEntry,
+    RobotEntry,
+    SetupEntry,
+    model_of,
+    plain,
+    restored,
 )
-from pincal.io.entries import CoveredEntry, ModelEntry, ParameterEntry, SetupEntry, plain, restored
 from pincal.io.strict_json import MODEL_FILE, Fault, read_json, write_json
 from pincal.measure.registry import known_kinds
+from pincal.model.effects import Effect
+from pincal.model.model import Model
+from pincal.parameters import Covariance
 
 # Of files with one station, and with several.
 FORMAT_VERSION, STATIONS_VERSION = 1, 2
 
 
-def sensor_module(kind: str) -> str | None:
-    """Return the module that defines a sensor, None for one of pincal's own."""
-    module = known_kinds().get(kind, "pincal")
-    return None if module.split(".")[0] == "pincal" else module
-
-
-def check_sensor(kind: str, module: str | None) -> None:
-    """Refuse a sensor that is not known.
-
-    Raises:
-        Fault: naming the module that has to be loaded, if there is one.
-    """
-    if kind in known_kinds():
-        return
-    if module:
-        expected = f"its module to be loaded: --plugin {module}"
-        raise Fault(f"sensor {kind!r} is not pincal's own", expected, key=".sensor_kind")
-    raise Fault(f"unknown sensor {kind!r}", f"one of {', '.join(known_kinds())}", key=".sensor_kind")
-
-
-class ModelFile(Record, frozen=True, kw_only=True):
-    """The whole of ``model.json``.
+class MeasuredEntry(Record, frozen=True, kw_only=True):
+    """What a station was measured with and what its rows cover.
 
     Attributes:
-        format_version: 1.
-        provenance: versions, time, command, seed, input files with their SHA-256.
         sensor_kind: what was measured: "position", "pose", "distance" and so on.
         sensor_module: the module that defines the sensor, if it is not one of pincal's own. Reading never imports it.
         sigma: shape (blocks,), noise of one component of each block of readings that the fit used [m, rad, px].
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
         covered: the range of the training rows.
+        setup: named points and the camera.
+    """
+
+    sensor_kind: str
+    sigma: Annotated[Numbers, Shape("any")]
+    payload_centre: Vector
+    covered: CoveredEntry
+    setup: SetupEntry
+    sensor_module: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        kind, module = self.sensor_kind, self.sensor_module
+        if kind in known_kinds():
+            return
+        if module:
+            expected = f"its module to be loaded: --plugin {module}"
+            raise Fault(f"sensor {kind!r} is not pincal's own", expected, key=".sensor_kind")
+        raise Fault(f"unknown sensor {kind!r}", f"one of {', '.join(known_kinds())}", key=".sensor_kind")
+
+    @classmethod
+    def of_station(cls, found: Any, **others: Any) -> Self:
+        """Return the entry of a calibrated model, see :class:`pincal.CalibratedModel`."""
+        module = known_kinds().get(found.sensor_kind, "pincal")
+        return cls.of(
+            found,
+            sensor_module=None if module.split(".")[0] == "pincal" else module,
+            covered=CoveredEntry.of(found.covered),
+            setup=SetupEntry.of_setup(found.setup),
+            **others,
+        )
+
+
+class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
+    """The whole of ``model.json`` of one station.
+
+    Attributes:
+        format_version: 1.
+        provenance: versions, time, command, seed, input files with their SHA-256.
         parameters: the P parameters of the model, then the sensor's own.
         values: shape (P,), deviations from the nominal.
         covariance: shape (P, P), of the values; zero for those that were not fitted.
         model: robot, chain and effects.
-        setup: named points and the camera.
         nominal_values: shape (P,), the values with only base and tool fitted; not in files of version 0.1.0.
     """
 
     format_version: int
     provenance: dict[str, Any]
-    sensor_kind: str
-    sigma: Annotated[Numbers, Shape("any")]
-    payload_centre: Vector
-    covered: CoveredEntry
     parameters: Annotated[tuple[ParameterEntry, ...], Shape("parameters")]
     values: Annotated[Numbers, Shape("parameters")]
     covariance: Annotated[Matrix, Shape("parameters", "parameters")]
     model: ModelEntry
-    setup: SetupEntry
-    sensor_module: str | None = None
     nominal_values: Annotated[Numbers | None, Shape("parameters")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_sensor(self.sensor_kind, self.sensor_module)
         names = self.model.model().names
         if tuple(p.name for p in self.parameters)[: len(names)] != names:
             raise Fault("are not those of the effects", f"{', '.join(names[:3])} and so on", key=".parameters")
         shaped(".covered.q", self.covered.q, Shape(len(self.model.robot.joint_names), 2), {})
+
+
+class GroupEntry(Record, frozen=True, kw_only=True):
+    """A block of the covariance, and which of the fitted parameters it belongs to."""
+
+    parameters: Annotated[tuple[int, ...], Shape("block")]
+    block: Annotated[Matrix, Shape("block", "block")]
+
+
+class CovarianceEntry(Record, frozen=True, kw_only=True):
+    """Covariance of the fitted parameters: factor times its transpose plus a block per group."""
+
+    factor: Annotated[Matrix, Shape("any", "any")]
+    groups: tuple[GroupEntry, ...]
+
+    @classmethod
+    def of_covariance(cls, covariance: Covariance) -> CovarianceEntry:
+        """Return the entry of a covariance."""
+        groups = (GroupEntry(parameters=tuple(map(int, places)), block=block) for places, block in covariance.groups)
+        return cls(factor=covariance.factor, groups=tuple(groups))
+
+    def covariance(self) -> Covariance:
+        """Return the covariance."""
+        return Covariance(self.factor, tuple((np.array(group.parameters, int), group.block) for group in self.groups))
+
+
+class StationEntry(MeasuredEntry, frozen=True, kw_only=True):
+    """What one of several stations has of its own beside its parameters."""
+
+    name: str
+    chain: ChainEntry
+    effects: tuple[Effect, ...]
+    equilibrium: bool
+
+
+class StationsFile(Record, frozen=True, kw_only=True):
+    """The whole of ``model.json`` for several stations.
+
+    Attributes:
+        format_version: 2.
+        provenance: versions, time, command, seed, input files with their SHA-256.
+        robot: the arm.
+        parameters: the P parameters: the robot's, then those of each station.
+        values: shape (P,), deviations from the nominal.
+        nominal_values: shape (P,), the values with only base and tool fitted.
+        fitted: shape (P,), which parameters were fitted.
+        covariance: of the fitted ones.
+        stations: the stations.
+    """
+
+    format_version: int
+    provenance: dict[str, Any]
+    robot: RobotEntry
+    parameters: Annotated[tuple[ParameterEntry, ...], Shape("parameters")]
+    values: Annotated[Numbers, Shape("parameters")]
+    nominal_values: Annotated[Numbers, Shape("parameters")]
+    fitted: Annotated[tuple[bool, ...], Shape("parameters")]
+    covariance: CovarianceEntry
+    stations: tuple[StationEntry, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n = sum(self.fitted)
+        shaped(".covariance.factor", self.covariance.factor, Shape(n, "any"), {})
+        for k, group in enumerate(self.covariance.groups):
+            if any(not 0 <= i < n for i in group.parameters):
+                key = f".covariance.groups[{k}].parameters"
+                raise Fault("has an entry that is no fitted parameter", f"numbers from 0 to {n - 1}", key=key)
+        known = {parameter.name for parameter in self.parameters}
+        for k, station in enumerate(self.stations):
+            shaped(f".stations[{k}].covered.q", station.covered.q, Shape(len(self.robot.joint_names), 2), {})
+            names = self.model(k).names
+            missing = [name for name in names if name not in known and f"{station.name}/{name}" not in known]
+            if missing:
+                raise Fault(f"do not hold {missing[0]!r}", f"all those of station {station.name!r}", key=".parameters")
+
+    def model(self, k: int) -> Model:
+        """Return the model of the k-th station."""
+        entry, robot = self.stations[k], self.robot.robot()
+        return model_of(robot, entry.chain, entry.effects, equilibrium=entry.equilibrium, key=f".stations[{k}]")
 
 
 class _Name(msgspec.Struct, frozen=True):
@@ -125,8 +221,7 @@ def read_model_file(path: str | os.PathLike[str]) -> ModelFile:
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    version = version_of(path)
-    if version == STATIONS_VERSION:
+    if version_of(path) == STATIONS_VERSION:
         names = ", ".join(entry.name for entry in read_json(path, _Stations, MODEL_FILE).stations)
         raise MODEL_FILE.error(
             f"{os.fspath(path)}: holds several stations: {names}; expected one: choose it by load_stations(path).at(name)"
@@ -134,10 +229,20 @@ def read_model_file(path: str | os.PathLike[str]) -> ModelFile:
     return read_json(path, ModelFile, MODEL_FILE, hook=restored)
 
 
-def write_model_file(path: str | os.PathLike[str], file: ModelFile) -> None:
+def read_stations_file(path: str | os.PathLike[str]) -> StationsFile:
+    """Read ``model.json`` of several stations.
+
+    Raises:
+        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
+    """
+    version_of(path)
+    return read_json(path, StationsFile, MODEL_FILE, hook=restored)
+
+
+def write_model_file(path: str | os.PathLike[str], file: ModelFile | StationsFile) -> None:
     """Write ``model.json``: the whole file or nothing, its numbers in full precision.
 
     Raises:
         OutputError: if the place can't be written to, or a number is not finite.
     """
-    write_json(path, {**msgspec.to_builtins(file, enc_hook=plain), "model": file.model.contents()}, indent=None)
+    write_json(path, plain(file), indent=None)

@@ -14,9 +14,8 @@ import msgspec
 from pincal.io.camera_file import CameraFile
 from pincal.io.discovery_file import DiscoveryFile
 from pincal.io.effect_entry import SCHEMA
-from pincal.io.model_file import ModelFile
+from pincal.io.model_file import ModelFile, StationsFile
 from pincal.io.result_file import ResultFile
-from pincal.io.stations_file import StationsFile
 from pincal.model.effects import Effect
 
 FILES: dict[str, type] = {
