@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -13,11 +13,11 @@ from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.reasons import Reason, Status
 from pincal.identify.station import Station
-from pincal.io.result_file import Correlation, Errors, NoiseRecord, RowCounts, StageRecord
+from pincal.io.result_file import Correlation, Errors, NoiseRecord, Outcome, ParameterRecord
 from pincal.measure.measurements import Measurements
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.validate.accuracy import error_table
-from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
+from pincal.validate.lack_of_fit import lack_of_fit
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
@@ -52,42 +52,15 @@ class ParameterRow:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of ``result.json``, the reason in words."""
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "nominal": self.nominal,
-            "value": self.value,
-            "sigma": self.sigma,
-            "status": str(self.status),
-            "reason": str(self.reason),
-        }
+        names = (field.name for field in fields(ParameterRecord))
+        return {name: getattr(self, name) for name in names} | {"status": str(self.status), "reason": str(self.reason)}
 
 
-@dataclass(frozen=True)
-class Result:
-    """All that ``result.json`` says, as one object.
+@dataclass(frozen=True, kw_only=True)
+class Result(Outcome):
+    """All that ``result.json`` says, as one object."""
 
-    Attributes are those of the file (contract): see :meth:`to_dict`. ``iso9283`` and ``lack_of_fit`` are None where no pose
-    has replicates, and then not in the file.
-    """
-
-    noise: NoiseRecord
-    rows: RowCounts
     parameters: tuple[ParameterRow, ...]
-    rank: int
-    condition: float
-    chi2_reduced: float
-    chi2_p_value: float | None
-    iterations: int
-    seconds: float
-    converged: bool
-    outliers: tuple[int, ...]
-    correlations: tuple[Correlation, ...]
-    stages: tuple[StageRecord, ...]
-    error: Errors
-    warnings: tuple[str, ...]
-    iso9283: dict[str, Any] | None = None
-    lack_of_fit: LackOfFit | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
@@ -140,7 +113,7 @@ def result_of(
         converged=solution.converged,
         outliers=outliers,
         correlations=_correlations(fit, parameters),
-        stages=tuple(StageRecord(name=s.name, iterations=s.iterations, rms=s.rms) for s in fit.stages),
+        stages=fit.stages,
         error=error,
         warnings=(*notes, *map(str, found)),
         iso9283=iso9283(replicates, {"nominal": fit.nominal.values, "calibrated": fit.values}),
@@ -177,22 +150,21 @@ def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
         if len(places) == 3:
             turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
             values[places] = rotation_vectors(turned[None, :3, :3])[0]
-    rows = []
-    for i, (parameter, finding) in enumerate(zip(fit.station.parameters, explain(fit), strict=True)):
-        spread = None if finding.status == "fixed" else float(fit.estimate.sigma[i])
-        rows.append(
-            ParameterRow(
-                parameter.name,
-                parameter.unit,
-                parameter.nominal,
-                float(values[i]),
-                spread,
-                finding.status,
-                finding.reason,
-                parameter.effect,
-            )
+    return tuple(
+        ParameterRow(
+            name=parameter.name,
+            unit=parameter.unit,
+            nominal=parameter.nominal,
+            value=float(value),
+            sigma=None if finding.status == "fixed" else float(sigma),
+            status=finding.status,
+            reason=finding.reason,
+            effect=parameter.effect,
         )
-    return tuple(rows)
+        for parameter, value, sigma, finding in zip(
+            fit.station.parameters, values, fit.estimate.sigma, explain(fit), strict=True
+        )
+    )
 
 
 def _references(fit: Fit) -> dict[str, np.ndarray]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Literal, NotRequired, TypedDict
 
-import msgspec
+from pincal.identify.fit import Stage
+from pincal.identify.reasons import Status
+from pincal.validate.lack_of_fit import LackOfFit
 
 
 class NoiseRecord(TypedDict):
@@ -27,53 +30,25 @@ class RowCounts(TypedDict):
 
 
 class Correlation(TypedDict):
-    """Two parameters that the data hardly tell apart."""
+    """Two parameters whose estimates are strongly correlated."""
 
     parameters: list[str]
     correlation: float
-
-
-class StageRecord(TypedDict):
-    """One stage of the fit, and the root mean square of its weighted residuals."""
-
-    name: str
-    iterations: int
-    rms: float
 
 
 # Model ("nominal", "calibrated") -> part ("train", "test") -> statistic with its unit ("mean_mm", "p95_mrad") -> value.
 Errors = dict[str, dict[str, dict[str, float]]]
 
 
-class ParameterRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """One parameter [SI units]."""
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """All that ``result.json`` says beside the parameters.
 
-    name: str
-    unit: str
-    nominal: float
-    value: float
-    sigma: float | None
-    status: Literal["identified", "prior", "fixed", "unidentifiable", "at bound"]
-    reason: str
-
-
-class LackOfFitRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The F test of residuals against the scatter between replicates."""
-
-    F: float
-    p_value: float
-    degrees: Any
-    evenness: float
-    poses: int
-    pure_error: dict[str, float]
-
-
-class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole of ``result.json``; ``iso9283`` and ``lack_of_fit`` only where poses were measured more than once."""
+    ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file.
+    """
 
     noise: NoiseRecord
     rows: RowCounts
-    parameters: tuple[ParameterRecord, ...]
     rank: int
     condition: float
     chi2_reduced: float
@@ -83,8 +58,28 @@ class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
     converged: bool
     outliers: tuple[int, ...]
     correlations: tuple[Correlation, ...]
-    stages: tuple[StageRecord, ...]
+    stages: tuple[Stage, ...]
     error: Errors
     warnings: tuple[str, ...]
     iso9283: dict[str, Any] | None = None
-    lack_of_fit: LackOfFitRecord | None = None
+    lack_of_fit: LackOfFit | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterRecord:
+    """One parameter [SI units]."""
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    sigma: float | None
+    status: Status
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultFile(Outcome):
+    """The whole of ``result.json``."""
+
+    parameters: tuple[ParameterRecord, ...]
