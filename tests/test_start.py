@@ -16,7 +16,6 @@ from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
 from pincal.identify.options import Options
-from pincal.identify.start import placements
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.sensor import Sensor
 from pincal.measure.sensors.distance import DistanceSensor
@@ -198,7 +197,7 @@ def test_one_candidate_is_exact_for_a_perfect_arm(kind: str, n_targets: int, kuk
     target = np.tile(np.arange(n_targets), POSES)
     seen = scene.base @ tips @ np.array(list(scene.tools.values()))[target]
     sensor = READ[kind](seen)
-    found = placements(sensor, tips[:, :3], target, n_targets)
+    found = list(sensor.starts(tips[:, :3], target, n_targets))
     errors = []
     for candidate in found:
         offsets = candidate.tools[:, :3, 3] - [tool[:3, 3] for tool in scene.tools.values()]

@@ -59,11 +59,15 @@ def priors_of(problem: Problem, options: Options) -> Priors:
         local = np.ones(len(places))
         station.split(local)[0][:] = station.model.largest_basis(_sample(station))[0]
         largest[places] = np.maximum(largest[places], local)
-    typical = np.array([parameter.size for parameter in problem.parameters]) / largest
+    return Priors(np.array([parameter.size for parameter in problem.parameters]) / largest, bounds_of(problem, options))
+
+
+def bounds_of(problem: Problem, options: Options) -> np.ndarray:
+    """Return the largest deviations that a fit may find, shape (P,); inf for none."""
     lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.parameters])
     bounds = np.where(lengths, options.length_bound, np.inf)
     bounds[sensors_own(problem) & [p.unit == "m" and p.is_extrinsic for p in problem.parameters]] = _FARTHEST
-    return Priors(typical, bounds)
+    return bounds
 
 
 def noise_of(problem: Problem, options: Options) -> Noise:

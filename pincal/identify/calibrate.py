@@ -14,7 +14,7 @@ from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, 
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
 from pincal.identify.fit import Fit, Stage, carried
-from pincal.identify.initial import fit_frames, place
+from pincal.identify.initial import place
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
@@ -125,17 +125,8 @@ def _without_outliers(
     sound = fitted.weights > 0.0
     if sound.all():
         return nominal
-    again = fit_frames(
-        problem.select(sound),
-        nominal.values,
-        nominal.free,
-        sizes=priors.sizes,
-        bounds=priors.bounds,
-        noise=noise,
-        loss="none",
-        rough=False,
-        executor=executor,
-    )
+    rows = problem.select(sound)
+    again = solve(rows, nominal.values, nominal.free, priors, noise, loss="none", executor=executor)
     return replace(again, weights=fitted.weights, iterations=nominal.iterations)
 
 
@@ -198,16 +189,8 @@ def _begin(
     bent = frames | sensors_own(problem)
     for free, label in ((frames & released, "base and tool"), (bent & released, "camera")):
         if label == "base and tool" or np.any(free & ~frames):
-            nominal = fit_frames(
-                problem,
-                values,
-                free,
-                sizes=priors.sizes,
-                bounds=priors.bounds,
-                noise=noise,
-                loss=options.loss,
-                label=label,
-                executor=executor,
+            nominal = solve(
+                problem, values, free, priors, noise, loss=options.loss, rough=True, label=label, executor=executor
             )
             values = nominal.values
     return problem, nominal, priors, noise

@@ -138,20 +138,21 @@ def solve(
         The fit; ``exit`` tells how it ended.
     """
     fit = _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough, executor)
-    state, memory, ended = fit.begin(start.astype(float), robust), _Memory(), None
-    for iteration in range(1, MAX_ITERATIONS + 1):
-        state, step = fit.advance(state, memory)
-        if label:
-            told = fit.readable(state.judged)
-            log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, told, step.wanted)
-        ended = fit.exit_of(state, step)
-        if ended is not None:
-            break
-        state = fit.weighed_anew(state, step)
-    if not rough and fit.is_beyond_normal_equations(state):
-        state, extra = fit.polished(state)
-        return fit.finish(state, step, iteration + extra, Exit.EXACT)
-    return fit.finish(state, step, iteration, ended or Exit.BUDGET)
+    return fit.finish(*fit.run(start, robust, label))
+
+
+def most_probable(
+    problem: Problem,
+    start: np.ndarray,
+    free: np.ndarray,
+    priors: Priors,
+    noise: Noise,
+    *,
+    loss: Loss,
+    rough: bool = False,
+) -> np.ndarray:
+    """Return the values of :func:`solve` alone, shape (P,), without what is known of them."""
+    return _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough).run(start)[0].point.values
 
 
 class _Memory:
@@ -227,8 +228,25 @@ class _Fit:
     free: np.ndarray
     priors: Priors
     judge: Judge
-    rough: bool
-    executor: Executor | None
+    rough: bool = False
+    executor: Executor | None = None
+
+    def run(self, start: np.ndarray, robust: np.ndarray | None = None, label: str = "") -> tuple[_State, _Step, int, Exit]:
+        """Return the last point, the step to it, the number of steps and how they ended; arguments as of :func:`solve`."""
+        state, memory, ended = self.begin(start.astype(float), robust), _Memory(), None
+        for iteration in range(1, MAX_ITERATIONS + 1):
+            state, step = self.advance(state, memory)
+            if label:
+                told = self.readable(state.judged)
+                log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, told, step.wanted)
+            ended = self.exit_of(state, step)
+            if ended is not None:
+                break
+            state = self.weighed_anew(state, step)
+        if not self.rough and self.is_beyond_normal_equations(state):
+            state, extra = self.polished(state)
+            return state, step, iteration + extra, Exit.EXACT
+        return state, step, iteration, ended or Exit.BUDGET
 
     def begin(self, values: np.ndarray, robust: np.ndarray | None) -> _State:
         """Return the first point; outliers are known if robust weights are."""

@@ -182,13 +182,14 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         BadInputError: for a target that a model of several targets does not have.
     """
     targets = model.chain.targets
-    unknown = sorted(set(map(str, measurements.target)) - set(targets))
-    if unknown and len(targets) > 1:
-        raise BadInputError(
-            f"{measurements.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(targets)}"
-        )
-    n = len(measurements)
-    index = np.zeros(n, int) if len(targets) == 1 else np.array([targets.index(t) for t in measurements.target], int)
+    n, index = len(measurements), np.zeros(len(measurements), int)
+    if len(targets) > 1:
+        unknown = sorted(set(map(str, measurements.target)) - set(targets))
+        if unknown:
+            raise BadInputError(
+                f"{measurements.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(targets)}"
+            )
+        index[:] = [targets.index(target) for target in measurements.target]
     return Conditions(
         q=measurements.q,
         target=index,

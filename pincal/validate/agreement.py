@@ -7,11 +7,13 @@ from itertools import combinations
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.identify.beliefs import frames_of, priors_of, released_of
+from pincal.identify.beliefs import bounds_of, frames_of, released_of
 from pincal.identify.fit import Fit
-from pincal.identify.initial import fit_frames, place
+from pincal.identify.initial import place
+from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
+from pincal.identify.solve import Priors, most_probable
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
@@ -92,4 +94,6 @@ def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -
     station, values = place(robot, measurements, options)
     problem = Problem((station,))
     frames = frames_of(problem) & released_of(problem, options)
-    return _typical(station, fit_frames(problem, values, frames, bounds=priors_of(problem, options).bounds).values)
+    priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
+    noise = Noise((None,) * len(problem.blocks))
+    return _typical(station, most_probable(problem, values, frames, priors, noise, loss="huber", rough=True))

@@ -9,8 +9,9 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
-from pincal.identify.initial import fit_frames
+from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
+from pincal.identify.solve import Priors, most_probable
 from pincal.identify.station import Station, conditions_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import ideal_readings
@@ -221,7 +222,9 @@ def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
         return start
     # Other targets than those of these rows are not seen: they stay.
     station.split(free)[0][:] &= station.model.largest_basis(station.conditions)[1]
-    return fit_frames(Problem((station,)), start, free).values
+    nothing = np.full(len(start), np.inf)
+    noise = Noise((None,) * len(station.sensor.blocks))
+    return most_probable(Problem((station,)), start, free, Priors(nothing, nothing), noise, loss="huber", rough=True)
 
 
 def _workspace(
