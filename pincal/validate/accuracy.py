@@ -54,36 +54,36 @@ class Errors:
         return {f"{name}_{self.unit}": values[name] for name in ("mean", "median", "rms", "p95", "max")}
 
 
-def pose_errors(problem: Station, values: np.ndarray) -> dict[str, np.ndarray]:
+def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
     """Return the size of the error at each row, in mm for what is measured in metres, in mrad for angles, in px for images.
 
     Args:
-        problem: model and readings.
+        station: model and readings.
         values: shape (P,), its parameters.
 
     Returns:
         Block name ("position", "orientation", "distance", "image") -> shape (N,). An image's errors also stand as
         "position": what they are across the view at the distance of the point.
     """
-    residuals = problem.residuals(values)
-    ends = np.cumsum([0, *(block.size for block in problem.sensor.blocks)])
+    residuals = station.residuals(values)
+    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
     found = {
         block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * readable_unit(block.unit).factor
-        for block, a in zip(problem.sensor.blocks, ends, strict=False)
+        for block, a in zip(station.sensor.blocks, ends, strict=False)
     }
-    if problem.sensor.blocks[0].unit == "m":
+    if station.sensor.blocks[0].unit == "m":
         return found
-    return {"position": np.linalg.norm(problem.displacements(values), axis=1) * readable_unit("m").factor} | found
+    return {"position": np.linalg.norm(station.displacements(values), axis=1) * readable_unit("m").factor} | found
 
 
-def statistics(problem: Station, values: np.ndarray) -> list[Errors]:
+def statistics(station: Station, values: np.ndarray) -> list[Errors]:
     """Return the statistics of the errors as :func:`pose_errors` has them, those in mm first; empty without rows."""
-    if len(problem) == 0:
+    if len(station) == 0:
         return []
-    units = {block.name: readable_unit(block.unit).name for block in problem.sensor.blocks}
-    return [Errors.of(errors, units.get(name, "mm")) for name, errors in pose_errors(problem, values).items()]
+    units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
+    return [Errors.of(errors, units.get(name, "mm")) for name, errors in pose_errors(station, values).items()]
 
 
-def error_table(problem: Station, values: np.ndarray) -> dict[str, float]:
+def error_table(station: Station, values: np.ndarray) -> dict[str, float]:
     """Return the statistics of all blocks in one dictionary: ``mean_mm``, ..., and ``mean_mrad``, ... for poses."""
-    return {name: value for errors in statistics(problem, values) for name, value in errors.named().items()}
+    return {name: value for errors in statistics(station, values) for name, value in errors.named().items()}

@@ -99,7 +99,7 @@ def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarr
     """
     squares = [squares_of(part, values, sigma) for part in parts]
     fitted = squares[0]
-    return _f_test(squares, parts[0].problem, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
+    return _f_test(squares, parts[0].station, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
 
 
 def lack_of_prediction(
@@ -117,15 +117,15 @@ def lack_of_prediction(
         covariance: shape (P, P), of the values.
     """
     found = squares_of(rows_of, values, sigma)
-    if not _is_enough([found], rows_of.problem):
+    if not _is_enough([found], rows_of.station):
         return None
     scale = found.pure / found.degrees
     free = np.diag(covariance) > 0.0
-    normal = accumulate(rows_of.problem, values, free, rows_of.counted.astype(float))
+    normal = accumulate(rows_of.station, values, free, rows_of.counted.astype(float))
     G = np.einsum("b,bij->ij", 1.0 / (scale * sigma**2), normal.G)
     g = np.einsum("b,bi->i", 1.0 / (scale * sigma**2), normal.g)
     explained = explained_by_uncertainty(G, g, covariance[np.ix_(free, free)])
-    return _f_test([found], rows_of.problem, found.total - found.pure - scale * explained, found.readings - found.degrees)
+    return _f_test([found], rows_of.station, found.total - found.pure - scale * explained, found.readings - found.degrees)
 
 
 def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarray) -> float:
@@ -136,15 +136,15 @@ def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarra
     return float((root.T @ g) @ np.linalg.solve(inner, root.T @ g))
 
 
-def _is_enough(parts: Sequence[Squares], problem: Station) -> bool:
+def _is_enough(parts: Sequence[Squares], station: Station) -> bool:
     """Return whether replicates differ by more than rounding."""
     pure = np.sum([part.by_block for part in parts], axis=0)
     sizes = [np.sqrt(squares / degrees) if degrees else 0.0 for squares, degrees in pure]
-    return any(size > _ROUNDINGS * block.rounding for size, block in zip(sizes, problem.sensor.blocks, strict=True))
+    return any(size > _ROUNDINGS * block.rounding for size, block in zip(sizes, station.sensor.blocks, strict=True))
 
 
-def _f_test(parts: Sequence[Squares], problem: Station, misfit: float, degrees: float) -> LackOfFit | None:
-    if not _is_enough(parts, problem) or degrees < 1.0:
+def _f_test(parts: Sequence[Squares], station: Station, misfit: float, degrees: float) -> LackOfFit | None:
+    if not _is_enough(parts, station) or degrees < 1.0:
         return None
     free = sum(part.degrees for part in parts)
     ratio = max(misfit, 0.0) / degrees / (sum(part.pure for part in parts) / free)
@@ -158,18 +158,18 @@ def _f_test(parts: Sequence[Squares], problem: Station, misfit: float, degrees: 
         poses=sum(part.poses for part in parts),
         pure_error={
             f"sigma_{block.unit}": float(np.sqrt(squares / count))
-            for block, (squares, count) in zip(problem.sensor.blocks, blocks, strict=True)
+            for block, (squares, count) in zip(station.sensor.blocks, blocks, strict=True)
         },
     )
 
 
 def replicate_statistics(
-    problem: Station, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
+    station: Station, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
 ) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     """Return accuracy, repeatability and lack of fit of rows that a model has not seen, where they hold replicates.
 
     Args:
-        problem: the calibrated model over the rows.
+        station: the calibrated model over the rows.
         values: shape (P,), its values.
         table: the rows.
         sigma: shape (blocks,), noise of one component of each block of readings.
@@ -178,5 +178,5 @@ def replicate_statistics(
     Returns:
         ``iso9283`` as in ``result.json``, and the test of lack of fit; None for what the rows do not show.
     """
-    rows_of = Replicates("test", table, problem, replicate_groups([table])[0], np.ones(len(table), bool))
+    rows_of = Replicates("test", table, station, replicate_groups([table])[0], np.ones(len(table), bool))
     return iso9283([rows_of], {"calibrated": values}), lack_of_prediction(rows_of, values, sigma, covariance)

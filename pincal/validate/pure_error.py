@@ -42,15 +42,15 @@ def squares_of(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray) -> Sq
         sigma: shape (blocks,), standard deviations of one component.
     """
     rows = np.flatnonzero(rows_of.counted)
-    weight = rows_of.problem.weights[rows] ** 2
-    residuals = rows_of.problem.residuals(values)[:, rows]
+    weight = rows_of.station.weights[rows] ** 2
+    residuals = rows_of.station.residuals(values)[:, rows]
     _, pose = np.unique(rows_of.pose[rows], return_inverse=True)
     count, mass = np.bincount(pose), np.bincount(pose, weight)
     again = count > 1
     degrees = int((count[again] - 1).sum())
     means = np.stack([np.bincount(pose, weight * component) / mass for component in residuals])
     apart = np.sqrt(weight) * (residuals - means[:, pose])
-    blocks = block_rows(rows_of.problem)
+    blocks = block_rows(rows_of.station)
     by_block = np.array([((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks])
     scale = np.repeat(sigma, [b.stop - b.start for b in blocks])[:, None]
     return Squares(

@@ -45,14 +45,14 @@ class Replicates:
     Attributes:
         part: "train" or "test".
         table: the rows.
-        problem: model and readings.
+        station: model and readings.
         pose: shape (N,), number of each row's pose; the tables of one calibration share the numbers.
         counted: shape (N,), rows that are not outliers.
     """
 
     part: str
     table: Measurements
-    problem: Station
+    station: Station
     pose: np.ndarray
     counted: np.ndarray
 
@@ -173,7 +173,7 @@ def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> di
         What ``result.json`` has under this key: number of poses and cycles, mean and largest AP and RP by model and part
         [mm, mrad], and the poses one by one. None without any such pose, or where no position is measured.
     """
-    if not parts[0].problem.sensor.reads_pose:
+    if not parts[0].station.sensor.reads_pose:
         return None
     by_model = {model: _all_poses(parts, values) for model, values in models.items()}
     poses = by_model[list(models)[-1]]
@@ -191,7 +191,7 @@ def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> di
 
 def _all_poses(parts: Sequence[Replicates], values: np.ndarray) -> list[dict[str, Any]]:
     """Return AP and RP of each pose with replicates, in the order of the tables."""
-    residuals = np.hstack([v.problem.residuals(values) for v in parts])
+    residuals = np.hstack([v.station.residuals(values) for v in parts])
     pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in parts])
     rows = [(v, i) for v in parts for i in range(len(v.table))]
     found = []
