@@ -166,16 +166,16 @@ def posterior_step(
     G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarray, *, diagonal: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the step of :func:`posterior` alone, in a tenth of the time where rounding lets a Cholesky solve do."""
-    prior = np.isfinite(sizes)
-    D = sizes[prior]
+    has_prior = np.isfinite(sizes)
+    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
     floor = _floor(np.diag(G) if diagonal is None else diagonal, sizes)
-    if floor > _ROUNDING or not prior.any():
+    if floor > _ROUNDING or not len(prior):
         return posterior(G, g, sizes, offsets, diagonal=diagonal).step
-    frames = ~prior
-    inverse, _, _ = _invert_frames(G[np.ix_(frames, frames)])
-    F = inverse @ G[np.ix_(frames, prior)]
-    S = (G[np.ix_(prior, prior)] - G[np.ix_(prior, frames)] @ F) * np.outer(D, D)
-    S[np.diag_indices_from(S)] += 1.0
+    D = sizes[prior]
+    inverse, _, _ = _invert_frames(G[frames[:, None], frames])
+    F = inverse @ G[frames[:, None], prior]
+    S = (G[prior[:, None], prior] - G[prior[:, None], frames] @ F) * np.outer(D, D)
+    S.flat[:: len(S) + 1] += 1.0
     reduced = (g[prior] - F.T @ g[frames]) * D - offsets[prior] / D
     step = np.empty(len(g))
     step[prior] = D * cho_solve(cho_factor(S, overwrite_a=True, check_finite=False), reduced, check_finite=False)
@@ -220,13 +220,13 @@ def eliminate(G: np.ndarray, g: np.ndarray, own: np.ndarray, sizes: np.ndarray, 
         sizes: shape (F,), standard deviations of the priors; inf for none. Only those of eliminated parameters matter.
         offsets: shape (F,), present values minus the priors' centres.
     """
-    shared = ~own
-    inner, across = G[np.ix_(own, own)], G[np.ix_(own, shared)]
+    shared, own = np.flatnonzero(~own), np.flatnonzero(own)
+    inner, across = G[own[:, None], own], G[own[:, None], shared]
     precision = sizes[own] ** -2.0
     alone, loose = _determined(inner, g[own], sizes[own], offsets[own], np.diag(inner))
     carried = alone.covariance @ across
     return Contribution(
-        G=G[np.ix_(shared, shared)] - across.T @ carried,
+        G=G[shared[:, None], shared] - across.T @ carried,
         g=g[shared] - across.T @ alone.step,
         diagonal=np.diag(G).copy(),
         information=inner + np.diag(precision),
@@ -240,12 +240,12 @@ def _determined(
     G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarray, diagonal: np.ndarray
 ) -> tuple[Posterior, np.ndarray]:
     """Return the posterior over what is determined, and the variances of the frames' directions that nothing determines."""
-    prior = np.isfinite(sizes)
-    frames = ~prior
+    has_prior = np.isfinite(sizes)
+    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
     D = sizes[prior]
-    inverse, frame_rank, loose = _invert_frames(G[np.ix_(frames, frames)])
-    F = inverse @ G[np.ix_(frames, prior)]
-    S = (G[np.ix_(prior, prior)] - G[np.ix_(prior, frames)] @ F) * np.outer(D, D)
+    inverse, frame_rank, loose = _invert_frames(G[frames[:, None], frames])
+    F = inverse @ G[frames[:, None], prior]
+    S = (G[prior[:, None], prior] - G[prior[:, None], frames] @ F) * np.outer(D, D)
     reduced = (g[prior] - F.T @ g[frames]) * D
     information, V = np.linalg.eigh(0.5 * (S + S.T))
     floor = max(_floor(diagonal, sizes), NULL * 1e-300)
@@ -257,11 +257,11 @@ def _determined(
     step[frames] = inverse @ g[frames] - F @ shift
     C = (V / (information + 1.0)) @ V.T * np.outer(D, D)
     covariance = np.empty_like(G)
-    covariance[np.ix_(prior, prior)] = C
-    covariance[np.ix_(frames, prior)] = -F @ C
-    covariance[np.ix_(prior, frames)] = -(F @ C).T
-    covariance[np.ix_(frames, frames)] = inverse + F @ C @ F.T
-    return Posterior(step, covariance, information, V, frame_rank, prior), loose
+    covariance[prior[:, None], prior] = C
+    covariance[frames[:, None], prior] = -F @ C
+    covariance[prior[:, None], frames] = -(F @ C).T
+    covariance[frames[:, None], frames] = inverse + F @ C @ F.T
+    return Posterior(step, covariance, information, V, frame_rank, has_prior), loose
 
 
 def _with_loose(found: Posterior, loose: np.ndarray) -> Posterior:

@@ -17,7 +17,7 @@ joint position of a prismatic joint adds to d instead of theta.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -85,11 +85,10 @@ class Chain:
         """Number K of coordinates."""
         return 2 * FRAME + BLOCK * self.robot.n_joints
 
-    @cached_property
+    @property
     def symbols(self) -> tuple[str, ...]:
         """The symbol of each coordinate, e.g. "theta"; which joint it belongs to follows from its place."""
-        joint = _JOINT_SYMBOLS_BEFORE if self.moment_frame == "before" else _JOINT_SYMBOLS
-        return FRAME_SYMBOLS + joint * self.robot.n_joints + FRAME_SYMBOLS
+        return _symbols(self.moment_frame, self.robot.n_joints)
 
     @cached_property
     def nominal(self) -> np.ndarray:
@@ -122,27 +121,36 @@ class Chain:
     @cached_property
     def layout(self) -> Layout:
         """The chain's constant part as arrays for the compiled loops."""
-        n = self.robot.n_joints
-        starts = FRAME + BLOCK * np.arange(n)
-        fixed_before = np.full(self.size, -1)
-        fixed_before[[3, FRAME, FRAME + BLOCK * n]] = 0, 1, 2
         base = np.eye(4)
         base[:3, :3] = self.base_rotation
         fixed = np.array([base, self.robot.frames.T_base_first, self.robot.frames.T_last_tip])
-        y, z, cut = {
-            "paper": (starts + 1, starts + 2, starts + 1),
-            "before": (starts + 1, starts + 2, starts + 1),
-            "after": (starts + 4, starts + 3, starts + 3),
-        }[self.moment_frame]
         return Layout(
-            kind=np.array([_KIND[symbol] for symbol in self.symbols]),
-            fixed_before=fixed_before,
+            **_order(self.moment_frame, self.robot.n_joints),
             fixed=np.ascontiguousarray(fixed[:, :3]),
             tool_rotation=np.ascontiguousarray(self.tool_rotations),
-            moment_y=y,
-            moment_z=z,
-            moment_cut=cut,
             masses=self.robot.masses,
             centres=np.ascontiguousarray(self.robot.centres),
             gravity=self.gravity,
         )
+
+
+@cache
+def _symbols(moment_frame: MomentFrame, n_joints: int) -> tuple[str, ...]:
+    joint = _JOINT_SYMBOLS_BEFORE if moment_frame == "before" else _JOINT_SYMBOLS
+    return FRAME_SYMBOLS + joint * n_joints + FRAME_SYMBOLS
+
+
+@cache
+def _order(moment_frame: MomentFrame, n_joints: int) -> dict[str, np.ndarray]:
+    """Return the part of a layout that only the order of the coordinates matters to; all chains share it."""
+    starts, symbols = FRAME + BLOCK * np.arange(n_joints), _symbols(moment_frame, n_joints)
+    fixed_before = np.full(len(symbols), -1)
+    fixed_before[[3, FRAME, FRAME + BLOCK * n_joints]] = 0, 1, 2
+    y, z, cut = {"paper": (1, 2, 1), "before": (1, 2, 1), "after": (4, 3, 3)}[moment_frame]
+    return {
+        "kind": np.array([_KIND[symbol] for symbol in symbols]),
+        "fixed_before": fixed_before,
+        "moment_y": starts + y,
+        "moment_z": starts + z,
+        "moment_cut": starts + cut,
+    }

@@ -23,8 +23,7 @@ from pincal.model.conditions import COLUMN_UNITS, MOMENT, Conditions, Situation,
 from pincal.parameters import Parameter, Scope
 
 
-@dataclass(frozen=True)
-class Term:
+class Term(NamedTuple):
     """What one parameter adds to one coordinate: ``basis * parameter``.
 
     Attributes:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -76,7 +77,8 @@ class Model:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, effect by effect."""
-        return tuple(p for effect in self.effects for p in effect.parameters(self.chain))
+        found = (p for effect in self.effects for p in effect.parameters(self.chain))
+        return tuple(_interned(p, math.copysign(1.0, p.nominal)) for p in found)
 
     @property
     def has_tool_orientation(self) -> bool:
@@ -230,6 +232,12 @@ class Model:
                 own = slice(start, start + len(effect.parameters(self.chain)))
                 largest[own], excited[own] = largest[own].max(), excited[own].any()
         return np.where(largest > 0.0, largest, 1.0), excited
+
+
+@lru_cache(maxsize=4096)
+def _interned(parameter: Parameter, sign: float) -> Parameter:
+    """Return one object for all equal parameters, so that many stations hold the robot's but once; 0.0 equals -0.0."""
+    return parameter
 
 
 @dataclass(frozen=True)
