@@ -92,7 +92,9 @@ def main(arguments: list[str] | None = None) -> None:
                 args=_spread(sys.argv[1:] if arguments is None else arguments), prog_name="pincal", standalone_mode=False
             )
         finally:
-            _end_progress()
+            # The line of progress, if a command has shown one.
+            if progress := sys.modules.get("pincal.cli.progress"):
+                progress.end_progress()
     except click.exceptions.Abort:
         click.echo("pincal: interrupted; nothing was written", err=True)
         sys.exit(Exit.INTERRUPTED)
@@ -154,10 +156,3 @@ def show_progress(quiet: bool) -> None:
     if quiet:
         warnings.showwarning = lambda *_, **__: None
     progress.show_progress(quiet)
-
-
-def _end_progress() -> None:
-    """Remove the progress line, if a command has shown one."""
-    progress = sys.modules.get("pincal.cli.progress")
-    if progress is not None:
-        progress.end_progress()

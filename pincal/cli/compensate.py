@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import GeneralOptions, ignore_option, model_argument
-from pincal.cli.outputs import print_json, print_notes
+from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
@@ -85,7 +85,6 @@ def compensate(arguments: CompensateArguments) -> Exit:
     Of all that bring the real robot there, the closest to those given are chosen.
     """
     from pincal.calibration.calibrated import load_model
-    from pincal.cli.model_use import extrapolation
     from pincal.compensate.targets import read_targets, run_compensation
     from pincal.measure.table import write_table
 
@@ -134,7 +133,6 @@ def _columns(
     calibrated: CalibratedModel, done: CompensatedTable, false_targets: FalseTarget | None
 ) -> dict[str, np.ndarray]:
     """Return the table to write."""
-    from pincal.cli.model_use import pose_columns
     from pincal.compensate.frames import false_targets as poses_to_give
 
     rows, found = done.targets.rows, done.found

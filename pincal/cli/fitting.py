@@ -42,12 +42,7 @@ class FitArguments:
 
 
 def run_fit(arguments: FitArguments, run: Callable[..., R], *, show: Callable[[R, Console], None]) -> Exit:
-    """Run a calibration or a discovery on the files of the command line.
-
-    Args:
-        arguments: those of the command line.
-        run: :func:`~pincal.calibration.run.run_calibration` or :func:`~pincal.discover.run.run_discovery`.
-        show: prints what it returns.
+    """Run a calibration or a discovery on the files of the command line, write what it returns and ``show`` it.
 
     Raises:
         IdentificationError: if the fit did not converge; the files are written all the same.
@@ -93,18 +88,7 @@ def write_results(
     *,
     view: bool = False,
 ) -> tuple[str, ...]:
-    """Write all files of a calibration, or of a discovery, to a folder.
-
-    Args:
-        folder: where to.
-        calibration: the calibration.
-        origin: its provenance.
-        discovery: how the model was found, if it was.
-        view: whether to write the view in three dimensions, too.
-
-    Returns:
-        What the URDF could not carry, in words.
-    """
+    """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
     from pincal.calibration.calibrated import CalibratedModel, save_model
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf

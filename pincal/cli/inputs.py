@@ -99,6 +99,7 @@ def options_of(chosen: CalibrationOptions, table: Measurements) -> Options:
     if setup.anchor:
         base = np.eye(4)
         base[:3, 3] = -np.array(setup.anchor)
+    listed = () if setup.distances is None else read_distances(setup.distances)
     return Options(
         effects=EFFECTS[model.model],
         sigma=_sigma(setup.noise, table),
@@ -112,7 +113,12 @@ def options_of(chosen: CalibrationOptions, table: Measurements) -> Options:
         stages=fit.stages,
         loss=fit.loss,
         length_bound=fit.length_bound,
-        setup=_setup(setup),
+        setup=Setup(
+            points={} if setup.points is None else read_points(setup.points),
+            distances=(*(KnownDistance(*gap) for gap in setup.gaps), *listed),
+            lens=None if setup.camera is None else read_lens(setup.camera),
+            fit_lens=setup.fit_camera,
+        ),
     )
 
 
@@ -134,13 +140,3 @@ def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None
         example = f"{block.noise * factor:g}{name}"
         raise BadInputError(f"--noise in {unit}, but {table.source} holds {table.kind}; expected a value such as {example}")
     return sigma
-
-
-def _setup(given: SetupOptions) -> Setup:
-    distances = [KnownDistance(first, second, length) for first, second, length in given.gaps]
-    return Setup(
-        points={} if given.points is None else read_points(given.points),
-        distances=(*distances, *(() if given.distances is None else read_distances(given.distances))),
-        lens=None if given.camera is None else read_lens(given.camera),
-        fit_lens=given.fit_camera,
-    )

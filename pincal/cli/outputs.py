@@ -1,4 +1,4 @@
-"""Results of a verb: folders written whole or not at all, JSON on stdout, notes on stderr, and the exit code."""
+"""Results of a verb: folders written whole or not at all, columns of poses, JSON on stdout, notes on stderr, limits."""
 
 from __future__ import annotations
 
@@ -10,11 +10,21 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pincal.errors import AccuracyGateError, OutputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.model.effects import Conditions
+
+# Rows outside the calibrated range that are listed one by one.
+_SHOWN = 5
+_UNITS = {"time": "s", "temperature": "deg C", "payload": "kg"}
 
 
 @contextmanager
@@ -66,15 +76,45 @@ def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, A
 
 
 def require_accuracy(mean_mm: float, max_error: float | None, *, rows: str) -> None:
-    """Refuse a mean error that exceeds the user's limit.
-
-    Args:
-        mean_mm: the mean error [mm].
-        max_error: the limit [m]; None: no limit.
-        rows: the rows it was computed on, in words.
-
-    Raises:
-        AccuracyGateError: if it does.
-    """
+    """Raise :class:`AccuracyGateError` if the mean error [mm] of these rows exceeds the limit [m], if there is one."""
     if max_error is not None and mean_mm > max_error * 1e3:
         raise AccuracyGateError(f"mean error of {mean_mm:.4f} mm on {rows} rows exceeds --max-error {max_error * 1e3:g} mm")
+
+
+def pose_columns(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.ndarray]:
+    """Return poses, shape (N, 3, 4), as the columns x y z and, if wanted, qx qy qz qw of a table."""
+    from pincal.robot.se3 import quaternions
+
+    columns = dict(zip("xyz", poses[:, :, 3].T, strict=True))
+    if with_orientation:
+        columns |= zip(("qx", "qy", "qz", "qw"), quaternions(poses[:, :, :3]).T, strict=True)
+    return columns
+
+
+def extrapolation(
+    calibrated: CalibratedModel, conditions: Conditions, lines: np.ndarray
+) -> tuple[dict[str, Any], list[str]]:
+    """Return where a model is used outside the range of the data that it was calibrated with.
+
+    Args:
+        calibrated: the model.
+        conditions: the N rows that it is used for.
+        lines: shape (N,), line of each row in its file.
+
+    Returns:
+        Entries for programs, and notes for the user.
+    """
+    values, curves = calibrated.outside(conditions), calibrated.outside_curves(conditions)
+    robot = calibrated.model.chain.robot
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True)) | _UNITS
+    rows = len({value.row for value in values})
+    notes = [f"rows outside the range of the calibration data: {rows}"] if rows else []
+    for row, name, value, low, high in values[:_SHOWN]:
+        notes.append(f"line {lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}")
+    for curve in curves:
+        notes.append(
+            f"{curve.rows} rows need the {curve.effect} of {curve.joint} at {curve.variable} {curve.lowest:.4g} to "
+            f"{curve.highest:.4g} {units[curve.variable]}; it was identified from {curve.lower:.4g} to {curve.upper:.4g} "
+            "only and is held constant outside"
+        )
+    return {"outside": rows, "curves": [curve._asdict() for curve in curves]}, notes

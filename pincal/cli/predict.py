@@ -10,7 +10,7 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import GeneralOptions, model_argument
-from pincal.cli.outputs import print_json, print_notes
+from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
 
 
@@ -32,7 +32,6 @@ def predict(arguments: PredictArguments) -> Exit:
     """
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
-    from pincal.cli.model_use import extrapolation, pose_columns
     from pincal.measure.table import write_table
 
     calibrated = load_model(arguments.model)

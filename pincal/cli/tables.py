@@ -63,13 +63,7 @@ def _summary(result: Result) -> str:
 
 
 def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:
-    """Print what replicated poses tell; nothing where there are none.
-
-    Args:
-        iso: ``iso9283`` of ``result.json``.
-        lack: the test of lack of fit.
-        out: where to.
-    """
+    """Print what replicated poses show: ``iso9283`` of ``result.json``, and the test of lack of fit."""
     if iso is not None:
         out.print(iso9283_table(iso))
         out.print(hanging("cycles:", cycle_words(iso)))
@@ -115,13 +109,7 @@ def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: 
 
 
 def print_discovery(report: Mapping[str, Any], out: Console, stages: tuple[StageError, ...] = ()) -> None:
-    """Print where model and data disagreed, what made them, and how the error fell to the noise.
-
-    Args:
-        report: contents of ``discovery.json``.
-        out: where to.
-        stages: errors on held-out rows step by step; only first and last without them.
-    """
+    """Print from ``discovery.json`` where model and data disagreed, why, and how the held-out error fell, stage by stage."""
     out.print(f"Verdict: {report['verdict']}, {report['unexplained_mm']:.4f} mm rms unexplained")
     if report["where"]:
         out.print(location_table(report["where"]))
@@ -140,29 +128,24 @@ def print_discovery(report: Mapping[str, Any], out: Console, stages: tuple[Stage
 
 
 def print_design(found: Design, out: Console) -> None:
-    """Print what was asked, what the constraints removed, what the poses will tell, and what other numbers would."""
+    """Print what was asked, what the constraints removed, and what these and other numbers of poses promise."""
     n, robot = found.found.poses, found.robot
     noise = ", ".join(f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}" for i, s in enumerate(found.design_model.sigma))
     rig = f"{robot.base} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.design_model.n_free} parameters"
     out.print(hanging(f"{n} poses", f"of {robot.name}, {rig}"))
-    for mark, text in [*_candidates(found), *_promises(found), *_observability(found)]:
+    for mark, text in _design_facts(found):
         out.print(hanging(f"{mark + ':':13s}", text))
     if found.curve:
         out.print(pose_count_table(found))
     print_notes(found.notes, out)
 
 
-def _candidates(found: Design) -> Iterator[tuple[str, str]]:
-    yield "candidates", found.drawn.in_words()
-    yield (
-        "path length",
-        f"{found.path_length:.1f} joint ranges from first to last pose, {found.path_length_unordered:.1f} before ordering",
-    )
-
-
-def _promises(found: Design) -> Iterator[tuple[str, str]]:
-    """Yield what the poses promise beside random ones."""
+def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
+    """Yield how the poses were chosen, and what they promise beside random ones."""
     designed, random = found.found.designed, found.found.random
+    yield "candidates", found.drawn.in_words()
+    path = f"{found.path_length:.1f} joint ranges from first to last pose, {found.path_length_unordered:.1f} before ordering"
+    yield "path length", path
     if found.needed is not None:
         yield "accuracy", f"{found.needed} of the candidates are the fewest that reach it"
     what = found.design_model.quantity
@@ -178,9 +161,6 @@ def _promises(found: Design) -> Iterator[tuple[str, str]]:
         verdict = "distinguishable" if left >= TOLD_APART else f"not distinguishable, {TOLD_APART:g} are needed"
         verdict += f" (random {chance:.3g})"
         yield "rivals", f"{mine} of typical size leaves {left:.3g} that {other} can't explain: {verdict}"
-
-
-def _observability(found: Design) -> Iterator[tuple[str, str]]:
     yield "rank", f"{found.rank} identifiable directions of the parameters"
     for name in _SHOWN:
         if name in found.observability:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pincal.cli.arguments import argument, group, verb
 from pincal.cli.common import GeneralOptions, ignore_option, max_error_option, model_argument
-from pincal.cli.outputs import print_json, print_notes, require_accuracy
+from pincal.cli.outputs import extrapolation, print_json, print_notes, require_accuracy
 from pincal.errors import Exit
 
 
@@ -31,7 +31,6 @@ def validate(arguments: ValidateArguments) -> Exit:
     """Report the accuracy of a calibrated model on new measurements."""
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
-    from pincal.cli.model_use import extrapolation
     from pincal.measure.admission import scorable_rows
     from pincal.measure.admit import check_table
     from pincal.validate.accuracy import error_table

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.calibration.run import Calibration
-from pincal.identify.station import Station
 from pincal.units import readable_unit
 
 
@@ -78,6 +77,7 @@ def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
     up = np.array([0.0, 0.0, 1.0]) if not np.any(gravity) else -gravity / np.linalg.norm(gravity)
     place = robot.forward_kinematics(q)[:, :3, 3]
     ends = np.cumsum([0, *(block.size for block in fit.station.sensor.blocks)])
+    times = [time for problem in problems if (time := problem.conditions.time) is not None]
     found = []
     for k, block in enumerate(fit.station.sensor.blocks):
         factor, unit = readable_unit(block.unit)
@@ -97,12 +97,7 @@ def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
                 place=place,
                 up=up,
                 line=np.concatenate([table.rows for table in tables]),
-                time=_times(problems),
+                time=np.concatenate(times) if len(times) == len(problems) else None,
             )
         )
     return tuple(found)
-
-
-def _times(problems: list[Station]) -> np.ndarray | None:
-    times = [problem.conditions.time for problem in problems]
-    return None if any(time is None for time in times) else np.concatenate([t for t in times if t is not None])

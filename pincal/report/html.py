@@ -26,12 +26,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
 
 
 def report_page(subject: Subject, *, layout: tuple[Callable[[Subject], Section | None], ...] = SECTIONS) -> str:
-    """Return ``report.html``: how good, where the errors are, what was missing, the parameters, and the provenance.
-
-    Args:
-        subject: what to report.
-        layout: the sections, in order.
-    """
+    """Return ``report.html``: how good, where the errors are, what was missing, the parameters, and the provenance."""
     import jinja2
 
     log.info("drawing the report")

@@ -45,12 +45,7 @@ Drawing = tuple[Figure, str, str]
 
 
 def figures(key: str, drawings: Iterable[Drawing]) -> Markup:
-    """Return figures as a block of the page.
-
-    Args:
-        key: what tells the identifiers within these figures from those of others on the page.
-        drawings: the figures.
-    """
+    """Return figures as a block of the page; ``key`` begins their identifiers, so that those of other blocks differ."""
     shown = [
         picture(inline_svg(figure, key=f"{key}{i}", title=title), caption)
         for i, (figure, title, caption) in enumerate(drawings)

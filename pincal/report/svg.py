@@ -21,7 +21,7 @@ def inline_svg(figure: Figure, *, key: str, title: str) -> str:
 
     Args:
         figure: what to draw.
-        key: what tells the identifiers of this figure from those of others in the page.
+        key: prefix of the identifiers of this figure; each figure of a page has its own.
         title: what the figure shows, for those who can't see it.
     """
     drawn = io.StringIO()

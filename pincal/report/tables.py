@@ -64,12 +64,7 @@ def show_chance(p_value: float) -> str:
 
 
 def stage_table(report: Mapping[str, Any], stages: tuple[StageError, ...] = ()) -> Table:
-    """Return the errors on held-out rows, step by step where known, beside the noise.
-
-    Args:
-        report: contents of ``discovery.json``.
-        stages: errors at each step; only the first and the last without them.
-    """
+    """Return the errors on held-out rows of ``discovery.json`` beside the noise: at each stage, or first and last only."""
     floor = report["noise_floor_mm"]
     named = [(name, stage.to_dict()) for name, stage in zip(gap_names(stages), stages, strict=True)] if stages else []
     named = named or [("at the start", report["gap"]["before"]), ("all together", report["gap"]["after"])]
@@ -187,7 +182,7 @@ def _show_size(size: Quantity | str | None) -> str:
 
 
 def pose_count_table(found: Design) -> Table:
-    """Return what other numbers of poses would tell."""
+    """Return the predicted errors of other numbers of poses."""
     apart = bool(found.found.designed.apart)
     columns = [Column("poses", kind=Kind.NUMBER)]
     columns += [Column(name, "mm rms", Kind.NUMBER, fixed(4)) for name in ("designed", "random")]

@@ -18,12 +18,8 @@ _POINTS = 400
 def histogram_figure(evidence: Evidence, *, held: bool = True) -> Figure:
     """Draw how many poses have which error, before and after calibration, on a logarithmic axis.
 
-    Args:
-        evidence: errors row by row.
-        held: those of held-out rows, else those of fitted ones.
-
     Raises:
-        ValueError: if there is no such row.
+        ValueError: if there are no held-out or, with ``held=False``, no fitted rows.
     """
     rows = evidence.part(held=held)
     if not rows.any():

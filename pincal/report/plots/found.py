@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -88,10 +89,6 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
     Grey is each row's error at the coordinate on which the effect acts, black the mean in a bin of the variable with its
     standard deviation, blue the fitted effect.
 
-    Args:
-        trace: what the effect explains.
-        title: its name.
-
     Raises:
         ValueError: if the trace has no rows.
     """
@@ -140,9 +137,17 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
     if len(values) <= _CATEGORIES:
         jitter = np.random.default_rng(0).uniform(-0.12, 0.12, len(x)) * (np.diff(values).min() if len(values) > 1 else 1.0)
         axes.set_xticks(values)
-    # Rows with a short lever say little: they are drawn faintly.
+    # Rows with a short lever say little: they are drawn faintly. Three strengths, as one for each row makes the file large.
     strength = np.clip(weights / np.quantile(weights, 0.9), 0.05, 1.0)
-    _draw_dots(axes, (x + jitter)[shown], errors[shown], strength[shown])
+    for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
+        rows = shown[(strength[shown] >= low) & (strength[shown] < high)]
+        dots: dict[str, Any] = {
+            "markersize": 3.6,
+            "markeredgewidth": 0.0,
+            "alpha": 0.25 + 0.25 * k,
+            "label": "one row" if k == 2 else None,
+        }
+        axes.plot((x + jitter)[rows], errors[rows], ".", color=MUTED, **dots)
     centres, means, spreads = _binned(x, errors, weights)
     style = {"color": INK, "markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9}
     axes.errorbar(centres, means, spreads, fmt="o", label="mean of neighbouring rows", zorder=3, **style)  # type: ignore[arg-type]
@@ -150,16 +155,6 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
     strong = errors[strength > 0.3] if np.any(strength > 0.3) else errors
     ends = np.concatenate([np.quantile(strong, [0.01, 0.99]), means - spreads, means + spreads])
     return [float(ends.min()), float(ends.max())]
-
-
-def _draw_dots(axes: Axes, x: np.ndarray, errors: np.ndarray, strength: np.ndarray) -> None:
-    """Draw one dot per row in three strengths; one for each row of its own would make the file large."""
-    for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
-        rows = (strength >= low) & (strength < high)
-        label = "one row" if k == 2 else None
-        axes.plot(
-            x[rows], errors[rows], ".", color=MUTED, markersize=3.6, markeredgewidth=0.0, alpha=0.25 + 0.25 * k, label=label
-        )
 
 
 def _binned(x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

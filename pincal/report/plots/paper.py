@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pincal.report.plots.style import COLOURS, GRID, INK, plain
@@ -23,7 +22,7 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
         series: name of a model -> shape (N,), distance between its prediction and the truth at each pose [m].
 
     Returns:
-        One panel a model, side by side on one logarithmic axis [m], titled with name, mean and maximum.
+        One panel per model, side by side on one logarithmic axis [m], titled with name, mean and maximum.
 
     Raises:
         ValueError: if there is no series, or one has no poses.
@@ -41,20 +40,17 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
         raise ValueError("no deviations to draw; expected at least one series of at least one pose")
     figure = Figure(figsize=(_PANEL_WIDTH * len(series), _HEIGHT), layout="constrained", dpi=150)
     panels = figure.subplots(1, len(series), sharey=True, squeeze=False)[0]
-    for k, (name, deviations) in enumerate(series.items()):
-        _draw_panel(panels[k], name, np.asarray(deviations, float), COLOURS[k % len(COLOURS)])
+    for k, (axes, (name, deviations)) in enumerate(zip(panels, series.items(), strict=True)):
+        sizes = np.asarray(deviations, float)
+        shown, mean = np.maximum(sizes, _SMALLEST), max(float(sizes.mean()), _SMALLEST)
+        axes.plot(range(1, len(sizes) + 1), shown, ".", color=COLOURS[k % len(COLOURS)], markersize=4, label=name)
+        axes.axhline(mean, color=INK, linewidth=1.0, linestyle="--")
+        axes.set_yscale("log")
+        axes.set_title(f"{plain(name)}\nmean {_length(sizes.mean())}, max {_length(sizes.max())}", fontsize=10)
+        axes.set_xlabel("pose")
+        axes.grid(visible=True, which="major", color=GRID, linewidth=0.6)
     panels[0].set_ylabel("deviation [m]")
     return figure
-
-
-def _draw_panel(axes: Axes, name: str, deviations: np.ndarray, colour: str) -> None:
-    poses = np.arange(1, len(deviations) + 1)
-    axes.plot(poses, np.maximum(deviations, _SMALLEST), ".", color=colour, markersize=4, label=name)
-    axes.axhline(max(float(deviations.mean()), _SMALLEST), color=INK, linewidth=1.0, linestyle="--")
-    axes.set_yscale("log")
-    axes.set_title(f"{plain(name)}\nmean {_length(deviations.mean())}, max {_length(deviations.max())}", fontsize=10)
-    axes.set_xlabel("pose")
-    axes.grid(visible=True, which="major", color=GRID, linewidth=0.6)
 
 
 def _length(metres: float) -> str:

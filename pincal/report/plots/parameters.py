@@ -1,4 +1,4 @@
-"""What a calibration changed: the corrections that the data tell, with their uncertainty."""
+"""What a calibration changed: the identified corrections, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -19,13 +19,9 @@ _TITLES = {"m": "Lengths", "rad": "Angles"}
 
 
 def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
-    """Draw how far the identified parameters of one unit are from the nominal robot, with 95 % intervals.
+    """Draw how far the identified parameters in "m" or "rad" are from the nominal robot, with 95 % intervals.
 
     Where instrument and target are was never known, so they are left out.
-
-    Args:
-        parameters: the parameter table.
-        unit: "m" or "rad".
 
     Raises:
         ValueError: if none is identified.

@@ -49,7 +49,9 @@ def joint_figure(evidence: Evidence, joint: int) -> Figure:
     figure = canvas(3.0)
     axes = figure.subplots()
     for which, colour in (("before", BEFORE), ("after", AFTER)):
-        _draw_band(axes, x, np.maximum(evidence.sizes(which), low), colour, which)
+        centres, least, middle, most = _band(x, np.maximum(evidence.sizes(which), low))
+        axes.fill_between(centres, least, most, color=colour, alpha=0.22, linewidth=0.0)
+        axes.plot(centres, middle, ".-", color=colour, linewidth=1.8, markersize=3.5, label=which)
     log_axis(axes, "y", low, high)
     dress(axes, x=f"position [{unit}]", y=f"{evidence.name} error [{evidence.unit}]")
     axes.set_title(plain(evidence.joint_names[joint]), fontsize=TEXT, color=INK, loc="left", fontweight="bold")
@@ -75,12 +77,6 @@ def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
     if count == 1:
         return edges, *np.repeat(found, 2, axis=1)
     return (edges[1:] + edges[:-1]) / 2.0, *found
-
-
-def _draw_band(axes: Axes, x: np.ndarray, sizes: np.ndarray, colour: str, label: str) -> None:
-    centres, low, middle, high = _band(x, sizes)
-    axes.fill_between(centres, low, high, color=colour, alpha=0.22, linewidth=0.0)
-    axes.plot(centres, middle, ".-", color=colour, linewidth=1.8, markersize=3.5, label=label)
 
 
 def workspace_figure(evidence: Evidence, view: View) -> Figure:
