@@ -10,12 +10,7 @@ from typing import Any, NamedTuple
 
 
 class Unit(NamedTuple):
-    """A unit for display.
-
-    Attributes:
-        factor: by which an SI value is multiplied.
-        name: symbol of the unit.
-    """
+    """A unit for display: the factor by which an SI value is multiplied, and its symbol."""
 
     factor: float
     name: str

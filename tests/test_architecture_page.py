@@ -24,6 +24,7 @@ from pincal.model.effects import JointOffset
 from pincal.model.registry import EFFECTS
 from pincal.plugins import load_plugin
 from pincal.report.html import SECTIONS, report_page
+from pincal.report.subject import Subject
 from pincal.simulate import TrueMachine, plan_poses
 
 PAGE = (Path(__file__).parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
@@ -114,6 +115,6 @@ def test_the_recipe_of_a_verb(
 def test_the_recipe_of_a_section(recipe: ModuleType, kuka: Robot) -> None:
     """It has its place and its link on the page."""
     run = kuka_run(kuka, 60)
-    page = report_page(run, {"inputs": {}}, (), layout=(SECTIONS[0], recipe.coverage))
+    page = report_page(Subject(run, {"inputs": {}}), layout=(SECTIONS[0], recipe.coverage))
 
     assert f"{run.n_poses('train')} poses were fitted." in page and 'href="#coverage"' in page

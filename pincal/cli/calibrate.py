@@ -22,6 +22,5 @@ def calibrate(arguments: FitArguments) -> Exit:
     The calibrated model is validated on held-out rows.
     """
     from pincal.calibration.run import run_calibration
-    from pincal.cli.tables import print_result
 
-    return run_fit(arguments, run_calibration, show=lambda found, out: print_result(found.result, out))
+    return run_fit(arguments, run_calibration)

@@ -170,29 +170,26 @@ def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any]) -> dic
         }
         for i in np.flatnonzero(~found.is_ok)
     ]
-    errors = {"commanded": _statistics(found.error)}
+    errors, change = {"commanded": _statistics(found.error)}, None
     if done.targets.has_joints:
         errors = {"seeds": _statistics(found.seed_error)} | errors
+        moved = np.abs(found.q - done.seeds.q)
+        row, joint = np.unravel_index(np.argmax(moved), moved.shape)
+        name, unit = robot.joint_names[joint], robot.joint_units[joint]
+        change = {"joint": name, "line": int(lines[row]), "value": float(moved[row, joint]), "unit": unit}
     return {
         "rows": len(lines),
         "frame": found.frame,
         "status": {name: int(np.sum(found.status == name)) for name in STATUSES},
         "error": errors,
         "sigma_mm": 1e3 * float(np.sqrt(np.mean(done.sigma**2))),
-        "change": _largest_change(robot, done) if done.targets.has_joints else None,
+        "change": change,
         "not_ok": left,
     } | beyond
 
 
 def _statistics(errors: np.ndarray) -> dict[str, float]:
     return {"mean_mm": 1e3 * float(errors.mean()), "max_mm": 1e3 * float(errors.max())}
-
-
-def _largest_change(robot: Robot, done: CompensatedTable) -> dict[str, Any]:
-    change = np.abs(done.found.q - done.seeds.q)
-    row, joint = np.unravel_index(np.argmax(change), change.shape)
-    name, line = robot.joint_names[joint], int(done.targets.rows.rows[row])
-    return {"joint": name, "line": line, "value": float(change[row, joint]), "unit": robot.joint_units[joint]}
 
 
 def _summary(result: dict[str, Any]) -> Iterator[str]:

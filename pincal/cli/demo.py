@@ -181,7 +181,7 @@ def _tell_hidden(found: Any) -> None:
         f"{_ROWS} poses are measured again and calibrated with all of the above. Nobody tells the calibration\n"
         "of the wheel, and the held-out error stays above the noise. What is missing, and where?\n"
     )
-    print_discovery(found.report, screen, found.gaps)
+    print_discovery(found, screen)
     for entry in found.report["effects"]:
         if entry["effect"] == "gear_eccentricity" and entry["joint"] == joint:
             waves = [parameter["value"] for parameter in entry["parameters"].values()]

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 from pincal.cli.arguments import verb
 from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit
 from pincal.errors import Exit
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from pincal.discover.run import Discovery
 
 _EXAMPLES = f"""
 Example:
@@ -35,13 +29,8 @@ def discover(arguments: FitArguments) -> Exit:
 
     Reports where model and data disagree, which effects explain it, and how the error on held-out rows shrinks.
     """
-    from pincal.cli.tables import print_discovery, print_notes
     from pincal.discover.run import run_discovery
     from pincal.model.chain import MOMENT_FRAMES
 
-    def show(found: Discovery, out: Console) -> None:
-        print_discovery(found.report, out, found.gaps)
-        print_notes(found.calibration.result.warnings, out)
-
     frames = MOMENT_FRAMES if arguments.chosen.model.moment_frame is None else ()
-    return run_fit(arguments, partial(run_discovery, moment_frames=frames), show=show)
+    return run_fit(arguments, partial(run_discovery, moment_frames=frames))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -16,15 +16,12 @@ from pincal.cli.outputs import output_folder, print_json, provenance, require_ac
 from pincal.errors import Exit, IdentificationError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from pincal.calibration.run import Calibration
     from pincal.discover.run import Discovery
 
 # The view in three dimensions, beside the report.
 VIEW = "view3d.html"
 FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
-R = TypeVar("R", bound="Calibration | Discovery")
 EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
 
 
@@ -41,8 +38,8 @@ class FitArguments:
     general: GeneralOptions = group("General")
 
 
-def run_fit(arguments: FitArguments, run: Callable[..., R], *, show: Callable[[R, Console], None]) -> Exit:
-    """Run a calibration or a discovery on the files of the command line, write what it returns and ``show`` it.
+def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
+    """Run a calibration or a discovery on the files of the command line, write what it returns and print it.
 
     Raises:
         IdentificationError: if the fit did not converge; the files are written all the same.
@@ -67,8 +64,13 @@ def run_fit(arguments: FitArguments, run: Callable[..., R], *, show: Callable[[R
         print_json(result.to_dict() if discovery is None else discovery.report)
     else:
         from pincal.cli.progress import console
+        from pincal.cli.tables import print_discovery, print_notes, print_result
 
-        show(found, console())
+        if discovery is None:
+            print_result(result, console())
+        else:
+            print_discovery(discovery, console())
+            print_notes(result.warnings, console())
         for note in notes:
             click.echo(f"note: {note}")
         click.echo(f"written to {arguments.out}: {written}")

@@ -14,7 +14,7 @@ from pincal.design.observability import SOURCES
 from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.power import TOLD_APART
 from pincal.discover.precheck import DataReport, DetectabilityTable
-from pincal.discover.shrink import StageError
+from pincal.discover.run import Discovery
 from pincal.report.tables import (
     by_reason,
     coverage_table,
@@ -108,13 +108,14 @@ def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: 
         out.print(hanging("not testable:", f"{names}: {reason}"))
 
 
-def print_discovery(report: Mapping[str, Any], out: Console, stages: tuple[StageError, ...] = ()) -> None:
-    """Print from ``discovery.json`` where model and data disagreed, why, and how the held-out error fell, stage by stage."""
+def print_discovery(found: Discovery, out: Console) -> None:
+    """Print where model and data disagreed, what made them, and how the error fell to the noise."""
+    report = found.report
     out.print(f"Verdict: {report['verdict']}, {report['unexplained_mm']:.4f} mm rms unexplained")
     if report["where"]:
         out.print(location_table(report["where"]))
     out.print(effect_table(report["effects"]) if report["effects"] else "These data show no missing effect.")
-    out.print(stage_table(report, stages))
+    out.print(stage_table(report, found.gaps))
     for entry in report["effects"]:
         if entry["tell_apart"]:
             out.print(hanging("to decide", f"between {effect_words(entry)} and its alternatives: {entry['tell_apart']}"))

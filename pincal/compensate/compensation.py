@@ -113,7 +113,10 @@ def compensate_poses(
         raise BadInputError(f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers")
     poses = _as_poses(wanted, len(conditions))
     if np.ndim(wanted) == 2 and orientation == "keep":
-        poses[:, :, :3] = _orientation_of_seeds(calibrated, conditions, frame)
+        meant = program_poses(calibrated, conditions)
+        if frame == "instrument":
+            meant = compose(base_in_instrument(calibrated, conditions), meant)
+        poses[:, :, :3] = meant[:, :, :3]
     known = in_base_frame(calibrated) if frame == "base" else calibrated
     problem = IkProblem.of(
         known.model,
@@ -138,16 +141,8 @@ def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, l
 
     The wanted pose is that of the target on the nominal robot, with the identified tool, at the program's joint positions.
 
-    Args:
-        calibrated: the calibrated model.
-        conditions: the N rows of the program; its joint positions are the seeds.
-        limits: whether to stay within the joint limits of the URDF.
-
-    Returns:
-        The joint positions; wanted poses are in the robot's base frame.
-
-    Raises:
-        BadInputError: as :func:`compensate_poses`.
+    The joint positions of ``conditions`` are the seeds; wanted poses are in the robot's base frame. ``limits`` and errors
+    are those of :func:`compensate_poses`.
     """
     return compensate_poses(calibrated, program_poses(calibrated, conditions), conditions, frame="base", limits=limits)
 
@@ -156,14 +151,6 @@ def middle_of_range(robot: Robot) -> np.ndarray:
     """Return a seed for poses without one, shape (n,): the middle of each joint's limits, 0 where it has none."""
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     return np.where(bounded, (np.where(bounded, robot.lower, 0.0) + np.where(bounded, robot.upper, 0.0)) / 2.0, 0.0)
-
-
-def _orientation_of_seeds(calibrated: CalibratedModel, conditions: Conditions, frame: Frame) -> np.ndarray:
-    """Return the orientation that the nominal robot gives the target at the seeds, shape (N, 3, 3)."""
-    poses = program_poses(calibrated, conditions)
-    if frame == "instrument":
-        poses = compose(base_in_instrument(calibrated, conditions), poses)
-    return np.asarray(poses[:, :, :3])
 
 
 def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:

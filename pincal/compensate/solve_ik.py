@@ -100,15 +100,6 @@ def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.
     return q
 
 
-def _closest(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.ndarray) -> np.ndarray:
-    """Move redundant arms that have reached their pose on to the solution closest to their seed."""
-    rows = np.flatnonzero(reached) if problem.is_redundant else np.arange(0)
-    if len(rows):
-        closer, arrived = newton(problem.select(rows), q[rows], seed=seed[rows])
-        q[rows] = np.where(arrived[:, None], closer, q[rows])
-    return q
-
-
 def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
     """Search with joints that stop at their bounds, from the seed and, if it is singular, from beside it."""
     q, reached = bounded_search(problem, seed, bounds=bounds)
@@ -118,8 +109,13 @@ def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> t
         aside = seed[rows] + _ASIDE * np.where(np.arange(seed.shape[1]) % 2, -1.0, 1.0)
         found, ended = bounded_search(problem.select(rows), aside, bounds=bounds.select(rows))
         q[rows[ended]], reached[rows[ended]] = found[ended], True
-    closer = _closest(problem, q.copy(), reached=reached, seed=seed)
-    return np.where(bounds.contain(closer)[:, None], closer, q), reached
+    rows = np.flatnonzero(reached) if problem.is_redundant else np.arange(0)
+    if len(rows):
+        # Redundant arms move on to the solution closest to their seed.
+        closer, arrived = newton(problem.select(rows), q[rows], seed=seed[rows])
+        arrived &= bounds.select(rows).contain(closer)
+        q[rows[arrived]] = closer[arrived]
+    return q, reached
 
 
 def _is_singular(problem: IkProblem, q: np.ndarray) -> np.ndarray:

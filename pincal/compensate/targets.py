@@ -43,11 +43,6 @@ class Targets:
     rows: Measurements
     has_joints: bool
 
-    @property
-    def is_program(self) -> bool:
-        """Whether the rows are those of a nominal program: joint positions and no wanted poses."""
-        return self.rows.kind == "none"
-
     def conditions(self, calibrated: CalibratedModel, seed: np.ndarray) -> Conditions:
         """Return the conditions of the rows, with ``seed``, shape (n,), as joint positions if the table has none.
 
@@ -144,7 +139,7 @@ def run_compensation(
     seeds = targets.conditions(calibrated, middle_of_range(robot) if seed is None else seed)
     has_orientation = targets.rows.quaternion is not None or targets.has_joints or seed is not None
     orientation: Orientation = "keep" if has_orientation and not any_orientation else "free"
-    if targets.is_program:
+    if targets.rows.kind == "none":
         poses = program_poses(calibrated, seeds)
         wanted = poses if orientation == "keep" else poses[:, :, 3]
         found = compensate_poses(calibrated, wanted, seeds, frame="base", orientation=orientation, limits=limits)

@@ -84,14 +84,9 @@ def picture(svg: str, caption: str) -> Markup:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page.
+    """A part of the page: its identifier, its heading and its contents.
 
-    Attributes:
-        anchor: its identifier in the page.
-        title: its heading.
-        blocks: its contents.
-        label: what the list of contents calls it; empty to leave it out.
-        style: "panel" to set it off from the rest.
+    The list of contents calls it ``label``, or leaves it out; the style "panel" sets it off from the rest.
     """
 
     anchor: str

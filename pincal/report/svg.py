@@ -34,15 +34,7 @@ def inline_svg(figure: Figure, *, key: str, title: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, count=1, flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->\s*", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
     svg = _with_own_identifiers(svg, key)
-    colours = {
-        style.INK: "ink",
-        style.MUTED: "muted",
-        style.GRID: "grid",
-        style.BEFORE: "before",
-        style.AFTER: "after",
-        style.THIRD: "third",
-    }
-    for colour, name in colours.items():
+    for colour, name in style.VARIABLES.items():
         svg = svg.replace(colour.lower(), f"var(--{name})")
     box = re.search(r'viewBox="[^"]*"', svg)
     label = html.escape(" ".join(title.split()), quote=True)

@@ -63,21 +63,20 @@ def show_chance(p_value: float) -> str:
     return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
 
 
-def stage_table(report: Mapping[str, Any], stages: tuple[StageError, ...] = ()) -> Table:
-    """Return the errors on held-out rows of ``discovery.json`` beside the noise: at each stage, or first and last only."""
+def stage_table(report: Mapping[str, Any], stages: tuple[StageError, ...]) -> Table:
+    """Return the errors on held-out rows at each stage, beside the noise of ``discovery.json``."""
     floor = report["noise_floor_mm"]
-    named = [(name, stage.to_dict()) for name, stage in zip(gap_names(stages), stages, strict=True)] if stages else []
-    named = named or [("at the start", report["gap"]["before"]), ("all together", report["gap"]["after"])]
     columns = (
         Column("model", kind=Kind.NAME),
         *(Column(name, "mm", Kind.NUMBER, fixed(4)) for name in ("mean", "rms", "max")),
         Column("rms over noise", kind=Kind.NUMBER, show=fixed(2)),
     )
     rows: list[tuple[Cell, ...]] = [
-        (name, e["mean_mm"], e["rms_mm"], e["max_mm"], e["rms_mm"] / floor if floor > 0.0 else None) for name, e in named
+        (name, stage.mean_mm, stage.rms_mm, stage.max_mm, stage.rms_mm / floor if floor > 0.0 else None)
+        for name, stage in zip(gap_names(stages), stages, strict=True)
     ]
     rows.append(("noise alone", "", floor, "", 1.0))
-    tones: list[Tone] = ["" for _ in named]
+    tones: list[Tone] = ["" for _ in stages]
     return Table("Errors on held-out rows", columns, tuple(rows), tones=(*tones, "mute"))
 
 

@@ -16,6 +16,8 @@ from pincal.validate.lack_of_fit import MISFIT
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
 # sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
 _OVERFITTED = 1.3
+# What columns are called in a table, where that is not their name.
+_COLUMNS = {"approach": "approach_<joint>"}
 
 
 class Judgement(StrEnum):
@@ -55,14 +57,10 @@ class Ground(Enum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether the model explains the data down to their noise; ``str()`` gives it in a sentence.
+    """Whether the model explains the data down to their noise, and why; ``str()`` gives it in a sentence.
 
-    Attributes:
-        judgement: the outcome.
-        ground: what it rests on.
-        effects: number of effects that a search added.
-        unexplained_mm: rms error that it left beyond the noise [mm].
-        ratio: of the residuals to the declared noise.
+    A search has added ``effects`` effects and left an rms error of ``unexplained_mm`` beyond the noise; ``ratio`` is that of
+    the residuals to the declared noise.
     """
 
     judgement: Judgement
@@ -160,14 +158,9 @@ def _after_discovery(discovery: Discovery) -> list[NextStep]:
         if entry["tell_apart"]
     ]
     steps += [NextStep(Action.RECORD_FOR_SCATTER, (entry["joint"], entry["missing"])) for entry in report["scatter"]]
-    missing = _unrecorded(discovery.calibration)
-    if report["verdict"] != Judgement.ADEQUATE and missing:
-        steps.append(NextStep(Action.RECORD_COLUMNS, (", ".join(missing),)))
+    if report["verdict"] != Judgement.ADEQUATE:
+        problem, table = discovery.calibration.fit.station, discovery.calibration.train
+        needed = {column for effect, _ in untestable(problem.model.chain, problem.conditions) for column in effect.needs}
+        missing = sorted(_COLUMNS.get(column, column) for column in needed if getattr(table, column) is None)
+        steps += [NextStep(Action.RECORD_COLUMNS, (", ".join(missing),))] if missing else []
     return steps
-
-
-def _unrecorded(calibration: Calibration) -> list[str]:
-    """Return the columns that effects of the catalogue need and the table lacks."""
-    problem, names = calibration.fit.station, {"approach": "approach_<joint>"}
-    needed = {column for effect, _ in untestable(problem.model.chain, problem.conditions) for column in effect.needs}
-    return sorted(names.get(column, column) for column in needed if getattr(calibration.train, column) is None)

@@ -7,10 +7,8 @@ calibration take :class:`~pincal.report.evidence.Evidence`:
     pincal.report.plots.cumulative_figure(evidence).savefig("errors.png")
 """
 
-from pincal.report.plots.errors import cumulative_figure, histogram_figure
-from pincal.report.plots.found import effect_figure, shrinking_figure
-from pincal.report.plots.paper import deviation_figure
-from pincal.report.plots.parameters import correction_figure
+from pincal.report.plots.errors import cumulative_figure, deviation_figure, histogram_figure
+from pincal.report.plots.found import correction_figure, effect_figure, shrinking_figure
 from pincal.report.plots.places import drift_figure, joint_figure, median_range, order_figure, workspace_figure
 from pincal.report.plots.style import COLOURS
 

@@ -16,6 +16,8 @@ from pincal.tables import one_line
 COLOURS = ("#D55E00", "#E69F00", "#0072B2", "#009E73", "#56B4E9", "#CC79A7")
 BEFORE, AFTER, THIRD = COLOURS[0], COLOURS[2], COLOURS[3]
 INK, MUTED, GRID = "#1B1F24", "#5B6571", "#D8DDE3"
+VARIABLES = {INK: "ink", MUTED: "muted", GRID: "grid", BEFORE: "before", AFTER: "after", THIRD: "third"}
+"""Colour of a figure -> the page's variable for it."""
 # As wide as a phone, so that a page shows figures at their own size, side by side where there is room [in].
 WIDTH, HEIGHT = 5.2, 3.5
 TEXT, SMALL = 11.5, 10.5  # [pt]
