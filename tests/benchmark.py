@@ -35,6 +35,8 @@ from pincal.builtin import kuka_urdf_path
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.solve_ik import solve_ik
 from pincal.discover.run import run_discovery
+from pincal.identify.calibrate import Tables
+from pincal.identify.noise import Loss
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.simulate import paper_positions
@@ -137,30 +139,31 @@ def time_calibration() -> Iterator[Line]:
 
 def time_stations() -> Iterator[Line]:
     """Time and weigh many stations of 100 rows against one, and against one table with as many rows."""
-    table, options = table_of(20_000, with_elasticity=False), Options(effects=GEOMETRIC, sigma=NOISE, loss="none")
+    table = table_of(20_000, with_elasticity=False)
     parts = [table.select(np.arange(100 * i, 100 * (i + 1))) for i in range(200)]
+    losses: tuple[Loss, ...] = ("none", "screen")
+    for loss in losses:
+        options = Options(effects=GEOMETRIC, sigma=NOISE, loss=loss)
 
-    def taken(stations: int) -> float:
-        call = partial(pincal.calibrate, ROBOT, parts[:stations], options)
-        return float(seconds(call, 1 if stations > 1 else CALLS).min())
+        def taken(tables: Tables, options: Options = options) -> float:
+            few = 1 if len(tables) == 200 else CALLS
+            return float(seconds(partial(pincal.calibrate, ROBOT, tables, options), few).min())
 
-    def peak(stations: int) -> float:
-        gc.collect()
-        tracemalloc.start()
-        found = pincal.calibrate(ROBOT, parts[:stations], options)
-        _check(found)
-        reached = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return reached
+        def peak(stations: int, options: Options = options) -> float:
+            gc.collect()
+            tracemalloc.start()
+            _check(pincal.calibrate(ROBOT, parts[:stations], options))
+            reached = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+            return reached
 
-    taken(1)
-    one, fifty, all_of_them = (taken(n) for n in (1, 50, 200))
-    yield line("1 station of 100 rows, geometric: best", 1e3 * one, None, "{:.1f} ms")
-    yield line("200 such stations, a station", 1e3 * all_of_them / 200, 1.2 * 1e3 * one, "{:.1f} ms")
-    whole = float(seconds(partial(pincal.calibrate, ROBOT, table.select(np.arange(5_000)), options), CALLS).min())
-    yield line("50 stations of 100 rows against one table of 5000: ratio", fifty / whole, None, "{:.1f}")
-    each = (peak(200) - peak(50)) / 150 / 1e3
-    yield line("memory for one more station of 100 rows", each, 100.0, "{:.0f} kB")
+        taken(parts[:1])
+        one, fifty, all_of_them = (taken(parts[:n]) for n in (1, 50, 200))
+        whole = taken(table.select(np.arange(5_000)))
+        yield line(f"1 station of 100 rows, geometric, loss {loss}: best", 1e3 * one, None, "{:.1f} ms")
+        yield line("    200 such stations, a station", 1e3 * all_of_them / 200, 1.2 * 1e3 * one, "{:.1f} ms")
+        yield line("    50 stations of 100 rows against one table of 5000: ratio", fifty / whole, 3.0, "{:.1f}")
+        yield line("    memory for one more station", (peak(200) - peak(50)) / 150 / 1e3, 10.0, "{:.0f} kB")
 
 
 def _check(found: Fit) -> None:

@@ -171,6 +171,28 @@ def test_steps_and_covariance_equal_those_of_the_dense_matrix(two: Fit) -> None:
     np.testing.assert_allclose(covariance / np.outer(sigma, sigma), dense.covariance / np.outer(sigma, sigma), atol=1e-6)
 
 
+def test_other_weights_of_one_station_give_the_sum_of_all(two: Fit) -> None:
+    """Reweighted equations are those computed afresh, also where a row is left out altogether and let in again."""
+    free, sigma = two.solution.free, np.full(2, NOISE)
+    ones = np.ones(len(two.problem))
+    point = Linearised(two.problem, two.values, free, ones, two.priors.sizes)
+    point.equations(sigma)
+    fewer = ones.copy()
+    fewer[[3, 17]] = 0.0, 0.5
+    for robust in (fewer, ones):
+        point = point.reweighted(robust)
+        found = point.equations(sigma)
+        fresh_point = Linearised(two.problem, two.values, free, robust, two.priors.sizes)
+        fresh = fresh_point.equations(sigma)
+        scale = np.sqrt(np.diag(fresh.G))
+        np.testing.assert_allclose(found.G / np.outer(scale, scale), fresh.G / np.outer(scale, scale), atol=1e-12)
+        np.testing.assert_allclose(found.g / scale, fresh.g / scale, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found.diagonal, fresh.diagonal, rtol=1e-12)
+        np.testing.assert_allclose(point.squares, fresh_point.squares, rtol=1e-12)
+        for part, other in zip(found.own, fresh.own, strict=True):
+            np.testing.assert_allclose(part.information, other.information, rtol=1e-12)
+
+
 def test_length_and_objective_are_those_of_all_readings(two: Fit) -> None:
     """A step's length is measured by the readings alone, the objective by priors, too."""
     free = two.solution.free

@@ -170,6 +170,14 @@ class Equations:
         )
 
 
+@dataclass(frozen=True)
+class Past:
+    """Sums over stations with other robust weights, shape (N,): equations and squares by the noise that they are for."""
+
+    robust: np.ndarray
+    sums: dict[bytes, tuple[Equations, list[Squares]]]
+
+
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """A problem at one set of values.
@@ -186,6 +194,7 @@ class Linearised:
         executor: computes what stations contribute; one after the other here unless given.
         sigma: shape (blocks,), the noise for which equations will be wanted, where it is known before the residuals are:
             one pass over several stations then does for both.
+        past: the same values with other robust weights: most stations have the same ones, and contribute what they did.
     """
 
     problem: Problem
@@ -195,6 +204,11 @@ class Linearised:
     sizes: np.ndarray
     executor: Executor | None = None
     sigma: np.ndarray | None = None
+    past: Past | None = None
+
+    def reweighted(self, robust: np.ndarray) -> Linearised:
+        """Return the same point with other robust weights; stations whose weights stay are not computed again."""
+        return replace(self, robust=robust, past=Past(self.robust, dict(self._sums)))
 
     @cached_property
     def _normal(self) -> Normal:
@@ -205,8 +219,8 @@ class Linearised:
         if len(self.problem.stations) == 1:
             return [squares_of(self._normal)]
         if self.sigma is not None:
-            self._equations[self.sigma.tobytes()], found = self._sum(self.sigma)
-            return found
+            self.equations(self.sigma)
+            return self._sums[self.sigma.tobytes()][1]
         stations = self.problem.stations
         return list(self._map(squares, stations, self._local(self.values), self._by_rows(self.robust)))
 
@@ -231,16 +245,17 @@ class Linearised:
         return self.chi2(sigma) + sum(found.beliefs for found in self._squares) + prior
 
     @cached_property
-    def _equations(self) -> dict[bytes, Equations]:
+    def _sums(self) -> dict[bytes, tuple[Equations, list[Squares]]]:
         return {}
 
     def equations(self, sigma: np.ndarray) -> Equations:
         """Return the normal equations for standard deviations of all blocks of readings, shape (blocks,)."""
         key = sigma.tobytes()
-        if key not in self._equations:
-            self._equations.clear()
-            self._equations[key] = self._alone(sigma) if len(self.problem.stations) == 1 else self._sum(sigma)[0]
-        return self._equations[key]
+        if key not in self._sums:
+            found = (self._alone(sigma), []) if len(self.problem.stations) == 1 else self._sum(sigma)
+            self._sums.clear()
+            self._sums[key] = found
+        return self._sums[key][0]
 
     def _alone(self, sigma: np.ndarray) -> Equations:
         G, g = self._normal.at(sigma)
@@ -253,27 +268,39 @@ class Linearised:
         shared = problem.is_shared[free]
         slot = np.cumsum(shared) - 1
         n = int(shared.sum())
-        G, g, diagonal = np.zeros((n, n)), np.zeros(n), np.zeros(int(free.sum()))
-        own, residuals = [], []
+        stations, robust = range(len(problem.stations)), self._by_rows(self.robust)
+        if self.past is None or sigma.tobytes() not in self.past.sums:
+            G, g, diagonal = np.zeros((n, n)), np.zeros(n), np.zeros(int(free.sum()))
+            own: dict[int, Eliminated] = {}
+            residuals: dict[int, Squares] = {}
+            work = [(i, 1.0, robust[i]) for i in stations]
+        else:
+            before, squares_before = self.past.sums[sigma.tobytes()]
+            G, g, diagonal = before.G.copy(), before.g.copy(), before.diagonal.copy()
+            own, residuals = dict(enumerate(before.own)), dict(enumerate(squares_before))
+            pairs = zip(stations, self._by_rows(self.past.robust), robust, strict=True)
+            work = [job for i, old, new in pairs if np.any(old != new) for job in ((i, -1.0, old), (i, 1.0, new))]
+        places, local_free, sizes = problem.places, self._local(free), self._local(self.sizes)
+        values, spans = self._local(self.values), problem.block_spans
         parts = self._map(
             contribution,
-            problem.stations,
-            self._local(self.values),
-            self._local(free),
-            self._by_rows(self.robust),
-            [sigma[span] for span in problem.block_spans],
-            problem.eliminated,
-            self._local(self.sizes),
+            [problem.stations[i] for i, _, _ in work],
+            [values[i] for i, _, _ in work],
+            [local_free[i] for i, _, _ in work],
+            [weights for _, _, weights in work],
+            [sigma[spans[i]] for i, _, _ in work],
+            [problem.eliminated[i] for i, _, _ in work],
+            [sizes[i] for i, _, _ in work],
         )
-        for (part, found), places, is_own in zip(parts, problem.places, problem.eliminated, strict=True):
-            residuals.append(found)
-            moved = free[places]
-            mine, ours = rank[places[moved & is_own]], slot[rank[places[moved & ~is_own]]]
-            G[np.ix_(ours, ours)] += part.G
-            g[ours] += part.g
-            diagonal[rank[places[moved]]] += part.diagonal
-            own.append(part.eliminated(mine, ours))
-        return Equations(G, g, shared, diagonal, tuple(own), self.sizes[free], self.values[free]), residuals
+        for (i, sign, _), (part, found) in zip(work, parts, strict=True):
+            is_own, moved = problem.eliminated[i], local_free[i]
+            mine, ours = rank[places[i][moved & is_own]], slot[rank[places[i][moved & ~is_own]]]
+            G[ours[:, None], ours] += sign * part.G
+            g[ours] += sign * part.g
+            diagonal[rank[places[i][moved]]] += sign * part.diagonal
+            own[i], residuals[i] = part.eliminated(mine, ours), found
+        eliminated = tuple(own.values())
+        return Equations(G, g, shared, diagonal, eliminated, self.sizes[free], self.values[free]), list(residuals.values())
 
     def _map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterable[Any]:
         return map(function, *arguments) if self.executor is None else self.executor.map(function, *arguments)

@@ -251,7 +251,8 @@ class _Fit:
     def begin(self, values: np.ndarray, robust: np.ndarray | None) -> _State:
         """Return the first point; outliers are known if robust weights are."""
         hard = robust is not None
-        point = self._linearised(values, np.ones(len(self.problem)) if robust is None else robust)
+        known = self.judge.noise.known if hard else None
+        point = self._linearised(values, np.ones(len(self.problem)) if robust is None else robust, known)
         return _State(point, self.judge.at(point, hard=hard), hard)
 
     def advance(self, state: _State, memory: _Memory) -> tuple[_State, _Step]:
@@ -292,7 +293,7 @@ class _Fit:
             judged = self.judge.at(state.point, hard=hard)
         if np.array_equal(judged.robust, state.point.robust):
             return _State(state.point, judged, hard)
-        return _State(self._linearised(state.point.values, judged.robust), judged, hard)
+        return _State(state.point.reweighted(judged.robust), judged, hard)
 
     def is_beyond_normal_equations(self, state: _State) -> bool:
         """Return whether readings are so exact that J^T J can't hold what they say, and few enough for J itself."""
@@ -308,7 +309,7 @@ class _Fit:
             for station, rows, sigma in zip(problem.stations, problem.rows, noise, strict=True)
         ]
         values, steps = polish(problem, point.values, self.free, self.priors.sizes, self.priors.bounds, weights)
-        return _State(self._linearised(values, point.robust), state.judged, state.hard), steps
+        return _State(self._linearised(values, point.robust, state.judged.sigma), state.judged, state.hard), steps
 
     def finish(self, state: _State, step: _Step, iterations: int, ended: Exit) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
@@ -340,10 +341,10 @@ class _Fit:
             f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(judged.estimated, units, strict=True)
         )
 
-    def _linearised(self, values: np.ndarray, robust: np.ndarray) -> Linearised:
-        known = self.judge.noise.known
-        sigma = None if np.isnan(known).any() else known
-        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor, sigma)
+    def _linearised(self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None) -> Linearised:
+        """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be again."""
+        likely = sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
+        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor, likely)
 
     def _length(self, square: float, robust: np.ndarray) -> float:
         """Return how far a step of this square moves the predictions, root mean square, in units of the noise."""
@@ -364,7 +365,7 @@ class _Fit:
         for step in [*tried, *(plain * 0.5**k for k in range(_HALVINGS))]:
             values = here.values.copy()
             values[self.free] += step
-            there = self._linearised(values, here.robust)
+            there = self._linearised(values, here.robust, sigma)
             if there.objective(sigma) <= limit:
                 return there
         return here
