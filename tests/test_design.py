@@ -13,7 +13,7 @@ from test_examples import run as run_example
 
 from pincal import GEOMETRIC, Limits, Options, Robot, SensorSetup, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
-from pincal.design.bodies import Bodies, Boxes, Kinematics
+from pincal.design.bodies import Bodies, Boxes
 from pincal.design.bound import lower_bound
 from pincal.design.design_model import DesignModel
 from pincal.design.exchange import State, choose_greedily, covariance, exchange, gains, information, value
@@ -25,6 +25,7 @@ from pincal.errors import BadInputError
 from pincal.measure.table import read_measurements
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
+from pincal.robot.kinematics import Kinematics
 from pincal.simulate import Instrument, TrueMachine
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 

@@ -23,9 +23,10 @@ from pincal.model.catalogue import AxisWobble, GearEccentricity, ThermalOffset
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
+from pincal.robot.kinematics import Kinematics
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, deviation_fields, held_out_rows, page, show, write_html
-from pincal.viewer.arm import axes_of, link_frames, steps_of
+from pincal.viewer.arm import axes_of
 from pincal.viewer.field import effect_name
 from pincal.viewer.shapes import shapes_of
 
@@ -163,7 +164,7 @@ def test_link_frames_are_the_robot_s_own(rng: np.random.Generator) -> None:
     for name in ("ur10", "panda", "kinova"):
         robot = Robot.from_urdf(name)
         q = robot.random_configurations(1, rng)
-        tip = link_frames(steps_of(robot), q[0])[-1] @ robot.frames.T_last_tip
+        tip = Kinematics.of(robot).frames(q[:1])[0, -1] @ robot.frames.T_last_tip
 
         assert np.allclose(tip, robot.forward_kinematics(q)[0], atol=1e-9)
 

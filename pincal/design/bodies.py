@@ -1,4 +1,4 @@
-"""What an arm is made of, as far as it can be in the way: its frames at many poses at once, and boxes around its bodies."""
+"""What an arm is made of, as far as it can be in the way: boxes around its bodies, and their collisions."""
 
 from __future__ import annotations
 
@@ -9,63 +9,10 @@ import numpy as np
 
 from pincal.design.collisions import Collisions, read_collisions, without_touching
 from pincal.robot.robot import Robot
-from pincal.robot.se3 import rotation, translation
+from pincal.robot.se3 import transform, translation
 
 # Half the width of a link that a URDF says nothing of, at the base, in reaches of the arm, and what of it a tip loses.
 _WIDTH, _SLIMMER = 1.0 / 22.0, 0.6
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """The nominal arm: S_i = S_{i-1} before_i J(q_i) after_i, with S_0 = first in the base frame.
-
-    Attributes:
-        first: shape (4, 4).
-        before, after: shape (n, 4, 4).
-        types: "revolute" or "prismatic", one a joint.
-    """
-
-    first: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    types: tuple[str, ...]
-
-    @classmethod
-    def of(cls, robot: Robot) -> Kinematics:
-        """Return the kinematics of a robot."""
-        rows = robot.frames.parameters
-        before = [rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta) for s_x, s_y, theta, *_ in rows]
-        after = [translation(a, 0.0, d) @ rotation("x", alpha) for *_, d, a, alpha in rows]
-        return cls(robot.frames.T_base_first, np.array(before), np.array(after), robot.joint_types)
-
-    def frames(self, q: np.ndarray) -> np.ndarray:
-        """Return the frames of all bodies in the base frame.
-
-        Args:
-            q: shape (N, n), joint positions [rad or m].
-
-        Returns:
-            Shape (N, n + 1, 4, 4): the base's own, then the link frame S_i of what moves with joint i.
-        """
-        frames = np.empty((len(q), len(self.types) + 1, 4, 4))
-        frames[:, 0] = np.eye(4)
-        last = np.broadcast_to(self.first, (len(q), 4, 4))
-        for i, kind in enumerate(self.types):
-            last = last @ (self.before[i] @ _moves(q[:, i], kind) @ self.after[i])
-            frames[:, i + 1] = last
-        return frames
-
-
-def _moves(q: np.ndarray, kind: str) -> np.ndarray:
-    """Return what a joint does at each of N positions, shape (N, 4, 4)."""
-    moves = np.tile(np.eye(4), (len(q), 1, 1))
-    if kind == "prismatic":
-        moves[:, 2, 3] = q
-        return moves
-    moves[:, 0, 0] = moves[:, 1, 1] = np.cos(q)
-    moves[:, 1, 0] = np.sin(q)
-    moves[:, 0, 1] = -moves[:, 1, 0]
-    return moves
 
 
 @dataclass(frozen=True)
@@ -187,7 +134,4 @@ def _along(here: np.ndarray, there: np.ndarray) -> np.ndarray:
     z = (there - here) / np.linalg.norm(there - here)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    T[:3, 3] = 0.5 * (here + there)
-    return T
+    return transform(np.column_stack([x, np.cross(z, x), z]), 0.5 * (here + there))

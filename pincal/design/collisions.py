@@ -6,12 +6,11 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote, urlparse
 
 import numpy as np
 
+from pincal.robot.kinematics import find_mesh
 from pincal.robot.robot import Robot
 from pincal.robot.urdf import parse_xml, plain_text
 
@@ -77,13 +76,14 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
         clearance: distance below which two bodies count as touching [m].
     """
     import pinocchio as pin
+    from lxml import etree
 
     root = parse_xml(robot.urdf, robot.source)
     notes = list(_settle_meshes(root, robot.source))
     if root.find("link/collision") is None:
         why = "none of its collision meshes is here" if notes else "the URDF has no collision geometry"
         return None, [*notes, f"self-collision is not checked: {why}"]
-    text = plain_text(_written(root), robot.source)
+    text = plain_text(etree.tostring(root), robot.source)
     full = pin.buildModelFromXML(text)
     try:
         geometry = pin.buildGeomFromUrdfString(full, text, pin.GeometryType.COLLISION)
@@ -103,33 +103,12 @@ def _settle_meshes(root: Any, source: str) -> Iterator[str]:
             mesh = collision.find("geometry/mesh")
             if mesh is None:
                 continue
-            path = _find_mesh(mesh.get("filename", ""), source)
+            path = find_mesh(mesh.get("filename", ""), source)
             if path is None:
                 yield f"{link.get('name')}: mesh {mesh.get('filename', '')!r} is not here, so its collisions are not checked"
                 link.remove(collision)
             else:
                 mesh.set("filename", os.fspath(path))
-
-
-def _find_mesh(name: str, source: str) -> Path | None:
-    """Return the file that a URDF means, looked for beside it and in the packages above it and on ROS_PACKAGE_PATH."""
-    url = urlparse(name)
-    path = Path(unquote(f"{url.netloc}{url.path}" if url.scheme in ("package", "model") else url.path))
-    beside = Path(source).resolve().parent
-    if url.scheme in ("", "file"):
-        candidates = [path] if path.is_absolute() else [beside / path]
-    else:
-        homes = [beside, *beside.parents]
-        homes += [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
-        candidates = [home / path for home in homes]
-        candidates += [home / Path(*path.parts[1:]) for home in homes if home.name == path.parts[0]]
-    return next((file for file in candidates if file.is_file()), None)
-
-
-def _written(root: Any) -> bytes:
-    from lxml import etree
-
-    return bytes(etree.tostring(root))
 
 
 def _pairs(model: Any, geometry: Any) -> Iterator[tuple[int, int]]:

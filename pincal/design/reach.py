@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.design.bodies import Bodies, Kinematics
+from pincal.design.bodies import Bodies
 from pincal.errors import BadInputError
+from pincal.robot.kinematics import Kinematics, joint_axis
 from pincal.robot.robot import Robot
 
 # Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the makers' sheets.
@@ -60,20 +61,11 @@ def default_target(robot: Robot) -> np.ndarray:
     """Return a place in the tip frame, shape (3,) [m], off the last axis: a target on it says nothing of the last joint."""
     T_tip_joint = np.linalg.inv(robot.frames.T_last_tip) @ robot.T_link_joint[-1]
     slides = robot.joint_types[-1] == "prismatic"
-    axis = _last_axis(robot)
+    axis = (robot.frames.T_base_link[-1] @ robot.frames.T_last_tip)[:3, :3].T @ joint_axis(robot, robot.n_joints - 1)
     # Away from the arm: along the axis in the sense that leads from the last joint to the tip.
     axis = axis if axis @ T_tip_joint[:3, 3] <= 0.0 or slides else -axis
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     return np.asarray(robot.reach * (_OFF_AXIS * side / np.linalg.norm(side) + _ALONG * axis))
-
-
-def _last_axis(robot: Robot) -> np.ndarray:
-    """Return the direction of the last joint's axis in the tip frame, shape (3,)."""
-    frames = robot.frames
-    before = frames.T_base_link[-2] if robot.n_joints > 1 else frames.T_base_first
-    s_x, s_y = frames.parameters[-1, :2]
-    in_base = before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)]
-    return np.asarray((frames.T_base_link[-1] @ frames.T_last_tip)[:3, :3].T @ in_base)
 
 
 @dataclass(frozen=True)

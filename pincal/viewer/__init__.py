@@ -15,6 +15,9 @@ Example:
     >>> kuka = CalibratedModel(model, estimate, "position", np.zeros(3), covered, np.ones(1), {})
     >>> [layer.name for layer in deviation_fields(kuka, grid=50).layers]  # doctest: +ELLIPSIS
     ['workspace/nominal to calibrated', 'workspace/explained by joint_offset', ...]
+    >>> scene = build_scene(kuka, grid=50)
+    >>> scene.title, [frame.name for frame in scene.frames]
+    ('kuka_kr125_2', ['base', 'tool'])
 """
 
 from __future__ import annotations

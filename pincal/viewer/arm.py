@@ -1,4 +1,4 @@
-"""An arm as the page moves it: constant steps between its joints, and its axes with their distortions exaggerated."""
+"""The joint axes of an arm, with their distortions exaggerated."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.chain import Chain
+from pincal.robot.kinematics import Kinematics
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation, translation
 
@@ -16,23 +17,6 @@ _DRAWN_TILT = 0.25
 _DRAWN_OFFSET = 0.06
 # Tilts and offsets below which an axis counts as undistorted [rad, m].
 _NO_TILT = 1e-12
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Constant parts of the nominal kinematics: S_i = S_{i-1} before_i J(q_i) after_i, in the robot's base frame.
-
-    Attributes:
-        first: shape (4, 4), S_0.
-        before: shape (n, 4, 4).
-        after: shape (n, 4, 4).
-        prismatic: shape (n,), whether J slides along z instead of turning about it.
-    """
-
-    first: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    prismatic: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -54,38 +38,12 @@ class Axis:
     offset: float
 
 
-def steps_of(robot: Robot) -> Steps:
-    """Return the constant parts of a robot's nominal kinematics."""
-    rows = robot.frames.parameters
-    before = np.array([_tilt(*row[:2]) @ rotation("z", row[2]) for row in rows])
-    after = np.array([translation(row[4], 0.0, row[3]) @ rotation("x", row[5]) for row in rows])
-    prismatic = np.array([kind == "prismatic" for kind in robot.joint_types])
-    return Steps(robot.frames.T_base_first, before, after, prismatic)
-
-
-def link_frames(steps: Steps, q: np.ndarray) -> np.ndarray:
-    """Return the frames S_0 .. S_n in the base frame at joint positions ``q``, shape (n,); shape (n + 1, 4, 4).
-
-    Example:
-        >>> robot = Robot.from_urdf("ur10")
-        >>> frames = link_frames(steps_of(robot), np.full(6, 0.3))
-        >>> tip = frames[-1] @ robot.frames.T_last_tip
-        >>> bool(np.allclose(tip, robot.forward_kinematics(np.full((1, 6), 0.3))[0]))
-        True
-    """
-    frames = [steps.first]
-    for before, after, slides, value in zip(steps.before, steps.after, steps.prismatic, q, strict=True):
-        moved = translation(0.0, 0.0, value) if slides else rotation("z", value)
-        frames.append(frames[-1] @ before @ moved @ after)
-    return np.array(frames)
-
-
 def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[tuple[Axis, ...], float]:
     """Return the joint axes and the factor by which their distortions are exaggerated.
 
     Args:
         calibrated: the robot.
-        factor: of tilts and offsets; a round number unless given, such that the largest can be seen and none misleads.
+        factor: of tilts and offsets; default: a round number, such that the largest can be seen and none misleads.
     """
     chain = calibrated.model.chain
     coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
@@ -123,13 +81,9 @@ def round_down(value: float) -> float:
     return float(step * power)
 
 
-def _tilt(s_x: float, s_y: float) -> np.ndarray:
-    return np.asarray(rotation("x", s_x) @ rotation("y", s_y))
-
-
 def _heights(robot: Robot) -> list[float]:
     """Return where along its own axis the URDF has each joint, from the foot of its Denavit-Hartenberg frame [m]."""
-    after = steps_of(robot).after
+    after = Kinematics.of(robot).after
     return [float((B @ T)[2, 3]) for B, T in zip(after, robot.T_link_joint, strict=True)]
 
 
@@ -141,12 +95,13 @@ def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) ->
         if i:
             a, d, alpha = (values[chain.joint(i - 1, symbol)] for symbol in ("a", "d", "alpha"))
             link = translation(a, 0.0, d) @ rotation("x", alpha)
-        return np.asarray(link @ _tilt(values[chain.joint(i, "s_x")], values[chain.joint(i, "s_y")]))
+        s_x, s_y = (values[chain.joint(i, symbol)] for symbol in ("s_x", "s_y"))
+        return np.asarray(link @ (rotation("x", s_x) @ rotation("y", s_y)))
 
     nominal = mounted(chain.nominal)
     change = np.linalg.inv(nominal) @ mounted(coordinates)
     # The nominal step from the frame before the link's to the link's own is in both.
-    link = np.eye(4) if i == 0 else steps_of(chain.robot).after[i - 1]
+    link = np.eye(4) if i == 0 else Kinematics.of(chain.robot).after[i - 1]
     return np.linalg.inv(link) @ nominal, change[:2, 2], change[:2, 3] + change[:2, 2] * height
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.report.words import effect_words
-from pincal.viewer.workspace import workspace_poses
+from pincal.viewer.workspace import at_conditions, workspace_poses
 
 # Poses over which nominal base and tool are laid onto the calibrated robot where there are no measurements.
 _ENOUGH = 400
@@ -244,14 +244,6 @@ def _workspace(
     if left_out:
         notes.append(f"workspace: without {', '.join(left_out)}: what it needs is known of measured poses only")
     return over, part, notes
-
-
-def at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]) -> Conditions:
-    """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
-    plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
-    columns = {name: np.full(len(q), value) for name, value in known.items()}
-    # Direction of approach unknown: 0, as in a table that does not say.
-    return replace(plain, approach=np.zeros(q.shape), **columns)
 
 
 def _without_unknown(calibrated: CalibratedModel, known: dict[str, float]) -> tuple[CalibratedModel, list[str]]:

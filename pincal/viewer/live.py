@@ -100,7 +100,7 @@ def show(scene: Scene, *, port: int = 0, browser: bool = False) -> LiveView:
 
     Args:
         scene: what to show.
-        port: of the server; a free one unless given.
+        port: of the server; default: a free one.
         browser: whether to open the page.
 
     Returns:

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from pincal.atomic import write_whole
@@ -74,11 +75,11 @@ def page(scene: Scene, *, live: bool = False) -> str:
 def scene_to_json(scene: Scene) -> dict[str, Any]:
     """Return a scene in types that JSON knows, arrays as little-endian numbers of 32 bits in base 64."""
     base = scene.T_scene_base
-    steps = scene.steps
+    steps = scene.kinematics
     return {
         "title": scene.title,
         "joints": list(scene.joint_names),
-        "prismatic": steps.prismatic.tolist(),
+        "prismatic": [kind == "prismatic" for kind in steps.types],
         "lower": scene.lower.tolist(),
         "upper": scene.upper.tolist(),
         "q": scene.q.tolist(),
@@ -96,16 +97,7 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
             }
             for shape in scene.shapes
         ],
-        "axes": [
-            {
-                "joint": axis.joint,
-                "nominal": axis.nominal.tolist(),
-                "actual": axis.actual.tolist(),
-                "tilt": axis.tilt,
-                "offset": axis.offset,
-            }
-            for axis in scene.axes
-        ],
+        "axes": msgspec.to_builtins(scene.axes, enc_hook=np.ndarray.tolist),
         "axisScale": scene.axis_scale,
         "frames": [{"name": f.name, "body": f.body, "placement": _matrix(f.placement)} for f in scene.frames],
         "poses": [_poses(scene, part) for part in scene.fields.poses],

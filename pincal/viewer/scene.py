@@ -13,8 +13,9 @@ from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import Chain
 from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.kinematics import Kinematics
 from pincal.robot.se3 import placed, shortest_turn
-from pincal.viewer.arm import Axis, Steps, axes_of, round_down, steps_of
+from pincal.viewer.arm import Axis, axes_of, round_down
 from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
 from pincal.viewer.shapes import Shape, shapes_of
 
@@ -49,7 +50,7 @@ class Scene:
         q: shape (n,), the pose to begin with.
         T_scene_base: shape (4, 4), the robot's base in the scene: upright, whichever way it is mounted.
         T_scene_instrument: shape (4, 4), the instrument in the scene; what :class:`Fields` are relative to.
-        steps: how the arm moves.
+        kinematics: how the arm moves.
         shapes: what it looks like.
         axes: its joint axes, with distortions times ``axis_scale``.
         axis_scale: that factor.
@@ -67,7 +68,7 @@ class Scene:
     q: np.ndarray
     T_scene_base: np.ndarray
     T_scene_instrument: np.ndarray
-    steps: Steps
+    kinematics: Kinematics
     shapes: tuple[Shape, ...]
     axes: tuple[Axis, ...]
     axis_scale: float
@@ -96,9 +97,9 @@ def build_scene(
         calibrated: the robot.
         measurements: measured poses, of its targets.
         held_out: shape (N,), which of them the fit did not see; None where nobody knows.
-        q: shape (n,), pose to begin with [rad or m]; the first measured one unless given.
+        q: shape (n,), pose to begin with [rad or m]; default: the first measured one.
         grid: about how many places of the workspace get an arrow; 0 for none.
-        scale: factor of the arrows' lengths; a round number that makes them visible unless given.
+        scale: factor of the arrows' lengths; default: a round number that makes them visible.
         axis_scale: factor of the axes' distortions, likewise.
         mesh_folders: where else to look for meshes and the packages that the URDF names.
         notes: what else the page should say.
@@ -108,21 +109,6 @@ def build_scene(
 
     Raises:
         BadInputError: if a factor or a pose can't be, or there is nothing to show.
-
-    Example:
-        >>> from pincal.builtin import kuka_urdf_path
-        >>> from pincal.model.effects import GEOMETRIC
-        >>> from pincal.model.model import Model
-        >>> from pincal.calibration.calibrated import estimate_of
-        >>> from pincal.calibration.covered import Covered
-        >>> from pincal.robot.robot import Robot
-        >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
-        >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
-        >>> estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
-        >>> kuka = CalibratedModel(model, estimate, "position", np.zeros(3), covered, np.ones(1), {})
-        >>> scene = build_scene(kuka, grid=50)
-        >>> scene.title, [frame.name for frame in scene.frames]
-        ('kuka_kr125_2', ['base', 'tool'])
     """
     chain = calibrated.model.chain
     for name, factor in (("scale", scale), ("axis_scale", axis_scale)):
@@ -142,7 +128,7 @@ def build_scene(
         q=_first_pose(chain, fields.poses, q),
         T_scene_base=upright,
         T_scene_instrument=seen,
-        steps=steps_of(chain.robot),
+        kinematics=Kinematics.of(chain.robot),
         shapes=shapes,
         axes=axes,
         axis_scale=axis_scale,

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlparse
 
 import numpy as np
 
 from pincal.errors import RobotFileError
+from pincal.robot.kinematics import find_mesh, joint_axis
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf import parse_xml
@@ -139,36 +139,14 @@ def _geometry(visual: Any, robot: Robot, folders: list[Path]) -> list[_Mesh | st
     if shape.tag != "mesh":
         return [f"a visual of kind {shape.tag} is not shown"]
     name = shape.get("filename", "")
-    path = _find_mesh(name, robot.source, folders)
-    if path is None:
+    known = Path(name).suffix.lower() in _SUFFIXES
+    path = find_mesh(name, robot.source, folders) if known else None
+    if path is None or path.stat().st_size > _LARGEST:
         return [f"mesh {name} is not here"]
     try:
         return [*_read_mesh(path, _numbers(shape, "scale", 3) if shape.get("scale") else np.ones(3))]
     except Exception as error:  # Readers of meshes fail in every way there is; the page is worth more than one of them.
         return [f"mesh {name} can't be read ({type(error).__name__}: {str(error)[:120]})"]
-
-
-def _find_mesh(name: str, source: str, folders: list[Path]) -> Path | None:
-    """Return the file that a URDF means, looked for beside it and in the packages above it; nothing is fetched."""
-    url = urlparse(name)
-    if url.scheme not in ("", "file", "package", "model") or Path(name).suffix.lower() not in _SUFFIXES:
-        return None
-    path = Path(unquote(f"{url.netloc}{url.path}" if url.scheme in ("package", "model") else url.path))
-    beside = Path(source).resolve().parent
-    if url.scheme in ("", "file"):
-        candidates = [path] if path.is_absolute() else [folder / path for folder in (beside, *folders)]
-    else:
-        inside = Path(*path.parts[1:]) if len(path.parts) > 1 else path
-        homes = [beside, *beside.parents]
-        candidates = [home / inside for home in homes if home.name == path.parts[0]]
-        candidates += [home / path for home in (*homes, *folders, *_ros_folders())]
-        candidates += [folder / inside for folder in folders]
-    return next((file for file in candidates if file.is_file() and file.stat().st_size <= _LARGEST), None)
-
-
-def _ros_folders() -> Iterator[Path]:
-    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
-        yield from (Path(entry, below) for entry in os.environ.get(variable, "").split(os.pathsep) if entry)
 
 
 def _read_mesh(path: Path, scale: np.ndarray) -> list[_Mesh]:
@@ -236,19 +214,12 @@ def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[Shape]:
         here, there = points[body], points[body + 1]
         parts = [_cylinder(here, there, 0.7 * radius)] if np.linalg.norm(there - here) > 1e-6 else []
         if body:
-            axis = _axis_direction(robot, body - 1)
+            axis = joint_axis(robot, body - 1)
             parts.append(_cylinder(here - 1.3 * radius * axis, here + 1.3 * radius * axis, 1.25 * radius))
         else:
             parts.append(_cylinder(np.zeros(3), np.array([0.0, 0.0, 0.4 * radius]), 2.0 * radius))
         for vertices, faces in parts:
             yield Shape(name, body, _moved(inverses[body], vertices), faces, _GREY)
-
-
-def _axis_direction(robot: Robot, i: int) -> np.ndarray:
-    """Return the direction of a joint's axis at q = 0 in the base frame, shape (3,)."""
-    before = robot.frames.T_base_first if i == 0 else robot.frames.T_base_link[i - 1]
-    s_x, s_y = robot.frames.parameters[i, :2]
-    return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])
 
 
 def _box(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

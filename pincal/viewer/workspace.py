@@ -9,7 +9,7 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.effects import Conditions
 
-# Random poses a place: enough that hardly a cell of the grid is missed.
+# Random poses per place: enough that hardly a cell of the grid is missed.
 _DRAWS = 40
 _MOST_DRAWS = 400_000
 _PIECE = 20_000
@@ -20,7 +20,7 @@ _HALVINGS = 16
 def workspace_poses(
     calibrated: CalibratedModel, places: int, *, payload: float, known: dict[str, float], seed: int
 ) -> np.ndarray:
-    """Return joint positions that reach about ``places`` cells of a regular grid, one pose a cell.
+    """Return joint positions that reach about ``places`` cells of a regular grid, one pose per cell.
 
     Args:
         calibrated: the robot; poses lie within the joint range that its calibration covered.
@@ -35,7 +35,8 @@ def workspace_poses(
     rng = np.random.default_rng(seed)
     lower, upper = calibrated.covered.q.T
     q = rng.uniform(lower, upper, (min(_DRAWS * places, max(_MOST_DRAWS, places)), len(lower)))
-    reached = np.concatenate([_reached(calibrated, q[i : i + _PIECE], payload, known) for i in range(0, len(q), _PIECE)])
+    pieces = (at_conditions(q[i : i + _PIECE], calibrated, payload, known) for i in range(0, len(q), _PIECE))
+    reached = np.concatenate([calibrated.predict(piece)[:, :, 3] for piece in pieces])
     size = _cell_size(reached, places)
     off_centre = np.linalg.norm(reached - np.round(reached / size) * size, axis=1)
     order = np.argsort(off_centre, kind="stable")
@@ -43,10 +44,12 @@ def workspace_poses(
     return np.asarray(q[order[first]])
 
 
-def _reached(calibrated: CalibratedModel, q: np.ndarray, payload: float, known: dict[str, float]) -> np.ndarray:
+def at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]) -> Conditions:
+    """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
     plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
     columns = {name: np.full(len(q), value) for name, value in known.items()}
-    return calibrated.predict(replace(plain, approach=np.zeros(q.shape), **columns))[:, :, 3]
+    # The direction of approach is unknown: 0, as for a table without it.
+    return replace(plain, approach=np.zeros(q.shape), **columns)
 
 
 def _cell_size(reached: np.ndarray, places: int) -> float:
@@ -63,7 +66,7 @@ def _cell_size(reached: np.ndarray, places: int) -> float:
 
 
 def _cells(points: np.ndarray, size: float) -> np.ndarray:
-    """Return one number a cell for each point, shape (N,)."""
+    """Return the number of each point's cell, shape (N,)."""
     steps = np.round(points / size).astype(np.int64)
     steps -= steps.min(axis=0)
     return np.asarray(np.ravel_multi_index(tuple(steps.T), tuple(steps.max(axis=0) + 1)))

@@ -1,0 +1,110 @@
+"""The nominal arm as products of constant steps and joint motions, at many poses at once; and where its parts are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+import numpy as np
+
+from pincal.robot.robot import Robot
+from pincal.robot.se3 import rotation, translation
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """The nominal arm: S_i = S_{i-1} before_i J(q_i) after_i, with S_0 = first in the base frame.
+
+    Attributes:
+        first: shape (4, 4).
+        before, after: shape (n, 4, 4).
+        types: "revolute" or "prismatic", one per joint.
+
+    Example:
+        >>> robot, q = Robot.from_urdf("ur10"), np.full((1, 6), 0.3)
+        >>> tip = Kinematics.of(robot).frames(q)[0, -1] @ robot.frames.T_last_tip
+        >>> bool(np.allclose(tip, robot.forward_kinematics(q)[0]))
+        True
+    """
+
+    first: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    types: tuple[str, ...]
+
+    @classmethod
+    def of(cls, robot: Robot) -> Kinematics:
+        """Return the kinematics of a robot."""
+        rows = robot.frames.parameters
+        before = [rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta) for s_x, s_y, theta, *_ in rows]
+        after = [translation(a, 0.0, d) @ rotation("x", alpha) for *_, d, a, alpha in rows]
+        return cls(robot.frames.T_base_first, np.array(before), np.array(after), robot.joint_types)
+
+    def frames(self, q: np.ndarray) -> np.ndarray:
+        """Return the frames of all bodies in the base frame.
+
+        Args:
+            q: shape (N, n), joint positions [rad or m].
+
+        Returns:
+            Shape (N, n + 1, 4, 4): the base's own, then the link frame S_i of what moves with joint i.
+        """
+        frames = np.empty((len(q), len(self.types) + 1, 4, 4))
+        frames[:, 0] = np.eye(4)
+        last = np.broadcast_to(self.first, (len(q), 4, 4))
+        for i, kind in enumerate(self.types):
+            last = last @ (self.before[i] @ _moves(q[:, i], kind) @ self.after[i])
+            frames[:, i + 1] = last
+        return frames
+
+
+def _moves(q: np.ndarray, kind: str) -> np.ndarray:
+    """Return what a joint does at each of N positions, shape (N, 4, 4)."""
+    moves = np.tile(np.eye(4), (len(q), 1, 1))
+    if kind == "prismatic":
+        moves[:, 2, 3] = q
+        return moves
+    moves[:, 0, 0] = moves[:, 1, 1] = np.cos(q)
+    moves[:, 1, 0] = np.sin(q)
+    moves[:, 0, 1] = -moves[:, 1, 0]
+    return moves
+
+
+def joint_axis(robot: Robot, i: int) -> np.ndarray:
+    """Return the direction of joint i's axis (from 0) in the base frame at q = 0, shape (3,)."""
+    before = robot.frames.T_base_first if i == 0 else robot.frames.T_base_link[i - 1]
+    s_x, s_y = robot.frames.parameters[i, :2]
+    return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])
+
+
+def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | None:
+    """Return the mesh file that a URDF names, None if it is not on this machine; nothing is fetched.
+
+    Args:
+        name: file name or URL in the URDF.
+        source: the URDF's file; meshes are looked for beside it, in the packages above it and in those of ROS.
+        folders: further folders with meshes, or with packages.
+    """
+    url = urlparse(name)
+    if url.scheme not in ("", "file", "package", "model"):
+        return None
+    beside = Path(source).resolve().parent
+    if url.scheme in ("", "file"):
+        path = Path(unquote(url.path))
+        candidates = [path] if path.is_absolute() else [folder / path for folder in (beside, *folders)]
+    else:
+        path = Path(unquote(f"{url.netloc}{url.path}"))
+        inside = Path(*path.parts[1:]) if len(path.parts) > 1 else path
+        homes = [beside, *beside.parents]
+        candidates = [home / inside for home in homes if path.parts[:1] == (home.name,)]
+        candidates += [home / path for home in (*homes, *folders, *_ros_folders())]
+        candidates += [folder / inside for folder in folders]
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def _ros_folders() -> Iterator[Path]:
+    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        yield from (Path(entry, below) for entry in os.environ.get(variable, "").split(os.pathsep) if entry)
