@@ -14,15 +14,14 @@ from pincal.cli.arguments import argument, group, option
 Vector = tuple[float, float, float]
 
 _LENGTHS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_ANGLES = {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "deg": 0.017453292519943295}
+ANGLES = {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "deg": 0.017453292519943295}
 
 
 class Quantity(click.ParamType[float]):
-    """A positive number with its unit, such as ``0.05mm``."""
+    """A positive number with its unit, such as ``0.05mm``; or, where zero makes sense, 0 with or without one."""
 
-    def __init__(self, units: dict[str, float], name: str) -> None:
-        self._units = units
-        self.name = name
+    def __init__(self, units: dict[str, float], name: str, *, zero: bool = False) -> None:
+        self._units, self.name, self._zero = units, name, zero
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         """Return an example of the value, for the help text."""
@@ -33,14 +32,19 @@ class Quantity(click.ParamType[float]):
         if isinstance(value, float):
             return value
         text = str(value).strip()
-        for unit in sorted(self._units, key=len, reverse=True):
+        for unit in (*sorted(self._units, key=len, reverse=True), ""):
             if text.endswith(unit):
                 try:
                     number = float(text.removesuffix(unit))
                 except ValueError:
                     break
+                if self._zero and number == 0.0:
+                    return 0.0
+                if not unit:
+                    break
                 if not 0.0 < number < float("inf"):
-                    self.fail(f"{text!r} is not a positive number", param, ctx)
+                    of = " of pixels" if unit == "px" else ""
+                    self.fail(f"{text!r} is not a positive number{of}", param, ctx)
                 return number * self._units[unit]
         self.fail(f"{text!r}; expected a number with a unit, such as {self.name} ({', '.join(self._units)})", param, ctx)
 
@@ -50,15 +54,36 @@ class Noise(click.ParamType[tuple[float, str]]):
 
     name = "0.05mm"
 
+    def __init__(self, *, zero: bool = False) -> None:
+        self._zero = zero
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
         """Return the value in SI units, or in pixels, and its unit."""
         is_image = str(value).strip().endswith("px")
         units = {"px": 1.0} if is_image else _LENGTHS
-        return Quantity(units, "0.1px" if is_image else "0.05mm").convert(str(value), param, ctx), "px" if is_image else "m"
+        return Quantity(units, "0.1px" if is_image else "0.05mm", zero=self._zero).convert(
+            str(value), param, ctx
+        ), "px" if is_image else "m"
+
+
+class Masses(click.ParamType[tuple[float, ...]]):
+    """One or several masses in kg, separated by commas."""
+
+    name = "masses"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Return the masses [kg]."""
+        try:
+            loads = tuple(float(part.strip().removesuffix("kg")) for part in str(value).split(","))
+        except ValueError:
+            loads = ()
+        if not loads or not all(0.0 <= load < float("inf") for load in loads):
+            self.fail(f"{value!r}; expected one or several masses in kg, such as 80 or 0,80", param, ctx)
+        return loads
 
 
 LENGTH = Quantity(_LENGTHS, "0.05mm")
-ANGLE = Quantity(_ANGLES, "0.1mrad")
+ANGLE = Quantity(ANGLES, "0.1mrad")
 
 max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH)
 ignore_option = partial(option, "Ignore this column of the table.", (), metavar="COLUMN")

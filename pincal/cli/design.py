@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,7 +11,17 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import group, option, verb
-from pincal.cli.common import ANGLE, LENGTH, GeneralOptions, ModelOptions, Vector, base_option, robot_argument, tip_option
+from pincal.cli.common import (
+    ANGLE,
+    LENGTH,
+    GeneralOptions,
+    Masses,
+    ModelOptions,
+    Vector,
+    base_option,
+    robot_argument,
+    tip_option,
+)
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
 
@@ -72,8 +83,8 @@ class InstrumentOptions:
         "Standard deviation of one position coordinate, or of a distance.", 5e-05, type=LENGTH, words="0.05mm"
     )
     noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad")
-    payload: str | None = option(
-        "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]"
+    payload: Sequence[float] | None = option(
+        "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]", type=Masses()
     )
 
 
@@ -149,7 +160,7 @@ def design(arguments: DesignArguments) -> Exit:
         accuracy=arguments.accuracy,
         task=task,
         measured=measured,
-        payloads=_payloads(instrument.payload),
+        payloads=instrument.payload,
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
@@ -176,14 +187,3 @@ def _limits(robot: Robot, arguments: DesignArguments) -> Limits:
     is_upright = gravity[2] < -0.9 * np.linalg.norm(gravity)
     floor = 0.0 if chosen.floor is None and is_upright and not chosen.no_floor else chosen.floor
     return Limits(span=chosen.span, floor=floor, box=chosen.box, clearance=chosen.clearance)
-
-
-def _payloads(text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        return tuple(float(part.strip().removesuffix("kg")) for part in text.split(","))
-    except ValueError:
-        raise click.BadParameter(
-            f"{text!r}; expected one or several masses in kg, such as 80 or 0,80", param_hint="--payload"
-        ) from None

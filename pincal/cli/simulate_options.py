@@ -12,9 +12,11 @@ import click
 
 from pincal.cli.arguments import group, option
 from pincal.cli.common import (
-    ANGLE,
+    ANGLES,
     LENGTH,
     GeneralOptions,
+    Masses,
+    Noise,
     Quantity,
     Vector,
     base_option,
@@ -47,64 +49,29 @@ _NOISE, _NOISE_ANGLE = {"m": 5e-5, "px": 0.1}, 1e-4
 _PAPER_POSES = 12
 
 
-class _Level(click.ParamType[float]):
-    """A quantity that may be zero."""
-
-    name = "level"
-
-    def __init__(self, quantity: Quantity) -> None:
-        self._quantity = quantity
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        text = str(value).strip().rstrip("umradegc")
-        try:
-            is_zero = float(text) == 0.0
-        except ValueError:
-            is_zero = False
-        return 0.0 if is_zero else self._quantity.convert(value, param, ctx)
-
-
-class _Noise(click.ParamType[tuple[float, str]]):
-    """A length or a number of pixels, with the unit that it was given in: "m", "px", or none for zero."""
-
-    name = "noise"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
-        text = str(value).strip()
-        if not text.endswith("px"):
-            number = _Level(LENGTH).convert(text, param, ctx)
-            return number, "m" if number else ""
-        try:
-            number = float(text.removesuffix("px"))
-        except ValueError:
-            number = math.nan
-        if not (math.isfinite(number) and number >= 0.0):
-            self.fail(f"{text!r} is not a number of pixels, such as 0.1px", param, ctx)
-        return number, "px"
-
-
 class _Lens(click.ParamType[dict[str, float]]):
-    """Intrinsics of a camera."""
+    """Intrinsics of a camera, such as ``fx=1200,k1=-0.1``."""
 
     name = "lens"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
-        return value if isinstance(value, dict) else parse_lens(str(value))
+        """Return values by name; a key or value that is invalid is bad input."""
+        from pincal.simulate.lens import Lens
 
-
-class _Payloads(click.ParamType[tuple[float, ...]]):
-    """Payloads separated by commas."""
-
-    name = "payloads"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        try:
-            loads = tuple(float(part.strip().removesuffix("kg")) for part in str(value).split(","))
-        except ValueError:
-            loads = ()
-        if not loads or not all(math.isfinite(load) and load >= 0.0 for load in loads):
-            self.fail(f"{value!r}; expected one or several masses in kg, such as 80 or 0,80", param, ctx)
-        return loads
+        known, found = tuple(Lens().intrinsics), dict[str, float]()
+        for pair in str(value).split(","):
+            key, _, text = (word.strip() for word in pair.partition("="))
+            if key not in known:
+                raise BadInputError(f"lens {value!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
+            positive = key in ("fx", "fy", "width", "height")
+            try:
+                found[key] = float(text)
+            except ValueError:
+                raise BadInputError(f"lens {value!r}: {key}={text}; expected a number") from None
+            if not math.isfinite(found[key]) or (positive and found[key] < 1.0):
+                wanted = "number of at least 1" if positive else "finite number"
+                raise BadInputError(f"lens {value!r}: {key}={text}; expected a {wanted}")
+        return found
 
 
 class _Share(click.FloatRange):
@@ -163,7 +130,7 @@ class CampaignArguments:
     )
     floor: float = option("Height in the base frame above which random poses keep the arm [m].", 0.0, metavar="Z")
     no_floor: bool = option("Random poses anywhere within the joint limits.", False)
-    payload: Sequence[float] | None = option("One payload or several.", metavar="KG[,KG...]", type=_Payloads())
+    payload: Sequence[float] | None = option("One payload or several.", metavar="KG[,KG...]", type=Masses())
     payload_order: Literal["blocks", "alternating"] = option(
         "Several payloads: one block of poses after the other, or in turn.", "blocks"
     )
@@ -188,11 +155,13 @@ class SensorArguments:
     noise: tuple[float, str] | None = option(
         "Standard deviation of a coordinate, a distance, the point in its socket, or image coordinates; 0mm: exact.",
         metavar="LEVEL",
-        type=_Noise(),
+        type=Noise(zero=True),
         words="0.05mm, 0.1px",
     )
     noise_angle: float | None = option(
-        "Standard deviation of one orientation component (pose).", type=_Level(ANGLE), words="0.1mrad"
+        "Standard deviation of one orientation component (pose).",
+        type=Quantity(ANGLES, "0.1mrad", zero=True),
+        words="0.1mrad",
     )
     targets: int | None = option(
         "Number of targets on the tool, each measured in every pose.", metavar="K", type=click.IntRange(1, 20), words="1"
@@ -299,61 +268,18 @@ class SimulateArguments:
         from pincal.simulate.sensors import SetupOptions
 
         given = self.sensor
-        chosen: dict[str, Any] = {
-            "sigma_angle": given.noise_angle,
-            "targets": given.targets,
-            "tool": given.tool,
-            "at_base": given.instrument == "base",
-            "sockets": given.sockets,
-            "spacing": given.socket_spacing,
-            "anchors": given.anchors,
-            "ball_bar": given.ball_bar,
-            "seen": given.object,
-            "lens": given.lens,
-        }
-        wanted = SetupOptions(sigma=self._sigma(), sigma_angle=_NOISE_ANGLE, min_height=self.floor)
+        chosen = {name: getattr(given, name) for name in ("targets", "tool", "sockets", "anchors", "ball_bar", "lens")}
+        chosen |= {"sigma_angle": given.noise_angle, "spacing": given.socket_spacing, "seen": given.object}
+        wanted = SetupOptions(
+            sigma=self._sigma(), sigma_angle=_NOISE_ANGLE, min_height=self.floor, at_base=given.instrument == "base"
+        )
         return replace(wanted, **{name: value for name, value in chosen.items() if value is not None})
 
     def _sigma(self) -> float:
         """Return the noise in the sensor's own unit."""
         unit = "px" if self.kind == "camera_pixel" else "m"
         value, given = (_NOISE[unit], unit) if self.sensor.noise is None else self.sensor.noise
-        if given not in (unit, ""):
+        if value and given != unit:
             example = "0.1px" if unit == "px" else "0.05mm"
             raise click.UsageError(f"--noise: {self.kind} is measured in {unit}; expected such as {example}")
         return value
-
-
-def parse_lens(text: str) -> dict[str, float]:
-    """Return intrinsics of a camera by name.
-
-    Args:
-        text: As on the command line, e.g. ``fx=1200,k1=-0.1``.
-
-    Returns:
-        Values by name.
-
-    Raises:
-        BadInputError: For a key or a value that can't be, with those that can.
-
-    Example:
-        >>> parse_lens("fx=1200,fy=1210,width=1280")
-        {'fx': 1200.0, 'fy': 1210.0, 'width': 1280.0}
-    """
-    from pincal.simulate.lens import Lens
-
-    known, found = tuple(Lens().intrinsics), dict[str, float]()
-    for pair in text.split(","):
-        key, _, value = (word.strip() for word in pair.partition("="))
-        if key not in known:
-            raise BadInputError(f"lens {text!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
-        try:
-            found[key] = float(value)
-        except ValueError:
-            raise BadInputError(f"lens {text!r}: {key}={value}; expected a number") from None
-        positive = key in ("fx", "fy", "width", "height")
-        if not math.isfinite(found[key]) or (positive and found[key] < 1.0):
-            raise BadInputError(
-                f"lens {text!r}: {key}={value}; expected a {'number of at least 1' * positive or 'finite number'}"
-            )
-    return found
