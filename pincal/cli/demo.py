@@ -1,7 +1,7 @@
-"""``pincal demo``: the KUKA KR 125/2 of the paper, measured by simulation, calibrated, and found out about.
+"""``pincal demo``: calibration, discovery and compensation of the KUKA KR 125/2 of the paper, on simulated measurements.
 
-In the first act the robot of Table I is calibrated. In the second one of its gears is bad, which no calibration knows of. In
-the third the robot is told where to go so that it arrives.
+First the robot of Table I is calibrated. Then one of its gears has an error that the model lacks, and discovery finds it.
+Last, a program is compensated with the model that was found.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def demo(arguments: DemoArguments) -> Exit:
         results = {name: run.result.to_dict() for name, run in runs.items()}
         print_json(results | {"discovery": found.report, "program_error_mm": missed})
     else:
-        _tell(runs, out)
+        _tell(runs)
         _tell_hidden(found)
         _tell_program(missed, out)
     return Exit.DONE
@@ -143,15 +143,11 @@ def _compensate(
 def _deviations(runs: dict[str, Any]) -> dict[str, np.ndarray]:
     """Return the held-out deviations [m] of the standard DH model and of each calibrated one (paper, Fig. 6)."""
     first = next(iter(runs.values()))
-    found = {"standard DH": _sizes(first, first.fit.nominal.values)}
-    return found | {name: _sizes(run, run.fit.values) for name, run in runs.items()}
+    models = {"standard DH": (first, first.fit.nominal.values)} | {name: (run, run.fit.values) for name, run in runs.items()}
+    return {name: np.linalg.norm(run.test_problem().residuals(values), axis=0) for name, (run, values) in models.items()}
 
 
-def _sizes(run: Any, values: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.norm(run.test_problem().residuals(values), axis=0))
-
-
-def _tell(runs: dict[str, Any], out: Path) -> None:
+def _tell(runs: dict[str, Any]) -> None:
     from pincal.calibration.tables import parameter_table
     from pincal.cli.progress import console
 

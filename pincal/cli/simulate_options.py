@@ -160,6 +160,7 @@ class SensorArguments:
     )
     noise_angle: float | None = option(
         "Standard deviation of one orientation component (pose).",
+        metavar="LEVEL",
         type=Quantity(ANGLES, "0.1mrad", zero=True),
         words="0.1mrad",
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -56,12 +57,5 @@ def joined(one: Conditions, other: Conditions) -> Conditions:
     def both(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
         return None if a is None or b is None else np.concatenate([a, b])
 
-    return Conditions(
-        q=np.concatenate([one.q, other.q]),
-        target=np.concatenate([one.target, other.target]),
-        payload=np.concatenate([one.payload, other.payload]),
-        payload_centre=one.payload_centre,
-        temperature=both(one.temperature, other.temperature),
-        time=both(one.time, other.time),
-        approach=both(one.approach, other.approach),
-    )
+    columns: dict[str, Any] = {f.name: both(getattr(one, f.name), getattr(other, f.name)) for f in fields(Conditions)}
+    return Conditions(**columns | {"payload_centre": one.payload_centre})

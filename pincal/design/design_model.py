@@ -75,7 +75,7 @@ class DesignModel:
         Args:
             robot: the arm.
             conditions: N poses, by which priors are scaled as a fit scales them by its rows.
-            options: as for the calibration; ``sigma`` as for a good laser tracker unless given.
+            options: as for the calibration; default of ``sigma``: that of a good laser tracker.
             rig: with what and from where poses are measured.
             rivals: effects beside the model that are to be told apart.
             targets: names of the targets; all sit where the rig has its target.

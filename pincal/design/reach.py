@@ -19,7 +19,7 @@ CONE = np.pi / 6.0
 _OFF_THE_FLOOR = 3
 # Random poses tried for one that is wanted, and at once.
 _TRIES, _BATCH = 200, 4096
-# Where a target is taken to sit unless told: off the last axis and along it, in reaches of the arm.
+# Where a target sits by default: off the last axis and along it, in reaches of the arm.
 _OFF_AXIS, _ALONG = 0.05, 0.05
 
 
@@ -29,7 +29,7 @@ class SensorSetup:
 
     Attributes:
         sensor: "position", "pose" or "distance".
-        tool: about where the target sits in the tip frame [m]; off the last axis by a twentieth of the reach unless given.
+        tool: about where the target sits in the tip frame [m]; default: off the last axis by a twentieth of the reach.
         instrument: where the instrument stands in the robot's base frame [m]; None where it sees everything.
         normal: where the target looks, in the tip frame; None where it is seen from all sides.
         cone: angle off the normal at which it is still seen [rad].
@@ -139,7 +139,7 @@ class Reach:
     Example:
         >>> reach = Reach(Robot.from_urdf("ur10"), SensorSetup(instrument=(3.0, 0.0, 1.0)))
         >>> found = reach.draw(20, np.random.default_rng(0))
-        >>> bool(reach.allows(found.q).all())
+        >>> bool(reach.allows_apart(found.q).all())
         True
     """
 
@@ -166,14 +166,8 @@ class Reach:
         """Least and largest joint positions, shape (n,) each [rad or m]; a turn where a joint has no limits."""
         return self.robot.joint_range(self.limits.span)
 
-    def allows(self, q: np.ndarray) -> np.ndarray:
-        """Return whether poses, shape (N, n), keep to all constraints of a measurement, shape (N,)."""
-        allowed = self.allows_apart(q)
-        allowed[allowed] = ~self.collides(q[allowed])
-        return allowed
-
     def allows_apart(self, q: np.ndarray) -> np.ndarray:
-        """Return the same without regard to self-collision, which takes longer than all else together."""
+        """Return whether poses, shape (N, n), keep to all constraints of a measurement but self-collision, shape (N,)."""
         lower, upper = self.range
         allowed = np.asarray(np.all((q >= lower - 1e-12) & (q <= upper + 1e-12), axis=1))
         rows = np.flatnonzero(allowed)

@@ -62,7 +62,7 @@ class DesignRequest:
 
     @property
     def fewest(self) -> int:
-        """Smallest number of candidates that will do."""
+        """Smallest sufficient number of candidates."""
         return max(self.poses or 1, 2)
 
     def has_approach(self, robot: Robot) -> bool:

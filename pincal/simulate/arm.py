@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError, RobotFileError
 
@@ -149,7 +150,7 @@ def _arm(model: Any, tip: str, base: str | None) -> Arm:
     prismatic = np.array([not np.any(twist[3:]) for twist in twists])
     axes = np.array([_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)])
     frames = [origin.homogeneous]
-    frames += [data.oMi[i].homogeneous @ _rotation(axes[i - 1]) for i in joints]
+    frames += [data.oMi[i].homogeneous @ transform(axes[i - 1]) for i in joints]
     frames.append(data.oMf[_frame_id(model, tip)].homogeneous)
     lower, upper = _limits(model, prismatic)
     return Arm(
@@ -176,7 +177,7 @@ def _twist(model: Any, data: Any, joint: int) -> np.ndarray:
 
 
 def _limits(model: Any, prismatic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return limits; a joint without usable ones gets half a turn, or half a metre, to both sides."""
+    """Return limits; default: half a turn, or half a metre, to both sides."""
     lower, upper = [], []
     for slides, joint in zip(prismatic, list(model.joints)[1:], strict=True):
         low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
@@ -197,7 +198,9 @@ def _working_frame(axis: np.ndarray) -> np.ndarray:
     return np.column_stack((x, np.cross(z, x), z))
 
 
-def _rotation(rotation: np.ndarray) -> np.ndarray:
-    transform = np.eye(4)
-    transform[:3, :3] = rotation
-    return transform
+def transform(rotation: ArrayLike | None = None, place: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a place [m], shape (3,)."""
+    found = np.eye(4)
+    found[:3, :3] = np.eye(3) if rotation is None else rotation
+    found[:3, 3] = place
+    return found

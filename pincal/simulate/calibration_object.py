@@ -13,7 +13,7 @@ PITCH = 0.025
 
 # Points of one image field, in rows and columns.
 _FIELD = 5
-# The paper's object has two sides with three image fields each; how the sides lean is not told there.
+# The paper's object has two sides with three image fields each; the paper does not say how the sides lean.
 _FIELDS, _LEAN = 3, np.pi / 4
 
 
@@ -53,7 +53,7 @@ class CalibrationObject:
 
 
 def paper_object() -> CalibrationObject:
-    """Return the object of the paper (Fig. 5): two sides with points 25 mm apart, three image fields a side.
+    """Return the object of the paper (Fig. 5): two sides with points 25 mm apart, three image fields per side.
 
     The sides make a roof with its ridge along x; both lean by 45 degrees. Point ``a2_1_3`` is in row 1 and column 3 of
     the second field of side a.

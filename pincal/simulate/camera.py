@@ -38,8 +38,8 @@ class View:
         facing: Normal of the object in the base frame, towards the camera, shape (3,).
         distance: Smallest and largest distance of the camera from the point [m].
         tilt: Largest angle between view and the object's normal [rad].
-        accept: What else is asked of a pose: gets transforms from camera to base frame, shape (N, 4, 4), says
-            which will do, shape (N,).
+        accept: Further condition on a pose: gets transforms from camera to base frame, shape (N, 4, 4), says
+            which are suitable, shape (N,).
     """
 
     camera_pose: np.ndarray

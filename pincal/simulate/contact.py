@@ -21,7 +21,7 @@ from pincal.simulate.planning import (
     position_jacobian,
     reach,
 )
-from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, refuse_scale, transformed
+from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_noise, refuse_scale, transformed
 from pincal.simulate.state import Poses
 
 Point = tuple[float, float, float]
@@ -102,41 +102,33 @@ class Contact(SensorSetup):
         if not self.length:
             refuse_scale(machine, "a socket reads none")
         owner, offset = self._nearest(point_at(frames(machine.nominal, poses.q)[:, -1], self.tool))
+        off = np.abs(np.linalg.norm(offset, axis=1) - self.length)
+        if off.max() > _NEAR:
+            worst = int(off.argmax())
+            raise BadInputError(
+                f"pose {worst + 1}: the tool point is {off[worst]:.3f} m from where it can be held "
+                f"({', '.join(self.fixed)}); leave --at out, or give poses of the same machine and seed"
+            )
         # Noise of a bar is in the reading of its length, noise of a socket in the place of the point.
         play = draw_noise(offset.shape, 0.0 if self.length else self.sigma, rng)
         held = hold(machine, poses, self._places[owner] + play, tool=self.tool, radius=self.length)
-        columns = self._columns(machine, offset, rng)
-        return Reading(held, np.arange(len(owner)), columns | {self._label: np.array(list(self.fixed))[owner]})
-
-    def _columns(self, machine: Machine, offset: np.ndarray, rng: np.random.Generator | None) -> Table:
-        """Return the length of the bar as it is read; of sockets nothing is read."""
-        if not self.length:
-            return {}
-        bar = self.length * offset / np.linalg.norm(offset, axis=1, keepdims=True)
-        length = np.linalg.norm(as_read(machine.effects, bar), axis=1)
-        return {"distance": length + draw_noise(length.shape, self.sigma, rng)}
+        columns = {self._label: np.array(list(self.fixed))[owner]}
+        if self.length:
+            bar = self.length * offset / np.linalg.norm(offset, axis=1, keepdims=True)
+            length = np.linalg.norm(as_read(machine.effects, bar), axis=1)
+            columns = {"distance": length + draw_noise(length.shape, self.sigma, rng)} | columns
+        return Reading(held, np.arange(len(owner)), columns)
 
     def _nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the place to which each tool point belongs, shape (N,), and the tool point from there [m], (N, 3)."""
-        offsets, rows = points[:, None] - self._places, np.arange(len(points))
-        off = np.abs(np.linalg.norm(offsets, axis=2) - self.length)
-        owner = off.argmin(axis=1)
-        if off[rows, owner].max() > _NEAR:
-            worst = int(off[rows, owner].argmax())
-            raise BadInputError(
-                f"pose {worst + 1}: the tool point is {off[worst].min():.3f} m from where it can be held "
-                f"({', '.join(self.fixed)}); leave --at out, or give poses of the same machine and seed"
-            )
-        return owner, offsets[rows, owner]
+        offsets = points[:, None] - self._places
+        owner = np.abs(np.linalg.norm(offsets, axis=2) - self.length).argmin(axis=1)
+        return owner, offsets[np.arange(len(points)), owner]
 
     def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
         """Return the tool point in the base frame, or the bar: the way to the tool point from its anchor."""
         points = point_at(tip, self.tool)
-        if not self.length:
-            return points
-        offsets = points[:, None] - self._places
-        owner = np.abs(np.linalg.norm(offsets, axis=2) - self.length).argmin(axis=1)
-        return np.asarray(offsets[np.arange(len(offsets)), owner])
+        return self._nearest(points)[1] if self.length else points
 
     def truth(self) -> dict[str, Any]:
         """Return where the places and the tool point are, and the length of the bar."""
@@ -195,7 +187,7 @@ def can_hold(
         min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
 
     Returns:
-        Joint positions, shape (N, n), and whether they will do, shape (N,): at the goal, within the limits, off the
+        Joint positions, shape (N, n), and whether they are suitable, shape (N,): at the goal, within the limits, off the
         floor, and not so stretched that the true arm could fall short.
     """
     q, reached = reach(arm, seed, goal=goals, tool=tool)

@@ -1,4 +1,4 @@
-"""Hidden effects of a joint's drive and bearing that no load is needed for."""
+"""Hidden effects of a joint's drive and bearing that do not depend on loads."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class AxisWobble(DeformingEffect):
     """Bearing whose axis tilts as it turns; ``size`` is the tilt [rad].
 
     The tip of the axis runs on a circle, or an ellipse, ``order`` times a turn. In the frame before q a
-    circle of order 1 is a tilt fixed to the link: it can't be told from geometry.
+    circle of order 1 is a tilt fixed to the link: it is not distinguishable from geometry.
 
     Attributes:
         order: Turns of the tilt direction per turn of the joint.

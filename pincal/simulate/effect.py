@@ -54,7 +54,7 @@ class HiddenEffect(ABC):
         effect: Name of the effect.
         unit: Unit of ``size``; on a sliding joint m instead of rad.
         scope: What the effect acts on.
-        column: Column of the table without which the effect can't be told from others, None if there is none.
+        column: Column of the table without which the effect is not identifiable; None: no such column.
         typical_size: A size that is typical whatever the arm, in ``unit``.
         joint: Joint on which it acts, None for an effect of the whole arm.
         size: Its size in ``unit``.

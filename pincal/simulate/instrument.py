@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.arm import Arm
+from pincal.simulate.arm import Arm, transform
 from pincal.simulate.effect import as_read
 from pincal.simulate.planning import plan_poses
 from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, transformed
@@ -118,9 +118,7 @@ def _transform(target: Any) -> np.ndarray:
         return value
     if value.shape != (3,):
         raise BadInputError(f"target has shape {value.shape}; expected (3,) or (4, 4)")
-    transform = np.eye(4)
-    transform[:3, 3] = value
-    return transform
+    return transform(place=value)
 
 
 def _quaternion(rotation: np.ndarray, sigma: float, rng: np.random.Generator | None) -> Table:

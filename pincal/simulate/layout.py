@@ -7,15 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.arm import Arm
+from pincal.simulate.arm import Arm, transform
 from pincal.simulate.contact import Point, can_hold, upward_directions
 from pincal.simulate.planning import frames, plan_poses, point_at
 
 # Where an instrument stands and a target sits, in reaches of the arm: distance and height; off the last axis and along it.
 _DISTANCE, _HEIGHT = (1.5, 2.5), (0.0, 0.7)
 _OFF_AXIS, _ALONG = (0.03, 0.07), (0.02, 0.08)
-# Places among which those are taken where the tool point can be held in most ways, trials that tell, the part of the
-# best place's share that will do, and the share below which there is no such place.
+# Places tried for holding the tool point, trials per place, least share of successes relative to the best place's, and
+# the share below which a place is useless.
 _PLACES, _TRIALS, _GOOD, _SCARCE = 40, 24, 0.4, 0.1
 # How far fixed points are from each other, in reaches of the arm, and the room above the floor that a tool needs [m].
 _APART, _ROOM = 0.25, 0.02
@@ -37,10 +37,8 @@ def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     place = place_beside(arm, rng)
-    transform = np.eye(4)
-    transform[:3, :3] = Rotation.random(rng=rng).as_matrix()
-    transform[:3, 3] = -transform[:3, :3] @ place
-    return transform
+    rotation = Rotation.random(rng=rng).as_matrix()
+    return transform(rotation, -rotation @ place)
 
 
 def draw_targets(arm: Arm, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -60,10 +58,9 @@ def draw_targets(arm: Arm, count: int, rng: np.random.Generator) -> dict[str, np
     found = {}
     for i in range(count):
         angle, radius = start + 2.0 * np.pi * i / count, reach * rng.uniform(*_OFF_AXIS)
-        transform = np.eye(4)
-        transform[:3, :3] = Rotation.random(rng=rng).as_matrix()
-        transform[:3, 3] = radius * np.cos(angle), radius * np.sin(angle), reach * rng.uniform(*_ALONG)
-        found[f"target_{i + 1}"] = transform
+        rotation = Rotation.random(rng=rng).as_matrix()
+        place = (radius * np.cos(angle), radius * np.sin(angle), reach * rng.uniform(*_ALONG))
+        found[f"target_{i + 1}"] = transform(rotation, place)
     return found
 
 
@@ -169,10 +166,7 @@ def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     angle = rng.uniform(-np.pi, np.pi)
     place = onto.apply([reach * 0.05 * np.cos(angle), reach * 0.05 * np.sin(angle), 0.0])
     lean = Rotation.from_rotvec(rng.uniform(-_TURNED, _TURNED, 3) * [1.0, 1.0, 0.0])
-    camera = np.eye(4)
-    camera[:3, :3] = (onto * lean * Rotation.from_rotvec([0.0, 0.0, angle])).as_matrix()
-    camera[:3, 3] = place
-    return camera
+    return transform((onto * lean * Rotation.from_rotvec([0.0, 0.0, angle])).as_matrix(), place)
 
 
 def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.ndarray], bool], tries: int = 80) -> np.ndarray:
@@ -188,7 +182,7 @@ def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.nda
         Transform from the object's frame to the robot's base frame, shape (4, 4).
 
     Raises:
-        BadInputError: If no place will do.
+        BadInputError: If no place is suitable.
     """
     from scipy.spatial.transform import Rotation
 
@@ -196,11 +190,9 @@ def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.nda
     for _ in range(tries):
         direction = rng.uniform(-np.pi, np.pi)
         ground = rng.uniform(*_OBJECT_DISTANCE) * np.array([np.cos(direction), np.sin(direction)])
-        pose = np.eye(4)
-        pose[:3, 3] = reach * np.append(ground, rng.uniform(*_OBJECT_HEIGHT))
+        place = reach * np.append(ground, rng.uniform(*_OBJECT_HEIGHT))
         turned = direction + rng.uniform(-_OBJECT_TURNED, _OBJECT_TURNED)
-        tilt = rng.uniform(-0.05, 0.05, 2)
-        pose[:3, :3] = Rotation.from_euler("ZYX", [turned, *tilt]).as_matrix()
+        pose = transform(Rotation.from_euler("ZYX", [turned, *rng.uniform(-0.05, 0.05, 2)]).as_matrix(), place)
         if is_seen(pose):
             return pose
     raise BadInputError(

@@ -16,9 +16,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pincal.builtin import kuka_urdf_path
-from pincal.simulate.arm import Arm, read_arm
+from pincal.simulate.arm import Arm, read_arm, transform
 from pincal.simulate.conditions import Conditions, poses_of
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
+from pincal.simulate.planning import point_at
 from pincal.simulate.state import Equilibrium, Poses, no_deformation, no_loads
 
 _HALF_TURN, _QUARTER_TURN = np.pi, np.pi / 2.0
@@ -52,7 +53,7 @@ ELASTICITY: dict[str, tuple[float, ...]] = {
 project's.
 
 The paper does not print its own. With the geometry of Table I and 125 kg these make an initial deviation of 6
-mm in the mean and 15 mm at worst over the workspace; the paper tells of 7 to 20 mm.
+mm in the mean and 15 mm at worst over the workspace; the paper reports 7 to 20 mm.
 """
 
 GRAVITY = 9.81
@@ -116,7 +117,7 @@ def paper_positions(
 
     Args:
         q: Joint positions [rad], shape (N, 6).
-        with_elasticity: Whether the joints give way (DH,s,e) or not (DH,s).
+        with_elasticity: Whether the joints are compliant (DH,s,e) or rigid (DH,s).
         payload_mass: Mass at the flange [kg], one number or shape (N,).
         payload_com: Its centre of mass in the flange frame [m], shape (3,).
         tool_offset: The point in the flange frame [m], shape (3,).
@@ -128,9 +129,8 @@ def paper_positions(
         >>> paper_positions(np.zeros((1, 6)), with_elasticity=False).round(4)
         array([[2.6201, 0.0062, 0.9122]])
     """
-    transform = paper_transform(q, with_elasticity=with_elasticity, payload_mass=payload_mass, payload_com=payload_com)
-    positions: np.ndarray = transform[:, :3, :3] @ np.asarray(tool_offset, float) + transform[:, :3, 3]
-    return positions
+    flange = paper_transform(q, with_elasticity=with_elasticity, payload_mass=payload_mass, payload_com=payload_com)
+    return point_at(flange, tool_offset)
 
 
 def paper_transform(
@@ -146,7 +146,7 @@ def paper_transform(
 
     Args:
         q: Joint positions [rad], shape (N, 6).
-        with_elasticity: Whether the joints give way (DH,s,e) or not (DH,s).
+        with_elasticity: Whether the joints are compliant (DH,s,e) or rigid (DH,s).
         payload_mass: Mass at the flange [kg], one number or shape (N,).
         payload_com: Its centre of mass in the flange frame [m], shape (3,).
         geometry: ``REAL`` or other values of the same parameters [rad, m].
@@ -214,7 +214,9 @@ def link_frames(q: np.ndarray, geometry: Geometry, *, gamma: np.ndarray | None =
         link = _rotate("x", s_x) @ _rotate("y", s_y) @ _rotate("z", q[:, i]) @ _rotate("z", theta)
         gamma_x, gamma_y, gamma_z = gamma[:, i].T
         link = link @ _rotate("z", gamma_z) @ _rotate("y", gamma_y) @ _rotate("x", gamma_x)
-        frames.append(frames[-1] @ link @ _shift(0.0, 0.0, d) @ _shift(a, 0.0, 0.0) @ _rotate("x", alpha))
+        frames.append(
+            frames[-1] @ link @ transform(place=(0.0, 0.0, d)) @ transform(place=(a, 0.0, 0.0)) @ _rotate("x", alpha)
+        )
     return frames
 
 
@@ -236,7 +238,7 @@ def link_bodies() -> tuple[np.ndarray, np.ndarray]:
         masses[k] = float(values["mass"]["value"])
         centre = np.array([*map(float, values["origin"]["xyz"].split()), 1.0])
         theta, d, a, alpha = (NOMINAL[name][k] for name in ("o", "d", "a", "alpha"))
-        link = _rotate("z", theta) @ _shift(0.0, 0.0, d) @ _shift(a, 0.0, 0.0) @ _rotate("x", alpha)
+        link = _rotate("z", theta) @ transform(place=(0.0, 0.0, d)) @ transform(place=(a, 0.0, 0.0)) @ _rotate("x", alpha)
         centres[k] = np.linalg.solve(link, centre)[:3]
     return masses, centres
 
@@ -251,14 +253,8 @@ def _rotate(axis: str, angle: float | np.ndarray) -> np.ndarray:
     """Return rotations about a coordinate axis, shape (..., 4, 4) for angles [rad] of shape (...)."""
     angle = np.asarray(angle, float)
     first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    transform = np.zeros((*angle.shape, 4, 4)) + np.eye(4)
-    transform[..., first, first] = transform[..., second, second] = np.cos(angle)
-    transform[..., second, first] = np.sin(angle)
-    transform[..., first, second] = -np.sin(angle)
-    return transform
-
-
-def _shift(x: float, y: float, z: float) -> np.ndarray:
-    transform = np.eye(4)
-    transform[:3, 3] = x, y, z
-    return transform
+    turned = np.zeros((*angle.shape, 4, 4)) + np.eye(4)
+    turned[..., first, first] = turned[..., second, second] = np.cos(angle)
+    turned[..., second, first] = np.sin(angle)
+    turned[..., first, second] = -np.sin(angle)
+    return turned

@@ -89,7 +89,7 @@ class SensorSetup(ABC):
             Joint positions [rad or m], shape (n, number of joints).
 
         Raises:
-            BadInputError: If hardly any pose will do.
+            BadInputError: If hardly any pose is suitable.
         """
 
     def measure(

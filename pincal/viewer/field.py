@@ -34,7 +34,7 @@ class Poses:
         q: shape (N, n), joint positions [rad or m].
         target: shape (N,), index into the chain's targets.
         lines: shape (N,), line of each row in its file; None for poses from no file.
-        held_out: shape (N,), rows that the fit did not see; None where nobody knows.
+        held_out: shape (N,), rows that the fit did not see; None if unknown.
         position: shape (N, 3), measured positions in the instrument's frame [m]; None where none were measured.
     """
 
@@ -104,7 +104,7 @@ def deviation_fields(
     Args:
         calibrated: the robot.
         measurements: its measured poses.
-        held_out: shape (N,), which of them the fit did not see; None where nobody knows.
+        held_out: shape (N,), which of them the fit did not see; None if unknown.
         grid: about how many places of the workspace get an arrow; 0 for none.
         seed: of the choice of poses that reach them.
 
@@ -247,7 +247,7 @@ def _workspace(
 
 
 def _without_unknown(calibrated: CalibratedModel, known: dict[str, float]) -> tuple[CalibratedModel, list[str]]:
-    """Return the model without the effects whose conditions nobody knows, and their names."""
+    """Return the model without the effects whose conditions are unknown, and their names."""
 
     def is_known(effect: Effect) -> bool:
         return not any(need in ("temperature", "time") and need not in known for need in effect.needs)

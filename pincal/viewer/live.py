@@ -46,7 +46,7 @@ class LiveView:
         """Move the robot to joint positions ``q``, shape (n,) [rad or m], in every open page.
 
         Raises:
-            BadInputError: if they are not one finite number a joint.
+            BadInputError: if they are not one finite number per joint.
         """
         values = np.asarray(q, float)
         if values.shape != (len(self._scene.joint_names),) or not np.isfinite(values).all():

@@ -24,7 +24,7 @@ def held_out_rows(
         measurements: its rows.
 
     Returns:
-        Shape (N,), True for rows that the fit did not see, or None where nobody knows; and the reason.
+        Shape (N,), True for rows that the fit did not see, or None if unknown; and the reason.
     """
     inputs = provenance.get("inputs")
     known = list(inputs.values()) if isinstance(inputs, dict) else []

@@ -96,7 +96,7 @@ def build_scene(
     Args:
         calibrated: the robot.
         measurements: measured poses, of its targets.
-        held_out: shape (N,), which of them the fit did not see; None where nobody knows.
+        held_out: shape (N,), which of them the fit did not see; None if unknown.
         q: shape (n,), pose to begin with [rad or m]; default: the first measured one.
         grid: about how many places of the workspace get an arrow; 0 for none.
         scale: factor of the arrows' lengths; default: a round number that makes them visible.
