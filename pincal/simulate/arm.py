@@ -61,13 +61,7 @@ class Arm:
         return float(self.lengths.sum())
 
     def index(self, joint: str | None) -> int:
-        """Return the position of a joint in the chain.
-
-        Args:
-            joint: Name as in the URDF.
-
-        Returns:
-            Index, 0 at the base.
+        """Return the index of a joint by its name in the URDF, 0 at the base.
 
         Raises:
             BadInputError: If there is no such joint on the way from base to tip.

@@ -218,14 +218,9 @@ class EyeInHand(SensorSetup):
 
 
 def in_camera(camera: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return points of the base frame in that of each camera.
+    """Return points of the base frame [m], shape (K, 3), in the frame of each camera, shape (N, K, 3).
 
-    Args:
-        camera: Transforms from camera to base frame, shape (N, 4, 4).
-        places: Points in the base frame [m], shape (K, 3).
-
-    Returns:
-        Shape (N, K, 3) [m].
+    ``camera`` holds the transforms from camera to base frame, shape (N, 4, 4).
     """
     seen: np.ndarray = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3])
     return seen

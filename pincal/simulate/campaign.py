@@ -37,11 +37,7 @@ class Campaign:
     hidden: tuple[str, ...] = ()
 
     def measure(self, machine: Machine, rng: np.random.Generator) -> Table:
-        """Return the table that the campaign gives of a machine.
-
-        Args:
-            machine: The true machine.
-            rng: Source of noise and scatter.
+        """Return the table that the campaign gives of a machine; ``rng`` is the source of noise and scatter.
 
         Raises:
             BadInputError: If the set-up can't measure it, or its errors and effects are too large for any arm.
@@ -54,12 +50,7 @@ class Campaign:
         return table
 
     def shift(self, machine: TrueMachine, effect: HiddenEffect) -> float:
-        """Return how far an effect moves what is looked at, rms over the poses [m].
-
-        Args:
-            machine: The machine with all of its effects, one of them ``effect``.
-            effect: The effect.
-        """
+        """Return how far one of the machine's effects moves what is looked at, rms over the poses [m]."""
         without = replace(machine, effects=tuple(e for e in machine.effects if e is not effect))
         moved = self._line_of_sight(machine) - self._line_of_sight(without)
         return float(np.sqrt((moved**2).sum(axis=1).mean()))
@@ -71,12 +62,7 @@ class Campaign:
         return as_read(machine.effects, self.setup.line_of_sight(tip))
 
     def truth(self, machine: TrueMachine, *, tip: str) -> dict[str, Any]:
-        """Return what was put in: errors and effects of the machine, noise and place of the set-up, as for JSON.
-
-        Args:
-            machine: The machine that is measured.
-            tip: Name of the frame at the end of its arm.
-        """
+        """Return errors and effects of the machine, noise and set-up, as for JSON; ``tip`` names the last frame."""
         names = machine.names
         found = {
             "poses": len(self.q),

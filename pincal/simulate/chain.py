@@ -22,11 +22,7 @@ _BASE, _BEFORE, _JOINT, _AFTER = 1, 2, 3, 4
 def build_chain(arm: Arm) -> Any:
     """Return the ``pinocchio.Model`` of an arm with a free joint at every place that can deform.
 
-    Args:
-        arm: The true arm.
-
-    Returns:
-        Model whose configuration is laid out as :func:`configurations` fills it.
+    Its configurations are laid out as :func:`configurations` fills them.
     """
     import pinocchio as pin
 
@@ -43,15 +39,7 @@ def build_chain(arm: Arm) -> Any:
 
 
 def configurations(q: np.ndarray, deformation: Deformation) -> np.ndarray:
-    """Return the configurations of the model for joint positions and a deformation.
-
-    Args:
-        q: Joint positions without deformation [rad or m], shape (N, n).
-        deformation: Deformation of each pose.
-
-    Returns:
-        Configurations, shape (N, 15 n + 14).
-    """
+    """Return the configurations of the model, shape (N, 15 n + 14), at joint positions q [rad or m], shape (N, n)."""
     rows = len(q)
     joints = np.concatenate(
         (_free(deformation.before), (q + deformation.joint)[..., None], _free(deformation.after)), axis=2
@@ -100,9 +88,6 @@ def gravity_loads(
         payload: Mass at the tip [kg], shape (N,).
         payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
         gravity: Acceleration in the undeformed base frame [m/s^2], shape (3,).
-
-    Returns:
-        The loads.
     """
     last = places.shape[1] - 1
     before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))

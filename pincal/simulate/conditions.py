@@ -78,18 +78,10 @@ def poses_of(
 
 
 def broadcast_copy(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a copy of a value that broadcasts to a shape.
-
-    Args:
-        name: What the value is, for the message.
-        value: A number or an array.
-        shape: Wanted shape.
-
-    Returns:
-        New array of that shape.
+    """Return a copy of a number or an array that broadcasts to a shape.
 
     Raises:
-        BadInputError: If the value does not broadcast.
+        BadInputError: If it does not broadcast; the message calls it ``name``.
     """
     try:
         return np.array(np.broadcast_to(np.asarray(value, float), shape))

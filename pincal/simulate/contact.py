@@ -184,7 +184,7 @@ def can_hold(
         seed: Joint positions to start from [rad or m], shape (N, n).
         goals: Wanted tool points in the base frame [m], shape (N, 3).
         tool: Tool point in the tip frame [m].
-        min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
+        min_height: Height of the floor [m]; None for no floor.
 
     Returns:
         Joint positions, shape (N, n), and whether they are suitable, shape (N,): at the goal, within the limits, off the

@@ -25,15 +25,7 @@ _OBJECT_DISTANCE, _OBJECT_HEIGHT, _OBJECT_TURNED = (0.4, 0.65), (0.05, 0.35), 0.
 
 
 def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
-    """Stand an instrument somewhere in the hall, turned in any way.
-
-    Args:
-        arm: The nominal arm.
-        rng: Source of randomness.
-
-    Returns:
-        Transform from the robot's base frame to the instrument's frame, shape (4, 4).
-    """
+    """Return a random place of an instrument: the transform from the robot's base to its frame, shape (4, 4)."""
     from scipy.spatial.transform import Rotation
 
     place = place_beside(arm, rng)
@@ -42,12 +34,7 @@ def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_targets(arm: Arm, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Mount targets at the tip, off the last axis (of which nothing could be seen otherwise) and away from each other.
-
-    Args:
-        arm: The nominal arm.
-        count: How many, at least 1.
-        rng: Source of randomness.
+    """Mount targets at the tip, away from each other and off the last axis (on it they would not show that joint).
 
     Returns:
         Transforms from target to tip frame by name, shape (4, 4).
@@ -145,10 +132,6 @@ def _apart(groups: np.ndarray, count: int, distance: float) -> np.ndarray:
 def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     """Mount a camera at the tip beside the last axis, looking along it and away from the arm.
 
-    Args:
-        arm: The nominal arm.
-        rng: Source of randomness.
-
     Returns:
         Transform from the camera frame (z along the view) to the tip frame, shape (4, 4).
     """
@@ -176,7 +159,7 @@ def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.nda
         arm: The nominal arm.
         rng: Source of randomness.
         is_seen: Whether the camera can, for a transform from object to base frame, shape (4, 4).
-        tries: Places to try.
+        tries: Number of places to try.
 
     Returns:
         Transform from the object's frame to the robot's base frame, shape (4, 4).

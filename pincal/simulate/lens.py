@@ -65,14 +65,9 @@ class Lens:
         return np.column_stack((bent_x, bent_y)) * self.focals + self.centre
 
     def sees(self, seen: np.ndarray, *, margin: float = 0.0) -> np.ndarray:
-        """Return which points lie in the image.
+        """Return which points of the camera's frame [m], shape (N, 3), lie in the image, shape (N,).
 
-        Args:
-            seen: Points in the camera's frame [m], shape (N, 3).
-            margin: Width of the border that does not count, relative to the image [-].
-
-        Returns:
-            Shape (N,).
+        ``margin`` is the width of a border that does not count, relative to the image.
         """
         ahead = seen[:, 2] > 0.0
         safe = np.where(ahead[:, None], seen, [0.0, 0.0, 1.0])
@@ -95,10 +90,7 @@ def draw_lens(rng: np.random.Generator, **given: Any) -> Lens:
 
     Args:
         rng: Source of randomness.
-        **given: Of the keys of :attr:`Lens.intrinsics`, those that are not to be drawn.
-
-    Returns:
-        The camera.
+        **given: Values that are not drawn, by the keys of :attr:`Lens.intrinsics`.
     """
     width, height = given.get("width", 2048), given.get("height", 1536)
     fx = given.get("fx", 2000.0 * (1.0 + _FOCAL * rng.uniform(-1.0, 1.0)))

@@ -186,12 +186,6 @@ class TrueMachine:
     def equilibrium(self, poses: Poses) -> Equilibrium:
         """Let the arm come to rest: deform it under the loads that it has when it is deformed.
 
-        Args:
-            poses: Poses and conditions.
-
-        Returns:
-            The arm at rest in every pose.
-
         Raises:
             BadInputError: If the arm is too soft to carry itself.
         """

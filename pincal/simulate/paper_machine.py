@@ -117,7 +117,7 @@ def paper_positions(
 
     Args:
         q: Joint positions [rad], shape (N, 6).
-        with_elasticity: Whether the joints are compliant (DH,s,e) or rigid (DH,s).
+        with_elasticity: As in :func:`paper_transform`, like the payload.
         payload_mass: Mass at the flange [kg], one number or shape (N,).
         payload_com: Its centre of mass in the flange frame [m], shape (3,).
         tool_offset: The point in the flange frame [m], shape (3,).
@@ -170,13 +170,7 @@ def paper_moments(
     payload_com: Vector = PAYLOAD_COM,
     geometry: Geometry = REAL,
 ) -> np.ndarray:
-    """Return the static moments of Eq. (3) on the geometry DH,s.
-
-    Args:
-        q: Joint positions [rad], shape (N, 6).
-        payload_mass: Mass at the flange [kg], one number or shape (N,).
-        payload_com: Its centre of mass in the flange frame [m], shape (3,).
-        geometry: ``REAL`` or other values of the same parameters [rad, m].
+    """Return the static moments of Eq. (3) on the geometry DH,s; arguments as in :func:`paper_transform`.
 
     Returns:
         (n_x, n_y, n_z) of each joint in its frame after s_x, s_y and before q [N m], shape (N, 6, 3).

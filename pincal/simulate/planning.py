@@ -68,10 +68,7 @@ def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shorta
         draw: Returns the acceptable poses of one round, shape (any, number of joints).
         n: Number of poses wanted.
         rounds: Number of rounds before giving up.
-        shortage: What is said of the poses if there are too few, and what to do then.
-
-    Returns:
-        The first n poses, shape (n, number of joints).
+        shortage: The rest of the error message if there are too few poses, and what to do then.
 
     Raises:
         BadInputError: If all rounds together give too few.
@@ -85,16 +82,10 @@ def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shorta
 
 
 def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
-    """Return in which poses an arm keeps off the floor.
+    """Return in which poses q, shape (N, n), the arm keeps off the floor, shape (N,).
 
-    Args:
-        arm: The arm.
-        q: Joint positions [rad or m], shape (N, n).
-        min_height: Smallest z of the tip and of the origins of the third joint and all after it in the base
-            frame [m]; None for no floor.
-
-    Returns:
-        Shape (N,).
+    The tip and the origins of the third joint and all after it have to be above ``min_height`` in the base frame [m]; None
+    for no floor.
     """
     if min_height is None:
         return np.ones(len(q), bool)
@@ -103,11 +94,7 @@ def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
 
 
 def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return where an arm without load has its joints.
-
-    Args:
-        arm: The arm.
-        q: Joint positions [rad or m], shape (N, n).
+    """Return the frames of an arm without load at joint positions q [rad or m], shape (N, n).
 
     Returns:
         Transforms of base, working frames after q and tip to the base frame, shape (N, n + 2, 4, 4).

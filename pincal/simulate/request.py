@@ -34,10 +34,7 @@ class Stream(IntEnum):
     NOISE = 7
 
     def generator(self, seed: int) -> np.random.Generator:
-        """Return the source of randomness of this part.
-
-        Args:
-            seed: Seed of the whole simulation.
+        """Return the source of randomness of this part for the seed of the whole simulation.
 
         Raises:
             BadInputError: If the seed is negative.
@@ -135,12 +132,9 @@ def repeat_poses(
 
 
 def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the poses of a table to measure them again, and the conditions that it records.
+    """Return the poses of a table, to measure them again, and the conditions that it records.
 
     Several targets or points may be seen in one pose; each pose is returned once.
-
-    Args:
-        rows: The table.
 
     Returns:
         Joint positions [rad or m], shape (N, n), and of ``RECORDED`` and ``payload`` what the table has.

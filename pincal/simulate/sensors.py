@@ -60,16 +60,7 @@ class SetupOptions:
 
 
 def draw_setup(kind: str, arm: Arm, *, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
-    """Set a sensor up around an arm.
-
-    Args:
-        kind: A key of ``SENSORS``.
-        arm: The nominal arm.
-        rng: Source of randomness.
-        options: What is chosen.
-
-    Returns:
-        The set-up.
+    """Set up a sensor, a key of ``SENSORS``, around a nominal arm.
 
     Raises:
         BadInputError: If there is no such sensor, or no place for it.

@@ -77,13 +77,7 @@ class SensorSetup(ABC):
 
     @abstractmethod
     def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
-        """Draw poses of the nominal arm that suit the set-up.
-
-        Args:
-            arm: The nominal arm.
-            n: Number of poses.
-            rng: Source of randomness.
-            min_height: Height of the floor [m]; None for no floor.
+        """Draw poses of the nominal arm that suit the set-up and keep off the floor at ``min_height`` [m] (None: no floor).
 
         Returns:
             Joint positions [rad or m], shape (n, number of joints).
@@ -145,18 +139,10 @@ def draw_scatter(machine: Machine, q: np.ndarray, rng: np.random.Generator | Non
 
 
 def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | None) -> np.ndarray:
-    """Return normal noise, or zeros if sigma is 0.
-
-    Args:
-        shape: Shape of the result.
-        sigma: Standard deviation.
-        rng: Source of randomness; needed if sigma is not 0.
-
-    Returns:
-        New array.
+    """Return normal noise of a shape, or zeros if sigma is 0.
 
     Raises:
-        BadInputError: If there is noise to draw and nothing to draw it from.
+        BadInputError: If there is noise to draw and no source of randomness.
     """
     if sigma == 0.0:
         return np.zeros(shape)
@@ -166,14 +152,10 @@ def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | 
 
 
 def refuse_scale(machine: Machine, why: str) -> None:
-    """Refuse a machine with errors of an instrument's lengths, for a set-up that reads none.
-
-    Args:
-        machine: The machine.
-        why: What the set-up reads instead.
+    """Refuse a machine with errors of an instrument's lengths, for a set-up that reads no lengths.
 
     Raises:
-        BadInputError: If the machine has such an error.
+        BadInputError: If the machine has such an error; ``why`` says what the set-up reads instead.
     """
     for effect in machine.effects:
         if isinstance(effect, MeasuringEffect):

@@ -28,11 +28,8 @@ _PROBES = 100
 def typical_moments(machine: TrueMachine) -> np.ndarray:
     """Return the moment for which each joint is made: the largest in random poses with a tenth of the arm's mass as load.
 
-    Args:
-        machine: The machine; only its nominal arm and gravity count.
-
     Returns:
-        Moments [N m], shape (n,), none below a fiftieth of the largest.
+        Moments [N m], shape (n,), none below a fiftieth of the largest; only the nominal arm and gravity matter.
 
     Raises:
         BadInputError: If the arm has no mass.
@@ -61,13 +58,7 @@ def draw_typical_errors(machine: TrueMachine, rng: np.random.Generator, *, scale
 def draw_typical_elasticity(machine: TrueMachine, rng: np.random.Generator, *, scale: float = 1.0) -> TrueMachine:
     """Return the machine with compliant bearings, and drives that wind up by about 1 mrad under their largest moment.
 
-    Args:
-        machine: The machine.
-        rng: Source of randomness.
-        scale: Compliance relative to a typical one.
-
-    Returns:
-        A new machine.
+    ``scale`` is the compliance relative to a typical one.
 
     Raises:
         BadInputError: If the arm has no mass.
