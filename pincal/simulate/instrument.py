@@ -40,7 +40,7 @@ class Instrument(SensorSetup):
         >>> from pincal.simulate.machine import TrueMachine
         >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
         >>> Instrument(targets=(0.0, 0.0, 0.1)).measure(machine, np.zeros((1, 6)))["x"].round(6)
-        array([2.62])
+        array([2.72])
     """
 
     reads: str = "position"
