@@ -31,11 +31,6 @@ def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
     return _with_effects(calibrated, lambda effect: effect.scope == "robot" or _is_of_tool(effect), np.eye(3))
 
 
-def nominal_model(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the nominal robot with the calibrated tool; it predicts in the robot's base frame."""
-    return _with_effects(calibrated, _is_of_tool, np.eye(3))
-
-
 def _with_effects(
     calibrated: CalibratedModel, is_kept: Callable[[Effect], bool], base_rotation: np.ndarray
 ) -> CalibratedModel:
@@ -46,12 +41,12 @@ def _with_effects(
 
 
 def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
-    """Return the poses of the target that N poses of a nominal program mean: those of the nominal robot.
+    """Return the poses of the target that a nominal program means: those of the nominal robot with the calibrated tool.
 
     Returns:
         Poses in the robot's base frame, shape (N, 3, 4) [m].
     """
-    return nominal_model(calibrated).predict(conditions)
+    return _with_effects(calibrated, _is_of_tool, np.eye(3)).predict(conditions)
 
 
 def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:

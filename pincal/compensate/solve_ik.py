@@ -104,7 +104,9 @@ def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> t
     """Search with joints that stop at their bounds, from the seed and, if it is singular, from beside it."""
     q, reached = bounded_search(problem, seed, bounds=bounds)
     rows = np.flatnonzero(~reached)
-    rows = rows[_is_singular(problem.select(rows), seed[rows])]
+    if len(rows):
+        _, J = problem.select(rows).linearise(seed[rows])
+        rows = rows[np.linalg.svd(J, compute_uv=False)[:, -1] < _LOST]
     if len(rows):
         aside = seed[rows] + _ASIDE * np.where(np.arange(seed.shape[1]) % 2, -1.0, 1.0)
         found, ended = bounded_search(problem.select(rows), aside, bounds=bounds.select(rows))
@@ -116,14 +118,6 @@ def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> t
         arrived &= bounds.select(rows).contain(closer)
         q[rows[arrived]] = closer[arrived]
     return q, reached
-
-
-def _is_singular(problem: IkProblem, q: np.ndarray) -> np.ndarray:
-    """Return at which joint positions the arm has lost a direction, shape (N,)."""
-    if not len(q):
-        return np.zeros(0, bool)
-    _, J = problem.linearise(q)
-    return np.asarray(np.linalg.svd(J, compute_uv=False)[:, -1] < _LOST)
 
 
 def _is_beyond(problem: IkProblem, q: np.ndarray, *, limits: Bounds) -> np.ndarray:

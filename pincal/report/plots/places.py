@@ -28,8 +28,6 @@ from pincal.report.plots.style import (
     thinned,
 )
 
-View = Literal["top", "side"]
-
 # Bins of a variable, rows that a bin needs on average, and the fewest that it needs by itself.
 _BINS, _FEWEST = 18, 12
 _SOME = 3
@@ -79,7 +77,7 @@ def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
     return (edges[1:] + edges[:-1]) / 2.0, *found
 
 
-def workspace_figure(evidence: Evidence, view: View) -> Figure:
+def workspace_figure(evidence: Evidence, view: Literal["top", "side"]) -> Figure:
     """Draw the mean error over the workspace, before and after calibration on one scale of colours.
 
     Args:
@@ -109,7 +107,7 @@ def workspace_figure(evidence: Evidence, view: View) -> Figure:
     return figure
 
 
-def _seen_from(evidence: Evidence, view: View) -> tuple[np.ndarray, np.ndarray, tuple[str, str]]:
+def _seen_from(evidence: Evidence, view: str) -> tuple[np.ndarray, np.ndarray, tuple[str, str]]:
     """Return two coordinates of each row's tip [m] and their names."""
     up = evidence.up
     first = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
