@@ -193,44 +193,54 @@ class CalibratedModel(Calibrated):
     nominal_values: np.ndarray | None = None
 
     @classmethod
-    def of(cls, fit: Fit, provenance: dict[str, Any] | None = None) -> CalibratedModel:
+    def of(cls, fit: Fit, provenance: dict[str, Any] | None = None, *, station: str | None = None) -> CalibratedModel:
         """Return the calibrated model of a fit.
 
         Args:
             fit: the fit.
             provenance: where it came from, in types that JSON knows.
-        """
-        parameters = fit.station.parameters
-        covariance = np.zeros((len(fit.values), len(fit.values)))
-        covariance[np.ix_(fit.solution.free, fit.solution.free)] = fit.solution.posterior.covariance
-        estimate = estimate_of(parameters, fit.values.copy(), covariance)
-        return cls.of_station(fit, 0, estimate=estimate, nominal=fit.nominal.values.copy(), provenance=provenance)
+            station: name of the station; default: the only one.
 
-    @classmethod
-    def of_station(
-        cls, fit: Fit, k: int, *, estimate: Estimate, nominal: np.ndarray, provenance: dict[str, Any] | None
-    ) -> CalibratedModel:
-        """Return the calibrated model of the k-th station of a fit.
-
-        Args:
-            fit: the fit.
-            k: number of the station.
-            estimate: the station's parameters, by their names within the station.
-            nominal: shape (P,), their values with only base and tool fitted.
-            provenance: where it came from, in types that JSON knows.
+        Raises:
+            BadInputError: if no station is named and there are several.
         """
-        station = fit.problem.stations[k]
-        options = fit.options.at(station.name)
+        stations = fit.problem.stations
+        k = stations.index(fit.station) if station is None else [found.name for found in stations].index(station)
+        at, options = stations[k], fit.options.at(stations[k].name)
+        estimate, places = estimate_at(fit.estimate, at.name, at.model)
         return cls(
-            model=station.model,
-            estimate=estimate,
-            sensor_kind=station.sensor.kind,
+            model=at.model,
+            estimate=replace(estimate, prior=np.array([parameter.size for parameter in estimate.parameters])),
+            sensor_kind=at.sensor.kind,
             payload_centre=np.array(options.payload_centre, float),
-            covered=Covered.of(station.conditions),
+            covered=Covered.of(at.conditions),
             sigma=np.array(fit.solution.sigma[fit.problem.block_spans[k]], float),
             provenance=dict(provenance or {}),
             setup=options.setup,
-            nominal_values=nominal,
+            nominal_values=fit.nominal.values[places],
+        )
+
+    @classmethod
+    def of_entry(
+        cls,
+        entry: MeasuredEntry,
+        model: Model,
+        *,
+        estimate: Estimate,
+        nominal_values: np.ndarray | None,
+        provenance: dict[str, Any],
+    ) -> CalibratedModel:
+        """Return the calibrated model of a station of a file; the others as they stand in :class:`CalibratedModel`."""
+        return cls(
+            model=model,
+            estimate=estimate,
+            sensor_kind=entry.sensor_kind,
+            payload_centre=entry.payload_centre,
+            covered=Covered(entry.covered.q, entry.covered.payload),
+            sigma=entry.sigma,
+            provenance=provenance,
+            setup=entry.setup.setup(),
+            nominal_values=nominal_values,
         )
 
     def __repr__(self) -> str:
@@ -361,6 +371,16 @@ def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance:
     return Estimate(tuple(parameters), values, free, Covariance.of(covariance[np.ix_(free, free)]), prior)
 
 
+def estimate_at(estimate: Estimate, station: str, model: Model) -> tuple[Estimate, np.ndarray]:
+    """Return the estimate of one station's parameters by their names within it, and their places among all, shape (P,)."""
+    of_sensor = [p.name for p in estimate.parameters if p.station == station]
+    of_model = [f"{station}/{n}" if f"{station}/{n}" in estimate.names else n for n in model.names]
+    names = [*of_model, *(n for n in of_sensor if n not in of_model)]
+    found = estimate.take(names)
+    local = tuple(replace(p, name=p.local_name, station="") for p in found.parameters)
+    return replace(found, parameters=local), estimate.places(names)
+
+
 def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> None:
     """Write ``model.json``: the whole file or nothing, its numbers in full precision.
 
@@ -392,27 +412,8 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     """
     file = read_model_file(path)
     parameters = [entry.parameter() for entry in file.parameters]
-    return calibrated_from(
-        file,
-        file.model.model(),
-        estimate=estimate_of(parameters, file.values, file.covariance),
-        nominal=file.nominal_values,
-        provenance=file.provenance,
-    )
-
-
-def calibrated_from(
-    entry: MeasuredEntry, model: Model, *, estimate: Estimate, nominal: np.ndarray | None, provenance: dict[str, Any]
-) -> CalibratedModel:
-    """Return the calibrated model of a station of a file, see :class:`CalibratedModel`."""
-    return CalibratedModel(
-        model=model,
-        estimate=estimate,
-        sensor_kind=entry.sensor_kind,
-        payload_centre=entry.payload_centre,
-        covered=Covered(entry.covered.q, entry.covered.payload),
-        sigma=entry.sigma,
-        provenance=provenance,
-        setup=entry.setup.setup(),
-        nominal_values=nominal,
+    estimate = estimate_of(parameters, file.values, file.covariance)
+    nominal, provenance = file.nominal_values, file.provenance
+    return CalibratedModel.of_entry(
+        file, file.model.model(), estimate=estimate, nominal_values=nominal, provenance=provenance
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel, calibrated_from
+from pincal.calibration.calibrated import CalibratedModel, estimate_at
 from pincal.errors import BadInputError
 from pincal.identify.fit import Fit
 from pincal.io.entries import ChainEntry, ParameterEntry, RobotEntry
@@ -21,7 +21,6 @@ from pincal.io.model_file import (
     read_stations_file,
     write_model_file,
 )
-from pincal.model.model import Model
 from pincal.parameters import Estimate
 
 
@@ -50,13 +49,8 @@ class CalibratedStations:
             provenance: where it came from, in types that JSON knows.
         """
         prior = np.array([parameter.size for parameter in fit.problem.parameters])
-        estimate, nominal, models = replace(fit.estimate, prior=prior), fit.nominal.values.copy(), {}
-        for k, station in enumerate(fit.problem.stations):
-            local, places = _local(estimate, station.name, station.model)
-            models[station.name] = CalibratedModel.of_station(
-                fit, k, estimate=local, nominal=nominal[places], provenance=provenance
-            )
-        return cls(models, estimate, nominal, dict(provenance or {}))
+        models = {found.name: CalibratedModel.of(fit, provenance, station=found.name) for found in fit.problem.stations}
+        return cls(models, replace(fit.estimate, prior=prior), fit.nominal.values, dict(provenance or {}))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,16 +66,6 @@ class CalibratedStations:
         if name not in self.models:
             raise BadInputError(f"station {name!r} is not in the model; expected one of {', '.join(self.names)}")
         return self.models[name]
-
-
-def _local(estimate: Estimate, name: str, model: Model) -> tuple[Estimate, np.ndarray]:
-    """Return the estimate of one station's parameters by their names within it, and their places among all."""
-    of_sensor = [p.name for p in estimate.parameters if p.station == name]
-    of_model = [f"{name}/{n}" if f"{name}/{n}" in estimate.names else n for n in model.names]
-    names = [*of_model, *(n for n in of_sensor if n not in of_model)]
-    found = estimate.take(names)
-    local = tuple(replace(p, name=p.local_name, station="") for p in found.parameters)
-    return replace(found, parameters=local), estimate.places(names)
 
 
 def save_stations(path: str | os.PathLike[str], calibrated: CalibratedStations) -> None:
@@ -127,9 +111,10 @@ def load_stations(path: str | os.PathLike[str]) -> CalibratedStations:
     estimate = Estimate(parameters, file.values, np.array(file.fitted, bool), file.covariance.covariance(), prior)
     models = {}
     for k, entry in enumerate(file.stations):
-        model, nominal = file.model(k), file.nominal_values
-        local, places = _local(estimate, entry.name, model)
-        models[entry.name] = calibrated_from(
-            entry, model, estimate=local, nominal=nominal[places], provenance=file.provenance
+        model = file.model(k)
+        local, places = estimate_at(estimate, entry.name, model)
+        nominal = file.nominal_values[places]
+        models[entry.name] = CalibratedModel.of_entry(
+            entry, model, estimate=local, nominal_values=nominal, provenance=file.provenance
         )
     return CalibratedStations(models, estimate, file.nominal_values, file.provenance)

@@ -7,51 +7,10 @@ likewise, as one angle.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-
 import numpy as np
 
 from pincal.identify.station import Station
 from pincal.units import readable_unit
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Statistics of the errors at N poses.
-
-    Attributes:
-        unit: "mm" or "mrad".
-        mean, median, rms, p95, max: of the errors, in this unit.
-        rows: N.
-    """
-
-    unit: str
-    mean: float
-    median: float
-    rms: float
-    p95: float
-    max: float
-    rows: int
-
-    @classmethod
-    def of(cls, errors: np.ndarray, unit: str) -> Errors:
-        """Return the statistics of errors, shape (N,), given in ``unit``."""
-        if len(errors) == 0:
-            raise ValueError("no rows to take errors of")
-        return cls(
-            unit,
-            float(np.mean(errors)),
-            float(np.median(errors)),
-            float(np.sqrt(np.mean(errors**2))),
-            float(np.percentile(errors, 95)),
-            float(np.max(errors)),
-            len(errors),
-        )
-
-    def named(self) -> dict[str, float]:
-        """Return the statistics by name and unit: ``mean_mm`` and so on."""
-        values = asdict(self)
-        return {f"{name}_{self.unit}": values[name] for name in ("mean", "median", "rms", "p95", "max")}
 
 
 def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -76,14 +35,24 @@ def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
     return {"position": np.linalg.norm(station.displacements(values), axis=1) * readable_unit("m").factor} | found
 
 
-def statistics(station: Station, values: np.ndarray) -> list[Errors]:
-    """Return the statistics of the errors as :func:`pose_errors` has them, those in mm first; empty without rows."""
-    if len(station) == 0:
-        return []
-    units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
-    return [Errors.of(errors, units.get(name, "mm")) for name, errors in pose_errors(station, values).items()]
-
-
 def error_table(station: Station, values: np.ndarray) -> dict[str, float]:
-    """Return the statistics of all blocks in one dictionary: ``mean_mm``, ..., and ``mean_mrad``, ... for poses."""
-    return {name: value for errors in statistics(station, values) for name, value in errors.named().items()}
+    """Return the statistics of the errors as :func:`pose_errors` has them, by name and unit; empty without rows.
+
+    Returns:
+        ``mean_mm``, ``median_mm``, ``rms_mm``, ``p95_mm`` (95th percentile) and ``max_mm``; for orientations ``mean_mrad``
+        and so on, for images ``mean_px`` and so on.
+    """
+    if len(station) == 0:
+        return {}
+    units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
+    found: dict[str, float] = {}
+    for block, errors in pose_errors(station, values).items():
+        statistics = {
+            "mean": np.mean(errors),
+            "median": np.median(errors),
+            "rms": np.sqrt(np.mean(errors**2)),
+            "p95": np.percentile(errors, 95),
+            "max": np.max(errors),
+        }
+        found |= {f"{name}_{units.get(block, 'mm')}": float(value) for name, value in statistics.items()}
+    return found

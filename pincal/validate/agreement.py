@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -47,12 +48,16 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
     sample = measurements.select(rows)
     n = robot.n_joints
     names = robot.joint_names
-    trials = [
-        (f"the columns {names[i]!r} and {names[j]!r} look swapped", _swapped(n, i, j), np.ones(n))
-        for i, j in combinations(range(n), 2)
-    ]
-    trials += [(f"the column {names[i]!r} looks turned round in sign", np.arange(n), _turned(n, i)) for i in range(n)]
-    found = [(_nominal_error(robot, _mixed(sample, order, sign), fit.options), words) for words, order, sign in trials]
+    trials = []
+    for i, j in combinations(range(n), 2):
+        q = sample.q.copy()
+        q[:, [i, j]] = q[:, [j, i]]
+        trials.append((f"the columns {names[i]!r} and {names[j]!r} look swapped", q))
+    for i in range(n):
+        q = sample.q.copy()
+        q[:, i] *= -1.0
+        trials.append((f"the column {names[i]!r} looks turned round in sign", q))
+    found = [(_nominal_error(robot, replace(sample, q=q), fit.options), words) for words, q in trials]
     best, words = min(found, default=(np.inf, ""))
     got = f"base and tool alone leave {error * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
     if best * _CURED < error:
@@ -70,24 +75,6 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
 def _typical(station: Station, values: np.ndarray) -> float:
     """Return the robust size of the errors of position [m]: outliers have no say."""
     return float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
-
-
-def _swapped(n: int, i: int, j: int) -> np.ndarray:
-    order = np.arange(n)
-    order[[i, j]] = j, i
-    return order
-
-
-def _turned(n: int, i: int) -> np.ndarray:
-    sign = np.ones(n)
-    sign[i] = -1.0
-    return sign
-
-
-def _mixed(measurements: Measurements, order: np.ndarray, sign: np.ndarray) -> Measurements:
-    from dataclasses import replace
-
-    return replace(measurements, q=measurements.q[:, order] * sign)
 
 
 def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
