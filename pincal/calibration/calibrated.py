@@ -54,9 +54,10 @@ class Calibrated(ABC):
             OutputError: if the place can't be written to, or a number is not finite.
         """
 
+    @property
     @abstractmethod
-    def parameter_table(self) -> Table:
-        """Return the parameters with their standard deviations."""
+    def parameters(self) -> Table:
+        """The parameters with their standard deviations, as a table."""
 
     @abstractmethod
     def summary(self) -> str:
@@ -120,11 +121,6 @@ class Calibrated(ABC):
             _, J = found.model.linearise(found.model_values, conditions.select(rows))
             out[rows] = np.einsum("nip,nip->ni", J @ C, J)
         return np.sqrt(np.maximum(out, 0.0))
-
-    @property
-    def parameters(self) -> Table:
-        """The parameters with their standard deviations, as a table."""
-        return self.parameter_table()
 
     @property
     def covariance(self) -> np.ndarray:
@@ -270,8 +266,9 @@ class CalibratedModel(Calibrated):
         """Write ``model.json``; see :func:`save_model`."""
         save_model(path, self)
 
-    def parameter_table(self) -> Table:
-        """Return value and standard deviation of each parameter."""
+    @property
+    def parameters(self) -> Table:
+        """Value and standard deviation of each parameter."""
         return estimate_table(self.estimate)
 
     def summary(self) -> str:

@@ -38,13 +38,13 @@ class Fit(identified.Fit, Calibrated):
         robot = self.problem.stations[0].model.chain.robot.name
         return f"Fit({robot!r}: {len(self.problem)} rows, residuals {rms:.3g} times the noise)"
 
-    def to_model(self) -> CalibratedModel:
-        """Return the calibrated model, all that a prediction needs."""
-        return self._calibrated
-
     @cached_property
     def _calibrated(self) -> CalibratedModel:
         return CalibratedModel.of(self)
+
+    def to_model(self) -> CalibratedModel:
+        """Return the calibrated model, all that a prediction needs."""
+        return self._calibrated
 
     def to_stations(self) -> CalibratedStations:
         """Return what was found of all stations."""
@@ -65,8 +65,9 @@ class Fit(identified.Fit, Calibrated):
         else:
             self.to_model().save(path)
 
-    def parameter_table(self) -> Table:
-        """Return value and standard deviation of each parameter, whether the data identify it, and if not, why."""
+    @property
+    def parameters(self) -> Table:
+        """Value and standard deviation of each parameter, whether the data identify it, and if not, why."""
         return parameter_table(parameter_rows(self))
 
     def summary(self) -> str:

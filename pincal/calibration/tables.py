@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.result import ParameterRow
-from pincal.parameters import Estimate
+from pincal.parameters import Estimate, Parameter
 from pincal.tables import Cell, Column, Kind, Table, Tone
 from pincal.units import Quantity, fixed, show_sigma, show_unit, show_value
 from pincal.validate.replicates import ANGLE_WORDS
@@ -53,22 +53,23 @@ def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
     return tuple(rows) if len(rows) - len(inner) <= _MOST_POINTS else inner
 
 
+_ESTIMATES = (
+    Column("parameter", kind=Kind.NAME),
+    Column("unit", kind=Kind.LABEL, show=show_unit),
+    Column("nominal", kind=Kind.NUMBER, show=show_value),
+    Column("value", kind=Kind.NUMBER, show=show_value),
+    Column("sigma", kind=Kind.NUMBER, show=show_sigma),
+)
+
+
 def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters") -> Table:
     """Return nominal value, calibrated value and standard deviation of each parameter, and what the data tell of it."""
     shown = shown_parameters(parameters)
     hidden = len(parameters) - len(shown)
     return Table(
         title,
-        (
-            Column("parameter", kind=Kind.NAME),
-            Column("unit", kind=Kind.LABEL, show=show_unit),
-            Column("nominal", kind=Kind.NUMBER, show=show_value),
-            Column("value", kind=Kind.NUMBER, show=show_value),
-            Column("sigma", kind=Kind.NUMBER, show=show_sigma),
-            Column("status", kind=Kind.STATUS),
-            Column("reason", kind=Kind.REMARK),
-        ),
-        tuple(_parameter_cells(row) for row in shown),
+        (*_ESTIMATES, Column("status", kind=Kind.STATUS), Column("reason", kind=Kind.REMARK)),
+        tuple((*_cells(row, row.nominal, row.value, row.sigma), row.status, str(row.reason)) for row in shown),
         (f"The coordinates of {hidden // 3} named points are left out here; result.json has them.",) if hidden else (),
         tuple(_TONES[row.status] for row in shown),
     )
@@ -76,31 +77,16 @@ def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters
 
 def estimate_table(estimate: Estimate) -> Table:
     """Return nominal value, calibrated value and standard deviation of each parameter; a dash for those not fitted."""
-    columns = (
-        Column("parameter", kind=Kind.NAME),
-        Column("unit", kind=Kind.LABEL, show=show_unit),
-        Column("nominal", kind=Kind.NUMBER, show=show_value),
-        Column("value", kind=Kind.NUMBER, show=show_value),
-        Column("sigma", kind=Kind.NUMBER, show=show_sigma),
-    )
     numbers = zip(estimate.parameters, estimate.values, estimate.fitted_sigma, strict=True)
     rows = tuple(
-        (
-            p.name,
-            p.unit,
-            Quantity(p.nominal, p.unit),
-            Quantity(p.nominal + float(value), p.unit),
-            Quantity(float(sigma), p.unit) if np.isfinite(sigma) else None,
-        )
+        _cells(p, p.nominal, p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None)
         for p, value, sigma in numbers
     )
-    return Table("Parameters", columns, rows)
+    return Table("Parameters", _ESTIMATES, rows)
 
 
-def _parameter_cells(row: ParameterRow) -> tuple[Cell, ...]:
-    value, nominal = (Quantity(number, row.unit) for number in (row.value, row.nominal))
-    sigma = None if row.sigma is None else Quantity(row.sigma, row.unit)
-    return row.name, row.unit, nominal, value, sigma, row.status, str(row.reason)
+def _cells(of: ParameterRow | Parameter, *numbers: float | None) -> tuple[Cell, ...]:
+    return of.name, of.unit, *(None if number is None else Quantity(number, of.unit) for number in numbers)
 
 
 def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:

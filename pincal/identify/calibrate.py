@@ -54,28 +54,11 @@ def calibrate(
             depend on it.
 
     Returns:
-        The fit; look at ``solution.exit``.
+        The fit; look at ``solution.exit``. See :func:`pincal.calibrate` for an example.
 
     Raises:
         BadInputError: if an elastic effect is asked of an arm without masses.
         MeasurementError: if the rows are too few to tell the parameters and the noise.
-
-    Example:
-        >>> from pincal.simulate import Instrument, TrueMachine
-        >>> from pincal.measure.table import measurements_from_arrays
-        >>> from pincal.builtin import kuka_urdf_path
-        >>> from pincal.model.effects import GEOMETRIC
-        >>> robot = Robot.from_urdf(kuka_urdf_path())
-        >>> rng = np.random.default_rng(1)
-        >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
-        >>> machine = machine.draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
-        >>> q = robot.random_configurations(60, rng)
-        >>> columns = Instrument(targets=(0.1, 0.0, 0.2)).measure(machine, q)
-        >>> position = np.column_stack([columns[c] for c in "xyz"])
-        >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
-        >>> fit = calibrate(robot, table, Options(effects=GEOMETRIC))
-        >>> bool(np.abs(fit.station.residuals(fit.values)).max() < 1e-9)
-        True
     """
     tables = tables_of(measurements)
     options = _completed(options, tables)

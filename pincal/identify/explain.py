@@ -136,18 +136,14 @@ class _Nominal:
     """Normal equations at the nominal geometry, with base and tool where they are.
 
     Attributes:
-        names: of the P parameters.
-        effects: those that own them.
-        is_extrinsic: shape (P,), which say where things stand around the robot.
+        parameters: the P parameters.
         unknowns: what the sensor's own parameters describe, in words.
         G: shape (P, P), scaled to a unit diagonal; zero rows for what has no effect.
         scale: shape (P,), by which columns were divided.
         unseen: shape (P,), each parameter's share in the directions that no reading sees.
     """
 
-    names: tuple[str, ...]
-    effects: tuple[str, ...]
-    is_extrinsic: np.ndarray
+    parameters: tuple[Parameter, ...]
     unknowns: str
     G: np.ndarray
     scale: np.ndarray
@@ -167,9 +163,7 @@ class _Nominal:
         unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(null**2, axis=1)
         scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
         G = np.where(np.outer(free, free), G / np.outer(scale, scale), 0.0)
-        names, effects = zip(*((p.name, p.effect) for p in problem.parameters), strict=True)
-        is_extrinsic = np.array([p.is_extrinsic for p in problem.parameters])
-        return cls(names, effects, is_extrinsic, problem.sensor.unknowns, G, scale, unseen)
+        return cls(problem.parameters, problem.sensor.unknowns, G, scale, unseen)
 
     def counterpart(self, i: int) -> Reason:
         """Return what has the same effect as parameter ``i``: the smallest set of parameters that does."""
@@ -193,8 +187,8 @@ class _Nominal:
     def _candidates(self, i: int) -> Iterator[tuple[list[int], Cause]]:
         """Yield sets of parameters that may have the same effect, the plainest first, with the cause if they do."""
         symbol = self.names[i].rsplit(".", 1)[1]
-        base = [j for j in self._extrinsic if self.effects[j] == BaseFrame.name]
-        tool = [j for j in self._extrinsic if self.effects[j] != BaseFrame.name]
+        base = [j for j in self._extrinsic if self.parameters[j].effect == BaseFrame.name]
+        tool = [j for j in self._extrinsic if self.parameters[j].effect != BaseFrame.name]
         inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.G[j, j] > 0]
         alike = [j for j in inner if self.names[j].endswith("." + symbol)]
         yield base, Cause.BASE
@@ -212,8 +206,13 @@ class _Nominal:
         yield [*inner, *base, *tool], Cause.ALIASED
 
     @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @cached_property
     def _extrinsic(self) -> list[int]:
-        return [int(j) for j in np.flatnonzero(self.is_extrinsic)]
+        return [j for j, parameter in enumerate(self.parameters) if parameter.is_extrinsic]
 
     @cached_property
     def _element(self) -> list[int]:

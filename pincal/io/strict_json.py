@@ -227,34 +227,23 @@ def _type_at(wanted: Any, place: str) -> Any:
     return wanted
 
 
-def json_text(contents: dict[str, Any], *, indent: int | None = None, by_line: bool = False) -> str:
-    """Return contents as JSON, its numbers in full precision.
+def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1) -> None:
+    """Write contents as a JSON file, the whole file or nothing, its numbers in full precision.
 
     Args:
+        path: the file.
         contents: what to write, in types that JSON knows.
-        indent: as :func:`json.dumps` has it.
-        by_line: one line for each key of the outermost object.
-
-    Raises:
-        OutputError: if a number is not finite.
-    """
-    try:
-        if not by_line:
-            return json.dumps(contents, indent=indent, allow_nan=False) + "\n"
-        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in contents.items()]
-        return "{\n" + ",\n".join(lines) + "\n}\n"
-    except ValueError as error:
-        raise OutputError(f"a number is not finite ({error})") from None
-
-
-def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1) -> None:
-    """Write contents as a JSON file, the whole file or nothing.
+        indent: as :func:`json.dumps` has it; None for one line for each key of the outermost object.
 
     Raises:
         OutputError: if the place can't be written to, or a number is not finite.
     """
     try:
-        text = json_text(contents, indent=indent, by_line=indent is None)
-    except OutputError as error:
-        raise OutputError(f"{os.fspath(path)}: {error}; calibrate again") from None
+        if indent is None:
+            lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in contents.items()]
+            text = "{\n" + ",\n".join(lines) + "\n}\n"
+        else:
+            text = json.dumps(contents, indent=indent, allow_nan=False) + "\n"
+    except ValueError as error:
+        raise OutputError(f"{os.fspath(path)}: a number is not finite ({error}); calibrate again") from None
     write_whole(path, text)
