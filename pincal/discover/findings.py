@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+import msgspec
+
 from pincal.discover.shrink import StageError
+from pincal.io.discovery_file import Disagreement, FoundParameter, ScatteringJoint
 from pincal.model.effect import Effect
 
 
@@ -16,21 +19,6 @@ class Verdict(StrEnum):
 
     ADEQUATE = "adequate"
     NOT_ADEQUATE = "not adequate"
-
-
-@dataclass(frozen=True)
-class FoundParameter:
-    """A parameter of an effect.
-
-    Attributes:
-        value: its value [``unit``].
-        sigma: its standard deviation [``unit``], that of the prior where it was not fitted; None for nothing known.
-        unit: the unit.
-    """
-
-    value: float
-    sigma: float | None
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -62,55 +50,13 @@ class FoundEffect:
         return {
             **self.effect.describe(),
             **({} if self.period is None else {"period": self.period}),
-            "parameters": {name: asdict(parameter) for name, parameter in self.parameters.items()},
+            "parameters": msgspec.to_builtins(self.parameters),
             "p_value": self.p_value,
             "gap_before_mm": self.gap_before_mm,
             "gap_after_mm": self.gap_after_mm,
             "equivalent": [effect.describe() for effect in self.equivalent],
             "tell_apart": self.tell_apart,
         }
-
-
-@dataclass(frozen=True)
-class Disagreement:
-    """Where model and data disagree.
-
-    Attributes:
-        statement: what is to be said of it.
-        share: part of the excess over the noise, 0 to 1.
-        joint: the joint; None for a region.
-        region: the region, where it is not one joint: "whole arm", "reach 0.80 to 1.10 m", ...
-        acts_on: what moves there, where that is known: "drive", "gamma_x", "base", ...
-        depends_on: the variable that it follows, where that is known.
-    """
-
-    statement: str
-    share: float
-    joint: str | None = None
-    region: str | None = None
-    acts_on: str | None = None
-    depends_on: str | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of ``discovery.json``."""
-        place = {"joint": self.joint} if self.joint is not None else {"region": self.region}
-        follows = {} if self.acts_on is None else {"acts_on": self.acts_on, "depends_on": self.depends_on}
-        return place | {"statement": self.statement, "share": self.share} | follows
-
-
-@dataclass(frozen=True)
-class ScatteringJoint:
-    """A joint that is somewhere else each time.
-
-    Attributes:
-        joint: the joint.
-        sigma_rad: standard deviation of its position [rad; m of a sliding joint].
-        missing: the column that could explain it.
-    """
-
-    joint: str
-    sigma_rad: float
-    missing: str
 
 
 @dataclass(frozen=True)
@@ -161,9 +107,9 @@ class Findings:
         return {
             "noise_floor_mm": self.noise_floor_mm,
             "gap": {"before": self.before.to_dict(), "after": self.after.to_dict()},
-            "where": [entry.to_dict() for entry in self.where],
+            "where": msgspec.to_builtins(self.where),
             "effects": [entry.to_dict() for entry in self.effects],
-            "scatter": [asdict(entry) for entry in self.scatter],
+            "scatter": msgspec.to_builtins(self.scatter),
             "not_testable": [entry.to_dict() for entry in self.not_testable],
             "verdict": str(self.verdict),
             "unexplained_mm": self.unexplained_mm,

@@ -6,13 +6,14 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.calibration.run import Calibration
-from pincal.discover.findings import Findings, FoundEffect, FoundParameter, ScatteringJoint, Untestable, Verdict
+from pincal.discover.findings import Findings, FoundEffect, Untestable, Verdict
 from pincal.discover.history import History, Step
 from pincal.discover.power import deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
 from pincal.discover.shrink import PartialResidual, gap_of, period_of
 from pincal.discover.where import noise_floor, sure_compliances, where_of
 from pincal.identify.fit import Fit
+from pincal.io.discovery_file import FoundParameter, ScatteringJoint
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect
 

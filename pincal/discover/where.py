@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
-from pincal.discover.findings import Disagreement, FoundParameter
 from pincal.discover.history import History
 from pincal.discover.locate import levers, locate
 from pincal.discover.scatter import Scatter
 from pincal.discover.words import location_words, region_words
 from pincal.identify.fit import Fit
+from pincal.io.discovery_file import Disagreement, FoundParameter
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
 from pincal.parameters import Estimate

@@ -28,18 +28,24 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     place: float | str | None = None
 
 
-class Found(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter of an effect [SI units]."""
+class FoundParameter(msgspec.Struct, frozen=True):
+    """A parameter of an effect.
+
+    Attributes:
+        value: its value [``unit``].
+        sigma: its standard deviation [``unit``], that of the prior where it was not fitted; None for nothing known.
+        unit: the unit.
+    """
 
     value: float
-    sigma: float
+    sigma: float | None
     unit: str
 
 
 class EffectEntry(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """An effect that was found, in the order in which they were accepted."""
 
-    parameters: dict[str, Found]
+    parameters: dict[str, FoundParameter]
     p_value: float
     gap_before_mm: float
     gap_after_mm: float
@@ -48,8 +54,17 @@ class EffectEntry(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     period: float | None = None
 
 
-class Place(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Where the readings disagree with the model, and the share of the excess over the noise that stands there."""
+class Disagreement(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Where model and data disagree.
+
+    Attributes:
+        statement: what is to be said of it.
+        share: part of the excess over the noise, 0 to 1.
+        joint: the joint; None for a region.
+        region: the region, where it is not one joint: "whole arm", "reach 0.80 to 1.10 m", ...
+        acts_on: what moves there, where that is known: "drive", "gamma_x", "base", ...
+        depends_on: the variable that it follows, where that is known.
+    """
 
     statement: str
     share: float
@@ -59,8 +74,14 @@ class Place(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     depends_on: str | None = None
 
 
-class ScatterEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """A joint that repeats badly, and the column that could explain it."""
+class ScatteringJoint(msgspec.Struct, frozen=True):
+    """A joint that does not return to the same position.
+
+    Attributes:
+        joint: the joint.
+        sigma_rad: standard deviation of its position [rad; m of a sliding joint].
+        missing: the column that could explain it.
+    """
 
     joint: str
     sigma_rad: float
@@ -78,9 +99,9 @@ class DiscoveryFile(msgspec.Struct, frozen=True, kw_only=True):
 
     noise_floor_mm: float
     gap: dict[Literal["before", "after"], Gap]
-    where: tuple[Place, ...]
+    where: tuple[Disagreement, ...]
     effects: tuple[EffectEntry, ...]
-    scatter: tuple[ScatterEntry, ...]
+    scatter: tuple[ScatteringJoint, ...]
     not_testable: tuple[Untestable, ...]
     verdict: Literal["adequate", "not adequate"]
     unexplained_mm: float

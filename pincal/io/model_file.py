@@ -200,12 +200,7 @@ class _Head(msgspec.Struct, frozen=True):
             raise Fault(f"is {self.format_version}", expected, key=".format_version")
 
 
-def version_of(path: str | os.PathLike[str]) -> int:
-    """Return the format version of a ``model.json``: 1 for one station, 2 for several.
-
-    Raises:
-        ModelFileError: if the file can't be read, is cut off or newer than this version.
-    """
+def _version_of(path: str | os.PathLike[str]) -> int:
     version = read_json(path, _Head, MODEL_FILE).format_version
     if version > STATIONS_VERSION:
         raise MODEL_FILE.error(
@@ -221,7 +216,7 @@ def read_model_file(path: str | os.PathLike[str]) -> ModelFile:
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    if version_of(path) == STATIONS_VERSION:
+    if _version_of(path) == STATIONS_VERSION:
         names = ", ".join(entry.name for entry in read_json(path, _Stations, MODEL_FILE).stations)
         raise MODEL_FILE.error(
             f"{os.fspath(path)}: holds several stations: {names}; expected one: choose it by load_stations(path).at(name)"
@@ -235,7 +230,7 @@ def read_stations_file(path: str | os.PathLike[str]) -> StationsFile:
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    version_of(path)
+    _version_of(path)
     return read_json(path, StationsFile, MODEL_FILE, hook=restored)
 
 

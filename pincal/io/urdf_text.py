@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pincal.errors import RobotFileError
-from pincal.robot.se3 import rotation_of_rpy
+from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.robot.urdf import parse_xml
 
 # A number that changes by less [rad or m] is rounding: its text stays.
@@ -35,9 +35,7 @@ class Origin:
     @property
     def matrix(self) -> np.ndarray:
         """The placement, shape (4, 4), of the child frame in the parent frame."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = rotation_of_rpy(self.rpy), self.xyz
-        return T
+        return transform(rotation_of_rpy(self.rpy), self.xyz)
 
 
 def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:

@@ -27,9 +27,7 @@ def rotation(axis: str, angle: float) -> np.ndarray:
 
 def translation(x: float, y: float, z: float) -> np.ndarray:
     """Return the translation, shape (4, 4), by (x, y, z) [m]."""
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
+    return transform(np.eye(3), np.array([x, y, z]))
 
 
 def placed(reference: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
