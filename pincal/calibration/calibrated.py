@@ -48,11 +48,7 @@ class Calibrated(ABC):
 
     @abstractmethod
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``model.json``, from which :func:`pincal.load_model` returns the calibrated model.
-
-        Raises:
-            OutputError: if the place can't be written to, or a number is not finite.
-        """
+        """Write ``model.json``, from which :func:`pincal.load_model` returns the calibrated model."""
 
     @property
     @abstractmethod
@@ -200,10 +196,10 @@ class CalibratedModel(Calibrated):
         Raises:
             BadInputError: if no station is named and there are several.
         """
-        stations = fit.problem.stations
-        k = stations.index(fit.station) if station is None else [found.name for found in stations].index(station)
-        at, options = stations[k], fit.options.at(stations[k].name)
-        estimate, places = estimate_at(fit.estimate, at.name, at.model)
+        name = fit.station.name if station is None else station
+        k = [found.name for found in fit.problem.stations].index(name)
+        at, options = fit.problem.stations[k], fit.options.at(name)
+        estimate, places = estimate_at(fit.estimate, name, at.model)
         return cls(
             model=at.model,
             estimate=replace(estimate, prior=np.array([parameter.size for parameter in estimate.parameters])),
@@ -263,8 +259,25 @@ class CalibratedModel(Calibrated):
         return self
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``model.json``; see :func:`save_model`."""
-        save_model(path, self)
+        """Write ``model.json``: the whole file or nothing, its numbers in full precision.
+
+        Args:
+            path: the file; an existing one is replaced only when the new one is complete.
+
+        Raises:
+            OutputError: if the place can't be written to, or a number is not finite.
+        """
+        try:
+            file = ModelFile.of_station(
+                self,
+                format_version=FORMAT_VERSION,
+                parameters=tuple(map(ParameterEntry.of_parameter, self.estimate.parameters)),
+                model=ModelEntry.of_model(self.model),
+            )
+        except Fault as fault:
+            place = fault.key.removeprefix(".")
+            raise OutputError(f"{os.fspath(path)}: not finite or not whole: {place} {fault}; calibrate again") from None
+        write_model_file(path, file)
 
     @property
     def parameters(self) -> Table:
@@ -379,26 +392,8 @@ def estimate_at(estimate: Estimate, station: str, model: Model) -> tuple[Estimat
 
 
 def save_model(path: str | os.PathLike[str], calibrated: CalibratedModel) -> None:
-    """Write ``model.json``: the whole file or nothing, its numbers in full precision.
-
-    Args:
-        path: the file; an existing one is replaced only when the new one is complete.
-        calibrated: the model.
-
-    Raises:
-        OutputError: if the place can't be written to, or a number is not finite.
-    """
-    try:
-        file = ModelFile.of_station(
-            calibrated,
-            format_version=FORMAT_VERSION,
-            parameters=tuple(map(ParameterEntry.of_parameter, calibrated.estimate.parameters)),
-            model=ModelEntry.of_model(calibrated.model),
-        )
-    except Fault as fault:
-        place = fault.key.removeprefix(".")
-        raise OutputError(f"{os.fspath(path)}: not finite or not whole: {place} {fault}; calibrate again") from None
-    write_model_file(path, file)
+    """Write ``model.json``; see :meth:`CalibratedModel.save`."""
+    calibrated.save(path)
 
 
 def load_model(path: str | os.PathLike[str]) -> CalibratedModel:

@@ -145,7 +145,9 @@ def _noise(fit: Fit) -> NoiseRecord:
 def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
     """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
     values = fit.values + np.array([p.nominal for p in fit.station.parameters])
-    for element, rotation in _references(fit).items():
+    chain = fit.model.chain
+    references = {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
+    for element, rotation in references.items():
         places = [i for i, p in enumerate(fit.station.parameters) if p.name in {f"{element}.r{a}" for a in "xyz"}]
         if len(places) == 3:
             turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
@@ -167,19 +169,14 @@ def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
     )
 
 
-def _references(fit: Fit) -> dict[str, np.ndarray]:
-    chain = fit.model.chain
-    return {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
-
-
 def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:
     """Return the strongest correlations between identified parameters, those of base and tool left out."""
     C = fit.solution.posterior.covariance
     sd = np.sqrt(np.diag(C))
     correlation = C / np.outer(sd, sd)
     parameters = [p for p, free in zip(fit.station.parameters, fit.solution.free, strict=True) if free]
-    told = {row.name for row in rows if row.status == "identified"}
-    inner = np.array([np.isfinite(p.size) and p.name in told for p in parameters], bool)
+    identified = {row.name for row in rows if row.status == "identified"}
+    inner = np.array([np.isfinite(p.size) and p.name in identified for p in parameters], bool)
     pairs = [
         (float(correlation[i, j]), parameters[i].name, parameters[j].name)
         for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1) & np.outer(inner, inner)), strict=True)

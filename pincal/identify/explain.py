@@ -62,10 +62,11 @@ def explain(fit: Fit) -> tuple[Finding, ...]:
     variance[fit.solution.free] = np.diag(fit.solution.posterior.covariance)
     ratio = np.sqrt(variance) / fit.priors.sizes
     frames = _frame_variances(fit)
-    return tuple(
-        _frame_finding(fit, i, frames[i], variance[i]) if i in frames else _finding(fit, nominal, i, float(ratio[i]))
-        for i in range(len(fit.values))
+    found = (
+        _of_frame(parameter, frames[i], variance[i]) if i in frames else _of_inner(fit, nominal, i, float(ratio[i]))
+        for i, parameter in enumerate(fit.station.parameters)
     )
+    return tuple(Finding(p.name, *why) for p, why in zip(fit.station.parameters, found, strict=True))
 
 
 def _frame_variances(fit: Fit) -> dict[int, float]:
@@ -82,42 +83,38 @@ def _frame_variances(fit: Fit) -> dict[int, float]:
     return {int(place[i]): float(v) for i, v in zip(frames, left, strict=True)}
 
 
-def _frame_finding(fit: Fit, i: int, known: float, variance: float) -> Finding:
+def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Status, Reason]:
     """Frames of base and tool are known as well as the parameters that they absorb."""
-    parameter = fit.station.parameters[i]
     if known > (1.0 - _IDENTIFIED**2) * variance:
-        return Finding(parameter.name, Status.IDENTIFIED)
-    return Finding(parameter.name, Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(known)), unit=parameter.unit))
+        return Status.IDENTIFIED, IDENTIFIED
+    return Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(known)), unit=parameter.unit)
 
 
-def _finding(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> Finding:
+def _of_inner(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> tuple[Status, Reason]:
     parameter, size = fit.station.parameters[i], float(fit.priors.sizes[i])
     if fit.solution.at_bound[i]:
-        reason = Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
-        return Finding(parameter.name, Status.AT_BOUND, reason)
+        return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
     if not fit.solution.free[i]:
         return _not_free(fit, parameter)
     if nominal.unseen[i] > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(size)):
-        reason = replace(nominal.counterpart(i), moment=_largest_moment(fit, parameter))
-        return Finding(parameter.name, Status.UNIDENTIFIABLE, reason)
+        return Status.UNIDENTIFIABLE, replace(nominal.counterpart(i), moment=_largest_moment(fit, parameter))
     if ratio >= _IDENTIFIED:
-        weak = Reason(Cause.WEAK if ratio < _NARROWED else Cause.UNINFORMED, size=size, unit=parameter.unit)
-        reason = replace(weak, narrowed=size * ratio, moment=_largest_moment(fit, parameter))
-        return Finding(parameter.name, Status.PRIOR, reason)
-    return Finding(parameter.name, Status.IDENTIFIED)
+        cause, moment = Cause.WEAK if ratio < _NARROWED else Cause.UNINFORMED, _largest_moment(fit, parameter)
+        return Status.PRIOR, Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment)
+    return Status.IDENTIFIED, IDENTIFIED
 
 
-def _not_free(fit: Fit, parameter: Parameter) -> Finding:
+def _not_free(fit: Fit, parameter: Parameter) -> tuple[Status, Reason]:
     """Return why a parameter took no part in the fit."""
     if parameter.name in known_frames(fit.options):
-        return Finding(parameter.name, Status.FIXED, Reason(Cause.GIVEN))
+        return Status.FIXED, Reason(Cause.GIVEN)
     sensor = fit.station.sensor
     held = {p.name for p, is_fixed in zip(sensor.parameters, sensor.fixed, strict=True) if is_fixed}
     if isinstance(sensor, KnownParameters) and parameter.name in held:
-        return Finding(parameter.name, Status.FIXED, Reason(Cause.GIVEN if sensor.is_given else Cause.NOT_NEEDED))
-    is_compliance = parameter.unit.endswith("/(N m)")
-    cause = Cause.NO_MOMENT if is_compliance else Cause.NOT_EXCITED
-    return Finding(parameter.name, Status.UNIDENTIFIABLE, Reason(cause, axis=parameter.name[-1] if is_compliance else ""))
+        return Status.FIXED, Reason(Cause.GIVEN if sensor.is_given else Cause.NOT_NEEDED)
+    if parameter.unit.endswith("/(N m)"):
+        return Status.UNIDENTIFIABLE, Reason(Cause.NO_MOMENT, axis=parameter.name[-1])
+    return Status.UNIDENTIFIABLE, Reason(Cause.NOT_EXCITED)
 
 
 def _largest_moment(fit: Fit, parameter: Parameter) -> float | None:

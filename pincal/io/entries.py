@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 import numpy as np
 
-from pincal.errors import MeasurementError
 from pincal.io.arrays import (
     Limits,
     Matrix,
@@ -176,42 +175,26 @@ class PointEntry(Record, frozen=True, kw_only=True):
     position: tuple[float, float, float] | None
 
 
-class DistanceEntry(Record, frozen=True, kw_only=True):
-    """A known distance between two named points and its standard deviation [m]."""
-
-    first: str
-    second: str
-    length: float
-    sigma: float
-
-
 class SetupEntry(Record, frozen=True, kw_only=True):
     """What was known of a measuring setup, see :class:`pincal.measure.setup.Setup`; ``gaps`` are the known distances."""
 
     points: tuple[PointEntry, ...]
-    gaps: tuple[DistanceEntry, ...]
+    gaps: tuple[KnownDistance, ...]
     lens: Annotated[Numbers, Shape(9)] | None
     fit_lens: bool
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        try:
-            self.setup()
-        except MeasurementError as error:
-            raise Fault(str(error), "distances of two points", key=".gaps") from None
 
     @classmethod
     def of_setup(cls, setup: Setup) -> SetupEntry:
         """Return the entry of a setup."""
         points = tuple(PointEntry(name=name, position=position) for name, position in setup.points.items())
         lens = None if setup.lens is None else setup.lens.values
-        return cls(points=points, gaps=tuple(map(DistanceEntry.of, setup.distances)), lens=lens, fit_lens=setup.fit_lens)
+        return cls(points=points, gaps=setup.distances, lens=lens, fit_lens=setup.fit_lens)
 
     def setup(self) -> Setup:
         """Return the setup."""
         return Setup(
             points={point.name: point.position for point in self.points},
-            distances=tuple(KnownDistance(**msgspec.structs.asdict(gap)) for gap in self.gaps),
+            distances=self.gaps,
             lens=None if self.lens is None else Lens(*self.lens.tolist()),
             fit_lens=self.fit_lens,
         )
