@@ -240,4 +240,4 @@ def write_model_file(path: str | os.PathLike[str], file: ModelFile | StationsFil
     Raises:
         OutputError: if the place can't be written to, or a number is not finite.
     """
-    write_json(path, plain(file), indent=None)
+    write_json(path, {"format_version": file.format_version, **plain(file)}, indent=None)
