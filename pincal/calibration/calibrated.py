@@ -88,7 +88,7 @@ class Calibrated(ABC):
             at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N poses, for models that need
                 temperature, time or the direction of approach.
             payload: mass at the tip [kg]; not with conditions.
-            target: name of the target; the first one unless given; not with conditions.
+            target: name of the target; default: the first one; not with conditions.
             return_sigma: whether to return the standard deviation of the position, too.
 
         Returns:
@@ -356,7 +356,7 @@ class CalibratedModel(Calibrated):
         return outside_curves(self.model, conditions)
 
     def with_effects(self, is_kept: Callable[[Effect], bool]) -> CalibratedModel:
-        """Return the model as it stands with some effects left out, nothing fitted again."""
+        """Return the same model without some effects; nothing is fitted again."""
         gone = [effect for effect in self.model.effects if not is_kept(effect)]
         names = {p.name for effect in gone for p in effect.parameters(self.model.chain)}
         kept = np.array([name not in names for name in self.estimate.names], bool)

@@ -91,14 +91,14 @@ def notes_on_fit(fit: Fit, p_value: float | None, outliers: Sequence[int], test:
         found.append(Note(Kind.NOISE_OVERSTATED))
     if outliers:
         found.append(Note(Kind.OUTLIERS, {"count": len(outliers), "lines": _listed(outliers)}))
-    if test is None or not len(test):
+    if test is None:
         found.append(Note(Kind.NOT_HELD_OUT))
     return found
 
 
 def notes_on_held_out(fit: Fit, test: Station | None, table: Measurements) -> list[Note]:
     """Return whether some held-out rows are far off all others: a few of them dominate a mean."""
-    if test is None or not len(test):
+    if test is None:
         return []
     errors = next(iter(pose_errors(test, fit.values).values()))
     far = errors > _FAR * np.median(errors)

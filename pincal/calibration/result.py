@@ -13,7 +13,7 @@ from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.reasons import Reason, Status
 from pincal.identify.station import Station
-from pincal.io.result_file import Correlation, Errors, NoiseRecord, Outcome, ParameterRecord
+from pincal.io.result_file import Correlation, NoiseRecord, Outcome, ParameterRecord
 from pincal.measure.measurements import Measurements
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.validate.accuracy import error_table
@@ -81,7 +81,7 @@ def result_of(
 
     Args:
         fit: the calibration.
-        test: held-out rows under the calibrated model, or None.
+        test: held-out rows under the calibrated model; None without any.
         seconds: how long it took.
         tables: the training rows, and the held-out ones.
         notes: notes on robot and data, which come first.
@@ -93,11 +93,8 @@ def result_of(
     outliers = tuple(int(line) for line in tables[0].rows[solution.weights == 0.0])
     replicates = _replicates(fit, test, tables)
     lack = lack_of_fit(replicates, fit.values, solution.sigma, spent=solution.posterior.effective)
-    error: Errors = {}
-    for name, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
-        error[name] = {"train": error_table(fit.station, values)}
-        if test is not None and len(test):
-            error[name]["test"] = error_table(test, values)
+    models = {"nominal": fit.nominal.values, "calibrated": fit.values}
+    parts = {"train": fit.station} | ({} if test is None else {"test": test})
     found = [*notes_on_fit(fit, p_value, outliers, test), *notes_on_held_out(fit, test, tables[1])]
     found += notes_on_replicates(lack, p_value)
     return Result(
@@ -114,9 +111,9 @@ def result_of(
         outliers=outliers,
         correlations=_correlations(fit, parameters),
         stages=fit.stages,
-        error=error,
+        error={name: {part: error_table(rows, of) for part, rows in parts.items()} for name, of in models.items()},
         warnings=(*notes, *map(str, found)),
-        iso9283=iso9283(replicates, {"nominal": fit.nominal.values, "calibrated": fit.values}),
+        iso9283=iso9283(replicates, models),
         lack_of_fit=lack,
     )
 
@@ -125,7 +122,7 @@ def _replicates(fit: Fit, test: Station | None, tables: tuple[Measurements, Meas
     """Return fitted and held-out rows with the poses that they are replicates of."""
     train_poses, test_poses = replicate_groups(tables)
     found = [Replicates("train", tables[0], fit.station, train_poses, fit.solution.weights > 0.0)]
-    if test is not None and len(test):
+    if test is not None:
         found.append(Replicates("test", tables[1], test, test_poses, np.ones(len(test), bool)))
     return found
 

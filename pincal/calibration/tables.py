@@ -63,7 +63,7 @@ _ESTIMATES = (
 
 
 def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters") -> Table:
-    """Return nominal value, calibrated value and standard deviation of each parameter, and what the data tell of it."""
+    """Return nominal value, calibrated value and standard deviation of each parameter, and whether the data identify it."""
     shown = shown_parameters(parameters)
     hidden = len(parameters) - len(shown)
     return Table(
@@ -90,7 +90,7 @@ def _cells(of: ParameterRow | Parameter, *numbers: float | None) -> tuple[Cell, 
 
 
 def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
-    """Return the pairs of parameters that the data hardly tell apart."""
+    """Return the pairs of strongly correlated parameters."""
     names = tuple(Column(name, kind=Kind.NAME) for name in ("parameter", "with"))
     columns = (*names, Column("correlation", kind=Kind.NUMBER, show="{:+.3f}".format))
     rows = tuple((*pair["parameters"], pair["correlation"]) for pair in correlations)

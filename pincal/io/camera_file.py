@@ -13,7 +13,7 @@ from pincal.io.strict_json import Fault, FileKind, read_json
 from pincal.measure.lens import DISTORTION, PINHOLE, Lens
 from pincal.robot.se3 import are_rotations
 
-# A mount is taken as it stands, so it has to be a rotation to the digits that are usually written.
+# A mount is used without correction, so it has to be a rotation to the digits that are usually written.
 _ROTATION = 1e-6
 _CAMERA_FILE = FileKind(
     "a camera's JSON",

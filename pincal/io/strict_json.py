@@ -1,4 +1,4 @@
-"""JSON files read strictly into typed structures: bounded first, then typed, and every fault told with its place."""
+"""JSON files read strictly into typed structures: bounded first, then typed, and every fault reported with its place."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     Args:
         model: the calibrated model.
         values: shape (P,) or longer, its parameters; what follows them (a sensor's own) is not used.
-        urdf: the URDF to edit; that of ``model.chain.robot`` unless given.
+        urdf: the URDF to edit; default: that of ``model.chain.robot``.
 
     Returns:
         The URDF, byte for byte the original but for the numbers of the origins that changed.

@@ -217,7 +217,7 @@ def groups(pose: np.ndarray) -> list[np.ndarray]:
         pose: shape (N,), the number of each row's pose; -1 for none.
 
     Returns:
-        Indices of rows, an array a pose.
+        Indices of rows, one array per pose.
     """
     order = np.argsort(pose, kind="stable")
     cuts = np.flatnonzero(np.diff(pose[order])) + 1
