@@ -14,6 +14,7 @@ import pytest
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import pincal as pincal_command
+from pincal.errors import BadInputError, ModelFileError
 from pincal.measure.table import write_table
 from pincal.model.registry import EFFECTS
 
@@ -76,3 +77,19 @@ def test_an_effect_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureF
     assert "sigma_x" in (scene.folder / "predicted.csv").read_text().splitlines()[0]
     scene.run("view", "out/model.json", "new.csv", "--html", "view.html")
     assert "hose_pull" in (scene.folder / "view.html").read_text()
+
+
+def test_an_effect_from_outside_is_fitted_on_request(scene: Scene) -> None:
+    """``--add`` puts it into a calibration, and the file of the model says which module it comes from."""
+    fit = ("calibrate", "robot.urdf", "fit.csv", "--out", "out", "--model", "geometric", "--add", "hose_pull:joint_5")
+    scene.run(*fit)
+    found = {entry["name"]: entry for entry in scene.read("out/result.json")["parameters"]}  # type: ignore[attr-defined]
+    assert abs(found["joint_5.hose"]["value"] - PULL) < 4.0 * found["joint_5.hose"]["sigma"]
+    entry = scene.read("out/model.json")["model"]["effects"][-1]  # type: ignore[index]
+    assert entry == {"name": "hose_pull", "module": "hose_pull", "joint": "joint_5", "wound": "joint_4"}
+    scene.run("validate", "out/model.json", "new.csv", "--max-error", "0.1mm")
+    EFFECTS._classes.pop("hose_pull")
+    with pytest.raises(ModelFileError, match=r"effect 'hose_pull' is not pincal's own.*--plugin hose_pull"):
+        pincal_command.main(args=["validate", "out/model.json", "new.csv"], standalone_mode=False)
+    with pytest.raises(BadInputError, match=r"effect 'hose_pull:joint_5': unknown; expected one of .*gear_ratio"):
+        pincal_command.main(args=[*fit], standalone_mode=False)

@@ -114,3 +114,28 @@ def test_names_of_the_last_release_still_work_with_a_warning(fit: pincal.Fit) ->
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pincal.CalibratedModel.of(fit).provenance == {}
+
+
+def test_a_fit_of_several_stations_is_the_same_object(fit: pincal.Fit) -> None:
+    """Its parameters are one table, the robot is exported as one, and what is a station's is asked of that station."""
+    table = fit.station.sensor
+    rows = np.arange(len(table)) < len(table) / 2
+    q, position = fit.station.conditions.q, table.position  # type: ignore[attr-defined]
+    target = np.array(fit.model.chain.targets)[fit.station.conditions.target]
+    robot = fit.model.chain.robot
+    east, west = (
+        pincal.measurements_from_arrays(robot.joint_names, q[part], position=position[part], target=target[part])
+        for part in (rows, ~rows)
+    )
+    two = pincal.calibrate(robot, {"east": east, "west": west}, pincal.Options(effects=GEOMETRIC))
+    names = [row[0] for row in two.parameters.rows]
+
+    assert names == [p.name for p in two.problem.parameters]
+    assert {"east/base.x", "west/base.x", "joint_2.theta"} <= set(names) and "base.x" not in names
+    assert "east: " in two.summary() and "west: " in two.summary()
+    assert two.export_urdf().max_error_m < 1e-9
+    assert two.to_pinocchio().nq == 6
+    tips = (two.at(name).predict(q[:3], target="far")[:, :, 3] for name in ("east", "west"))
+    np.testing.assert_allclose(next(tips), next(tips), rtol=0.0, atol=1e-3)  # both stand in the same place [m]
+    with pytest.raises(pincal.BadInputError, match=r"there are 2: east, west; choose one with fit.at\(NAME\)"):
+        two.predict(q)

@@ -59,6 +59,10 @@ class Calibrated(ABC):
     def summary(self) -> str:
         """Return what was calibrated and how well, in a few lines."""
 
+    def robot_model(self) -> CalibratedModel:
+        """Return a calibrated model of the robot itself, whatever it was measured with."""
+        return self.to_model()
+
     @overload
     def predict(
         self,
@@ -130,7 +134,7 @@ class Calibrated(ABC):
             RobotFileError: if the model has no URDF.
             OutputError: if the place can't be written to.
         """
-        found = self.to_model()
+        found = self.robot_model()
         export = calibrated_urdf(found.model, found.values)
         if path is not None:
             write_whole(path, export.text)
@@ -138,7 +142,7 @@ class Calibrated(ABC):
 
     def to_pinocchio(self) -> pin.Model:
         """Return the robot's Pinocchio model with the calibrated geometry; elastic effects are not in it."""
-        found = self.to_model()
+        found = self.robot_model()
         return pinocchio_model(found.model, found.model_values)
 
     def _repr_html_(self) -> str:

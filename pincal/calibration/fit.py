@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -12,7 +13,7 @@ import numpy as np
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.result import parameter_rows
 from pincal.calibration.stations import CalibratedStations, save_stations
-from pincal.calibration.tables import parameter_table
+from pincal.calibration.tables import estimate_table, parameter_table
 from pincal.identify import calibrate as identify
 from pincal.identify import fit as identified
 from pincal.identify.calibrate import Tables
@@ -65,21 +66,35 @@ class Fit(identified.Fit, Calibrated):
         else:
             self.to_model().save(path)
 
+    def robot_model(self) -> CalibratedModel:
+        """Return the calibrated model of the first station; the robot is the same in all of them."""
+        return self.at(self.names[0]) if len(self.names) > 1 else self.to_model()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the stations."""
+        return tuple(station.name for station in self.problem.stations)
+
     @property
     def parameters(self) -> Table:
-        """Value and standard deviation of each parameter, whether the data identify it, and if not, why."""
-        return parameter_table(parameter_rows(self))
+        """Value and standard deviation of each parameter; of one station also whether the data identify it, or why not."""
+        return estimate_table(self.estimate) if len(self.names) > 1 else parameter_table(parameter_rows(self))
 
     def summary(self) -> str:
         """Return what was calibrated, whether the fit converged and what is left of the residuals."""
-        sigma = ", ".join(
-            f"{size:.3g} {block.unit}" for block, size in zip(self.problem.blocks, self.solution.sigma, strict=True)
-        )
         state = "converged" if self.solution.converged else "did not converge"
+        rank = self.solution.posterior.identifiable_rank
         return (
-            f"{self.to_model().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
-            f"noise {sigma}, identifiable rank {self.solution.posterior.identifiable_rank}"
+            f"{self.robot_model().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
+            f"identifiable rank {rank} of {int(self.solution.free.sum())}; noise {'; '.join(self._noise())}"
         )
+
+    def _noise(self) -> Iterator[str]:
+        """Yield the noise of each station's readings, with its name if there are several."""
+        sigma = iter(self.solution.sigma)
+        for station in self.problem.stations:
+            sizes = ", ".join(f"{next(sigma):.3g} {block.unit}" for block in station.sensor.blocks)
+            yield f"{station.name}: {sizes}" if len(self.names) > 1 else sizes
 
 
 def calibrate(

@@ -51,7 +51,9 @@ class Problem:
         """
         if len(self.stations) > 1:
             names = ", ".join(station.name for station in self.stations)
-            raise BadInputError(f"this is asked of one station, and there are {len(self.stations)}: {names}; choose one")
+            raise BadInputError(
+                f"this is asked of one station, and there are {len(self.stations)}: {names}; choose one with fit.at(NAME)"
+            )
         return self.stations[0]
 
     @cached_property
