@@ -180,10 +180,6 @@ class Estimate:
         """What the fit knows of each parameter, shape (P,): its standard deviation, inf where it was not fitted."""
         return np.where(self.free, self.sigma, np.inf)
 
-    def covariance_of(self, names: Iterable[str]) -> np.ndarray:
-        """Return the covariance of some parameters as a matrix, zero for those that were not fitted."""
-        return self.take(names).dense_covariance()
-
     def dense_covariance(self) -> np.ndarray:
         """Return the covariance as a matrix, shape (P, P), zero for parameters that were not fitted."""
         found = np.zeros((len(self), len(self)))

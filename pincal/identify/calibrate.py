@@ -50,7 +50,7 @@ def calibrate(
         measurements: training rows, one table or several, perhaps by the names of their stations (default: station_1 and
             so on); hold rows back before the call to validate on them.
         options: how to calibrate; defaults as documented there.
-        executor: computes what each of several stations contributes; one after the other here unless given. Results do not
+        executor: computes what each of several stations contributes (default: one after the other, here). Results do not
             depend on it.
 
     Returns:
@@ -141,7 +141,7 @@ def refit(fit: Fit, effects: Sequence[Effect], *, moment_frame: MomentFrame | No
     Args:
         fit: a calibration.
         effects: what may deviate, beside base and tool; parameters known to ``fit`` by name start at its values.
-        moment_frame: where moments are taken and bend the arm; as in ``fit`` unless given.
+        moment_frame: where moments are taken and bend the arm; default: as in ``fit``.
         rough: whether to stop before the last stage, close to the end, outliers only weighed down.
     """
     frame = moment_frame or fit.options.moment_frame

@@ -71,7 +71,7 @@ def contribution(
 
 def squares_of(normal: Normal) -> Squares:
     """Return the squares of residuals that normal equations came with."""
-    return Squares(normal.squares, normal.row_squares, normal.disbelief())
+    return Squares(normal.squares, normal.row_squares, 0.0 if normal.believed is None else normal.believed[2])
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class Linearised:
         free: shape (P,), the F parameters that may move.
         robust: shape (N,), factor on each row's weight: 0 leaves a row out.
         sizes: shape (P,), standard deviations of the priors; inf for none.
-        executor: computes what stations contribute; one after the other here unless given.
+        executor: computes what stations contribute; default: one after the other, here.
         sigma: shape (blocks,), the noise for which equations will be wanted, where it is known before the residuals are:
             one pass over several stations then does for both.
         past: the same values with other robust weights: most stations have the same ones, and contribute what they did.

@@ -34,14 +34,6 @@ class Normal:
         G, g = np.einsum("b,bij->ij", weight, self.G), np.einsum("b,bi->i", weight, self.g)
         return (G, g) if self.believed is None else (G + self.believed[0], g + self.believed[1])
 
-    def chi2(self, sigma: np.ndarray) -> float:
-        """Return the weighted sum of squares of the readings in units of the variances."""
-        return float(np.sum(self.squares / sigma**2))
-
-    def disbelief(self) -> float:
-        """Return the sum of squares of what the sensor knows beside its readings, in units of the variances."""
-        return 0.0 if self.believed is None else self.believed[2]
-
 
 def accumulate(station: Station, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
     """Return the normal equations at ``values``.

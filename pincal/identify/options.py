@@ -11,7 +11,7 @@ import numpy as np
 from pincal.identify.noise import Loss
 from pincal.measure.setup import Setup
 from pincal.model.chain import MomentFrame
-from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
+from pincal.model.effects import ELASTIC, Effect
 from pincal.parameters import FRAME_SYMBOLS
 
 Stages = Literal["joint", "paper"]
@@ -47,7 +47,7 @@ class Options:
         sigma_orientation: likewise of one component of an orientation [rad].
         moment_frame: where moments are taken and bend the arm.
         equilibrium: moments on the bent arm instead of the straight one.
-        gravity: shape (3,), in the robot's base frame [m/s^2]; along -z of the URDF's root unless given.
+        gravity: shape (3,), in the robot's base frame [m/s^2]; default: along -z of the URDF's root.
         payload_centre: centre of mass of the payload in the tip frame [m].
         base: shape (4, 4), robot base in the instrument's frame, where it is known.
         tools: target name -> (x, y, z) in the tip frame [m], or shape (4, 4), target to tip frame, where they are known.
@@ -80,11 +80,6 @@ class Options:
         own = self.stations[station]
         given = {f.name: getattr(own, f.name) for f in fields(own) if getattr(own, f.name) is not None}
         return replace(self, **given, stations={})
-
-
-def geometric(options: Options) -> Options:
-    """Return the same options for the geometric model alone."""
-    return replace(options, effects=GEOMETRIC)
 
 
 def known_frames(options: Options) -> set[str]:

@@ -71,8 +71,8 @@ class Posterior:
     @property
     def condition(self) -> float:
         """Ratio of the best to the worst of these directions, in units of the priors."""
-        told = self.information[self.information > 1.0]
-        return float(np.sqrt(told[-1] / told[0])) if len(told) else 1.0
+        known = self.information[self.information > 1.0]
+        return float(np.sqrt(known[-1] / known[0])) if len(known) else 1.0
 
     @property
     def effective(self) -> float:
@@ -117,7 +117,7 @@ class Eliminated:
         places: shape (E,), where they stand among all free parameters.
         shared: shape (S,), where the parameters that this station shares with others stand among the shared ones.
         information: shape (E, E), F'WF + P.
-        carried: shape (E, S), K F'WR: by how much they give way to a step of the shared parameters.
+        carried: shape (E, S), K F'WR: how far a step of the shared parameters moves them the other way.
         alone: what the station says of them if the shared parameters stay where they are.
         precision: shape (E,), P.
     """

@@ -132,7 +132,7 @@ class Problem:
 
         Args:
             effects: what may deviate.
-            moment_frame: where moments are taken and bend the arm; as it is unless given.
+            moment_frame: where moments are taken and bend the arm; default: as it is.
         """
         stations = []
         for station in self.stations:

@@ -55,7 +55,7 @@ def cross_validate(
         folds: number of parts.
         split: rows at random, or clusters in joint space whole.
         seed: of the division.
-        executor: runs the fits; one after the other here unless given.
+        executor: runs the fits; default: one after the other, here.
     """
     groups = row_groups(measurements, split=split, seed=seed)
     order = np.random.default_rng(seed).permutation(groups.max() + 1)
@@ -71,9 +71,9 @@ def cross_validate(
 def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
     fit = calibrate(robot, table.select(fold != k), options)
     held = table.select(fold == k)
-    told = scorable(held, fit.options.setup)
+    known = scorable(held, fit.options.setup)
     residuals = np.full((sum(block.size for block in fit.station.sensor.blocks), len(held)), np.nan)
-    residuals[:, told] = fit.readings(held.select(told)).residuals(fit.values)
+    residuals[:, known] = fit.readings(held.select(known)).residuals(fit.values)
     return residuals
 
 

@@ -132,7 +132,7 @@ def solve(
         rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
         label: what this fit is called in the log; it is not logged without a name.
         robust: shape (N,), robust weights of an earlier fit to begin with; its outliers are then known.
-        executor: computes what stations contribute, where there are several; one after the other here unless given.
+        executor: computes what stations contribute, where there are several; default: one after the other, here.
 
     Returns:
         The fit; ``exit`` tells how it ended.
@@ -237,8 +237,8 @@ class _Fit:
         for iteration in range(1, MAX_ITERATIONS + 1):
             state, step = self.advance(state, memory)
             if label:
-                told = self.readable(state.judged)
-                log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, told, step.wanted)
+                size = self.readable(state.judged)
+                log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, size, step.wanted)
             ended = self.exit_of(state, step)
             if ended is not None:
                 break

@@ -47,7 +47,7 @@ def hold_out(
 
 
 def row_groups(measurements: Measurements, *, split: Split, seed: int) -> np.ndarray:
-    """Return a group number a row, shape (N,): each row its own, or clusters in joint space.
+    """Return the group number of each row, shape (N,): each row its own, or clusters in joint space.
 
     Rows with the same joint positions (replicates, several targets) always share a group.
     """

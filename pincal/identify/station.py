@@ -166,7 +166,7 @@ def station_of(
         model: the model; its chain's targets are those of the table.
         measurements: the table.
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
-        setup: the named points and the camera; as :func:`pincal.measure.sensing.sensor_of` has them unless given.
+        setup: the named points and the camera; default: that of :func:`pincal.measure.sensing.sensor_of`.
         name: of the station, where there are several.
     """
     sigma = measurements.sigma

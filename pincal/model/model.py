@@ -133,7 +133,7 @@ class Model:
         Args:
             values: shape (P,).
             conditions: N poses.
-            free: shape (P,), which parameters get a column; all unless given.
+            free: shape (P,), which parameters get a column; default: all.
             rows: 3 for the motion of the target, 6 for its motion and its turning, in the instrument's axes.
 
         Returns:
