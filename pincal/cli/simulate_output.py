@@ -19,14 +19,7 @@ if TYPE_CHECKING:
 
 
 def summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: SensorSetup, rows: int) -> str:
-    """Return what was simulated, what was written, and the command to go on with.
-
-    Args:
-        arguments: Arguments of the command.
-        truth: What was put in.
-        setup: What measures.
-        rows: Number of rows of the table.
-    """
+    """Return what was simulated and written, and the next command; ``truth`` is what the truth file holds."""
     lines = [
         f"{rows} rows in {truth['poses']} poses of {truth['robot']} ({truth['base']} to {truth['tip']}): "
         f"{truth['sensor']}, noise {_noise(setup)}"
@@ -79,7 +72,7 @@ def write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) ->
     """Write several files, all of them or none.
 
     Args:
-        files: By the option that names it: the file, None where it is not wanted, and what writes it.
+        files: By the option that names it: the file, None where it is not wanted, and the function that writes it.
 
     Raises:
         OutputError: If a place can't be written to, or two options name one file.

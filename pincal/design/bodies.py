@@ -80,12 +80,7 @@ class Bodies:
 
     @classmethod
     def of(cls, robot: Robot, *, clearance: float = 0.0) -> Bodies:
-        """Return the bodies of an arm, by the collision geometry of its URDF.
-
-        Args:
-            robot: the arm; meshes are looked for beside its URDF and in the packages above it.
-            clearance: distance below which two bodies count as touching [m].
-        """
+        """Return the bodies of an arm, by the collision geometry of its URDF; ``clearance`` is in m."""
         collisions, notes = read_collisions(robot, clearance)
         if collisions is None:
             return cls(_bars(robot), None, tuple(notes))

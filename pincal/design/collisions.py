@@ -71,9 +71,7 @@ class Collisions:
 def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, list[str]]:
     """Return the collision geometry of a URDF with all pairs that could touch, and in words what is missing of it.
 
-    Args:
-        robot: the arm; meshes are looked for beside its URDF and in the packages above it.
-        clearance: distance below which two bodies count as touching [m].
+    Two bodies closer than ``clearance`` [m] count as touching.
     """
     import pinocchio as pin
     from lxml import etree

@@ -43,9 +43,7 @@ def value(C: np.ndarray, W: np.ndarray | None) -> float:
 def gains(K: np.ndarray, L: np.ndarray | None) -> np.ndarray:
     """Return by how much each candidate would lower the criterion, shape (M,).
 
-    Args:
-        K: shape (M, m, m).
-        L: shape (M, m, m); None for the determinant.
+    K and L have shape (M, m, m); L is None for the determinant.
     """
     more = np.eye(K.shape[1]) + K
     if L is None:

@@ -9,14 +9,9 @@ _ROUNDS = 50
 
 
 def travel(q: np.ndarray, spans: np.ndarray) -> np.ndarray:
-    """Return how far apart poses are: the largest joint step relative to the joint's range, as the slowest joint decides.
+    """Return how far apart poses q, shape (N, n), are: the largest joint step relative to the joint's range, shape (N, N).
 
-    Args:
-        q: shape (N, n), joint positions [rad or m].
-        spans: shape (n,), range of each joint.
-
-    Returns:
-        Shape (N, N).
+    The slowest joint decides; ``spans``, shape (n,), are the ranges of the joints.
     """
     scaled = q / spans
     return np.asarray(np.abs(scaled[:, None] - scaled[None]).max(axis=2))
@@ -25,12 +20,7 @@ def travel(q: np.ndarray, spans: np.ndarray) -> np.ndarray:
 def short_route(distances: np.ndarray, first: int = 0) -> np.ndarray:
     """Return an order of N places with a short open way: nearest neighbour, then reversals of stretches (2-opt; Croes 1958).
 
-    Args:
-        distances: shape (N, N), symmetric.
-        first: where to begin.
-
-    Returns:
-        Shape (N,), a permutation that begins with ``first``.
+    ``distances`` is symmetric, shape (N, N); the order, shape (N,), begins with ``first``.
     """
     order = _nearest_first(distances, first)
     for _ in range(_ROUNDS):

@@ -49,12 +49,7 @@ def write_html(path: str | os.PathLike[str], scene: Scene) -> int:
 
 
 def page(scene: Scene, *, live: bool = False) -> str:
-    """Return the page of a scene.
-
-    Args:
-        scene: what to show.
-        live: whether it listens to the server that it comes from.
-    """
+    """Return the page of a scene; a ``live`` one listens to the server that it comes from."""
     parts = {
         "@TITLE@": html.escape(scene.title),
         "@POLICY@": html.escape(_POLICY),
