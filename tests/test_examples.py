@@ -69,7 +69,7 @@ def test_case_study_prints_table_one(kuka_output: str) -> None:
     assert len(rows) == 45
     for row in rows:
         assert float(row[3]) == pytest.approx(float(row[1]), rel=1e-4, abs=1e-10), row[0]
-    assert "only joint_2.s_x + joint_1.alpha is determined" in kuka_output
+    assert "only joint_2.s_x + joint_1.alpha is identifiable" in kuka_output
 
 
 @pytest.mark.long
