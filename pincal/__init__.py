@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pincal.compensate.frames import false_targets
     from pincal.design.design import Design, design_poses
     from pincal.design.reach import Limits, SensorSetup
-    from pincal.discover.findings import Findings, FoundEffect, Verdict
     from pincal.discover.policy import Policy
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
@@ -58,7 +57,7 @@ _HOMES = {
     "pincal.compensate.frames": ("false_targets",),
     "pincal.design.design": ("Design", "design_poses"),
     "pincal.design.reach": ("Limits", "SensorSetup"),
-    "pincal.discover.findings": ("Findings", "FoundEffect", "Verdict"),
+    "pincal.io.discovery_file": ("Findings", "FoundEffect", "Verdict"),
     "pincal.discover.policy": ("Policy",),
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),

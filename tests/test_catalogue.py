@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
+from pincal.io.discovery_file import EffectName
 from pincal.io.effect_entry import effect_from_entry, effect_to_entry, known_effects
 from pincal.io.entries import ModelEntry, plain, restored
 from pincal.io.strict_json import MODEL_FILE, decode
@@ -185,7 +187,8 @@ def test_an_effect_says_all_of_itself(robot: Robot, name: str, rng: np.random.Ge
         assert {form.identity for form in candidate.forms} == {candidate.effect.identity}
         assert len(set(candidate.forms)) == len(candidate.forms)
         assert candidate.effect.locus.joint in {None, *robot.joint_names}
-        assert json.loads(json.dumps(candidate.effect.describe())) == candidate.effect.describe()
+        name = EffectName.of(candidate.effect)
+        assert msgspec.json.decode(msgspec.json.encode(name), type=EffectName) == name
     for effect in effects:
         assert effect_from_entry(json.loads(json.dumps(effect_to_entry(effect)))) == effect
         if isinstance(effect, Reducible):

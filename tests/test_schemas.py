@@ -12,7 +12,7 @@ import pytest
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.io.camera_file import CameraFile
-from pincal.io.discovery_file import DiscoveryFile
+from pincal.io.discovery_file import Findings
 from pincal.io.result_file import ResultFile
 from pincal.io.schemas import FILES, schema_of, shipped, text_of
 from pincal.model.effects import GEOMETRIC
@@ -69,7 +69,7 @@ def test_what_a_discovery_writes_is_valid(table: pincal.Measurements) -> None:
     contents = json.loads(json.dumps(found.report, allow_nan=False))
 
     valid("discovery", contents)
-    assert json.loads(msgspec.json.encode(msgspec.convert(contents, DiscoveryFile))) == contents
+    assert json.loads(msgspec.json.encode(msgspec.convert(contents, Findings))) == contents
 
 
 @pytest.mark.parametrize("name", ["tracker", "contacts", "camera", "discovered"])

@@ -110,22 +110,22 @@ def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: 
 
 def print_discovery(found: Discovery, out: Console) -> None:
     """Print where model and data disagreed, what made them, and how the error fell to the noise."""
-    report = found.report
-    out.print(f"Verdict: {report['verdict']}, {report['unexplained_mm']:.4f} mm rms unexplained")
-    if report["where"]:
-        out.print(location_table(report["where"]))
-    out.print(effect_table(report["effects"]) if report["effects"] else "These data show no missing effect.")
-    out.print(stage_table(report, found.gaps))
-    for entry in report["effects"]:
-        if entry["tell_apart"]:
-            out.print(hanging("to decide", f"between {effect_words(entry)} and its alternatives: {entry['tell_apart']}"))
-        if "period" in entry:
-            unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(entry["depends_on"], "rad")
-            out.print(one_line(f"{effect_words(entry)} repeats every {entry['period']:.4g} {unit}"), markup=False)
-    for entry in report["scatter"]:
-        text = f"{entry['joint']} scatters by {entry['sigma_rad'] * 1e3:.3f} mrad; record {entry['missing']}"
+    findings = found.findings
+    out.print(f"Verdict: {findings.verdict}, {findings.unexplained_mm:.4f} mm rms unexplained")
+    if findings.where:
+        out.print(location_table(findings.where))
+    out.print(effect_table(findings.effects) if findings.effects else "These data show no missing effect.")
+    out.print(stage_table(findings.noise_floor_mm, found.gaps))
+    for entry in findings.effects:
+        if entry.tell_apart:
+            out.print(hanging("to decide", f"between {effect_words(entry)} and its alternatives: {entry.tell_apart}"))
+        if entry.period is not None:
+            unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(entry.depends_on or "", "rad")
+            out.print(one_line(f"{effect_words(entry)} repeats every {entry.period:.4g} {unit}"), markup=False)
+    for scatter in findings.scatter:
+        text = f"{scatter.joint} scatters by {scatter.sigma_rad * 1e3:.3f} mrad; record {scatter.missing}"
         out.print(one_line(text), markup=False)
-    _print_untestable(((e["effect"], e["joint"], e["reason"]) for e in report["not_testable"]), 0, out)
+    _print_untestable(((e.effect, e.joint, e.reason) for e in findings.not_testable), 0, out)
 
 
 def print_design(found: Design, out: Console) -> None:

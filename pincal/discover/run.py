@@ -8,18 +8,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
+
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.calibration.result import result_of
 from pincal.calibration.run import Calibration, run_calibration
-from pincal.discover.findings import Findings
 from pincal.discover.history import History
 from pincal.discover.judge import findings_of
 from pincal.discover.loop import discover_effects
 from pincal.discover.moment_frames import FRAME_BETTER, cost_of, likeliest_frame, other_frames
 from pincal.discover.policy import POLICY, Policy
-from pincal.discover.shrink import PartialResidual, StageError, gaps_of, partial_residuals
+from pincal.discover.shrink import PartialResidual, Stage, partial_residuals, stages_of
 from pincal.identify.options import Options
 from pincal.identify.split import Split, row_groups
+from pincal.io.discovery_file import Findings
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
@@ -47,13 +49,13 @@ class Discovery:
     calibration: Calibration
     trail: History
     findings: Findings
-    gaps: tuple[StageError, ...]
+    gaps: tuple[Stage, ...]
     traces: tuple[PartialResidual, ...]
 
     @property
     def report(self) -> dict[str, Any]:
         """The contents of ``discovery.json``."""
-        return self.findings.to_dict()
+        return dict(msgspec.to_builtins(self.findings))
 
 
 def run_discovery(
@@ -102,7 +104,7 @@ def run_discovery(
         >>> position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((60, 3))
         >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
         >>> found = run_discovery(robot, table, Options(effects=GEOMETRIC, sigma=5e-5))
-        >>> [(entry.effect.name, entry.effect.locus.joint) for entry in found.findings.effects]
+        >>> [(entry.effect, entry.joint) for entry in found.findings.effects]
         [('gear_eccentricity', 'joint_4')]
     """
     options = Options(effects=GEOMETRIC) if options is None else options
@@ -137,7 +139,7 @@ def run_discovery(
     seconds = time.perf_counter() - begun
     result = result_of(trail.final, held, seconds=seconds, tables=(first.train, first.test), notes=notes)
     final = replace(first, fit=CalibratedFit.of(trail.final), result=result, notes=notes)
-    gaps, traces = gaps_of(trail, final.test), partial_residuals(trail)
+    gaps, traces = stages_of(trail, final.test), partial_residuals(trail)
     return Discovery(final, trail, findings_of(final, trail, traces), gaps, traces)
 
 

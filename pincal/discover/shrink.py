@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec.structs import asdict
 
 from pincal.discover.history import History
 from pincal.discover.locate import levers
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
+from pincal.io.discovery_file import Gap
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
 from pincal.model.effect import Effect
@@ -24,32 +26,25 @@ _FINEST = 0.25  # periods a row
 _OVERSAMPLED = 8
 
 
-@dataclass(frozen=True)
-class StageError:
-    """Errors on held-out rows (on the fitted ones where none were held out) under one model [mm]."""
+class Stage(Gap, frozen=True, kw_only=True):
+    """Errors under one of the models that a discovery went through, ``name`` says which."""
 
-    effects: tuple[Effect, ...]
-    mean_mm: float
-    rms_mm: float
-    max_mm: float
-
-    def to_dict(self) -> dict[str, float]:
-        """Return the numbers by name."""
-        return {"mean_mm": self.mean_mm, "rms_mm": self.rms_mm, "max_mm": self.max_mm}
+    name: str
 
 
-def gap_of(fit: Fit, held: Measurements, effects: tuple[Effect, ...] = ()) -> StageError:
-    """Return the errors of a fit on held-out rows, ``effects`` what entered it last."""
-    problem = fit.readings(held) if len(held) else fit.station
-    errors = error_table(problem, fit.values)
-    return StageError(effects, *(errors[name] for name in ("mean_mm", "rms_mm", "max_mm")))
+def gap_of(fit: Fit, held: Measurements) -> Gap:
+    """Return the errors of a fit on held-out rows."""
+    errors = error_table(fit.readings(held) if len(held) else fit.station, fit.values)
+    return Gap(mean_mm=errors["mean_mm"], rms_mm=errors["rms_mm"], max_mm=errors["max_mm"])
 
 
-def gaps_of(trail: History, held: Measurements) -> tuple[StageError, ...]:
+def stages_of(trail: History, held: Measurements) -> tuple[Stage, ...]:
     """Return the errors at the start, after each step, and with everything fitted together."""
-    gaps = [gap_of(trail.first, held), *(gap_of(step.after, held, step.effects) for step in trail.steps)]
-    last = trail.steps[-1].after if trail.steps else trail.first
-    return tuple(gaps) if last is trail.final else (*gaps, gap_of(trail.final, held))
+    fits = [("at the start", trail.first)]
+    fits += [("+ " + ", ".join(_title(e, e.locus.joint) for e in step.effects), step.after) for step in trail.steps]
+    if fits[-1][1] is not trail.final:
+        fits.append(("all together", trail.final))
+    return tuple(Stage(name=name, **asdict(gap_of(fit, held))) for name, fit in fits)
 
 
 @dataclass(frozen=True)
@@ -80,6 +75,11 @@ class PartialResidual:
     fitted: np.ndarray
     weights: np.ndarray
     error_unit: str
+
+    @property
+    def title(self) -> str:
+        """The name of the effect and where it acts."""
+        return _title(self.effect, self.joint)
 
 
 def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
@@ -199,20 +199,6 @@ def _tone_gain(phase: np.ndarray, y: np.ndarray, w: np.ndarray) -> float:
     A = A - (A @ w / w.sum())[:, None]
     G, b = (A * w) @ A.T, (A * w) @ y
     return float(b @ np.linalg.pinv(G, rcond=1e-9, hermitian=True) @ b)
-
-
-def gap_names(gaps: tuple[StageError, ...]) -> list[str]:
-    """Return what each gap's model is called."""
-    names = ["at the start"]
-    for gap in gaps[1:]:
-        added = ", ".join(_title(effect, effect.locus.joint) for effect in gap.effects)
-        names.append(f"+ {added}" if added else "all together")
-    return names
-
-
-def partial_residual_title(trace: PartialResidual) -> str:
-    """Return the name of an effect and where it acts."""
-    return _title(trace.effect, trace.joint)
 
 
 def _title(effect: Effect, joint: str | None) -> str:

@@ -1,14 +1,24 @@
-"""The structure of ``discovery.json``."""
+"""What a discovery found: the one structure behind ``discovery.json``, the report and the terminal."""
 
 from __future__ import annotations
 
-from typing import Literal
+from enum import StrEnum
+from typing import Any, Literal, Self
 
 import msgspec
 
+from pincal.model.effect import Effect
+
+
+class Verdict(StrEnum):
+    """Whether the model, with all that was found, explains the data."""
+
+    ADEQUATE = "adequate"
+    NOT_ADEQUATE = "not adequate"
+
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
-    """Errors on held-out rows [mm]."""
+    """Errors on held-out rows (on the fitted ones where none were held out) [mm]."""
 
     mean_mm: float
     rms_mm: float
@@ -27,31 +37,56 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     shape: str | None = None
     place: float | str | None = None
 
+    @classmethod
+    def of(cls, effect: Effect, **more: Any) -> Self:
+        """Return the name of an effect; ``more`` are the fields of a subclass.
+
+        Example:
+            >>> from pincal.model.catalogue import JointCoupling
+            >>> msgspec.to_builtins(EffectName.of(JointCoupling("joint_5", "joint_4")))
+            {'effect': 'joint_coupling', 'joint': 'joint_5', 'source': 'joint_4'}
+        """
+        (name, joint, source), at, nameless = effect.heading, effect.locus, effect.is_nameless
+        return cls(
+            effect=name,
+            joint=joint,
+            source=source,
+            order=at.order,
+            depends_on=at.follows if nameless else None,
+            acts_on=at.acts_on if nameless else None,
+            shape=at.shape,
+            place=at.place,
+            **more,
+        )
+
 
 class FoundParameter(msgspec.Struct, frozen=True):
-    """A parameter of an effect.
-
-    Attributes:
-        value: its value [``unit``].
-        sigma: its standard deviation [``unit``], that of the prior where it was not fitted; None for nothing known.
-        unit: the unit.
-    """
+    """A parameter of an effect [``unit``]; its sigma is that of the prior where not fitted, None for nothing known."""
 
     value: float
     sigma: float | None
     unit: str
 
 
-class EffectEntry(EffectName, frozen=True, kw_only=True, omit_defaults=True):
-    """An effect that was found, in the order in which they were accepted."""
+class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
+    """An effect that was found; of elasticity that of one joint.
 
+    Attributes:
+        period: of a periodic dependence without a name, in units of its variable.
+        parameters: its parameters by name.
+        p_value: chance that sound data look like this.
+        gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and with it.
+        equivalent: effects that the data can't tell from it.
+        tell_apart: the cheapest measurement that would tell it from the first of them; empty without one.
+    """
+
+    period: float | None = None
     parameters: dict[str, FoundParameter]
     p_value: float
     gap_before_mm: float
     gap_after_mm: float
     equivalent: tuple[EffectName, ...]
     tell_apart: str
-    period: float | None = None
 
 
 class Disagreement(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -94,14 +129,25 @@ class Untestable(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     reason: str
 
 
-class DiscoveryFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole of ``discovery.json``."""
+class Findings(msgspec.Struct, frozen=True, kw_only=True):
+    """What a discovery found, the whole of ``discovery.json``.
+
+    Attributes:
+        noise_floor_mm: what the noise alone makes of the error.
+        gap: errors at the start and in the end.
+        where: where model and data disagree, before anything is named.
+        effects: what was found, in the order in which it entered the model.
+        scatter: the joint that scatters in the end, if one does.
+        not_testable: what these data can't show.
+        verdict: whether the model explains the data in the end.
+        unexplained_mm: what is left beyond the noise.
+    """
 
     noise_floor_mm: float
     gap: dict[Literal["before", "after"], Gap]
     where: tuple[Disagreement, ...]
-    effects: tuple[EffectEntry, ...]
+    effects: tuple[FoundEffect, ...]
     scatter: tuple[ScatteringJoint, ...]
     not_testable: tuple[Untestable, ...]
-    verdict: Literal["adequate", "not adequate"]
+    verdict: Verdict
     unexplained_mm: float

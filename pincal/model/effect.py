@@ -168,26 +168,6 @@ class Effect(ABC):
         """Name, joint, and of a named effect the source joint: effects that a summary calls the same have the same."""
         return self.name, self.locus.joint, None if self.is_nameless else self.locus.source
 
-    def describe(self) -> dict[str, str | int | float | None]:
-        """Return what tells it from its likes in the terms of ``discovery.json``.
-
-        Example:
-            >>> from pincal.model.catalogue import JointCoupling
-            >>> JointCoupling("joint_5", "joint_4").describe()
-            {'effect': 'joint_coupling', 'joint': 'joint_5', 'source': 'joint_4'}
-        """
-        name, joint, source = self.heading
-        at, nameless = self.locus, self.is_nameless
-        more = {
-            "source": source,
-            "order": at.order,
-            "depends_on": at.follows if nameless else None,
-            "acts_on": at.acts_on if nameless else None,
-            "shape": at.shape,
-            "place": at.place,
-        }
-        return {"effect": name, "joint": joint} | {key: value for key, value in more.items() if value is not None}
-
 
 @dataclass(frozen=True)
 class Candidate:

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from pincal.calibration.result import ParameterRow
 from pincal.discover.run import Discovery
-from pincal.discover.shrink import gap_names, partial_residual_title
 from pincal.report import plots
 from pincal.report.blocks import group, picture
 from pincal.report.evidence import Evidence
@@ -97,10 +96,10 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     """Yield the error step by step, and what each effect explains."""
     gaps = discovery.gaps
     errors = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
-    figure = plots.shrinking_figure(gap_names(gaps), errors, discovery.report["noise_floor_mm"])
+    figure = plots.shrinking_figure([gap.name for gap in gaps], errors, discovery.findings.noise_floor_mm)
     yield figure, "Error on held-out rows after each step", _SHRINKING
     for trace in discovery.traces:
-        title = partial_residual_title(trace)
+        title = trace.title
         caption = (
             f"{title}: error against {trace.variable} with the effect removed from the final model (above) and included "
             "(below). Small dots are poses, dots with bars the mean of neighbouring poses, the line the fitted effect. In "

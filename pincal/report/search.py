@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from markupsafe import Markup
 
+from pincal.io.discovery_file import FoundEffect, FoundParameter
 from pincal.report.blocks import Block, Section, bullets, card, code, group, heading, joined, paragraph, rich
 from pincal.report.illustrations import discovery_drawings, figures
 from pincal.report.subject import Subject
@@ -23,63 +21,61 @@ def missing(subject: Subject) -> Section | None:
     """Where model and data disagreed, which effects were found, and how the error fell; None without a search."""
     if subject.discovery is None:
         return None
-    report = subject.discovery.report
+    found = subject.discovery.findings
     intro = (
         "The search starts from a simple model, looks where model and data disagree, names the effect that explains most, "
         "adds it, fits everything again, and stops when only noise is left. The noise alone amounts to "
-        f"{report['noise_floor_mm']:.4f} mm rms; {report['unexplained_mm']:.4f} mm rms remain unexplained. A name stands "
+        f"{found.noise_floor_mm:.4f} mm rms; {found.unexplained_mm:.4f} mm rms remain unexplained. A name stands "
         "for a cause that fits the data; it is not a proof of that cause."
     )
     blocks: list[Block] = [paragraph(intro)]
-    if report["where"]:
+    if found.where:
         text = "Shares of what exceeds the noise. They may overlap: the same error can be described by joint and by region."
-        blocks += [heading("Where model and data disagreed"), location_table(report["where"]), paragraph(text, "mute")]
+        blocks += [heading("Where model and data disagreed"), location_table(found.where), paragraph(text, "mute")]
     blocks.append(heading("Effects found"))
-    cards = tuple(_card(entry) for entry in report["effects"])
+    cards = tuple(_card(entry) for entry in found.effects)
     blocks.append(group("cards", *cards) if cards else paragraph("These data show no missing effect."))
     blocks += [
         paragraph(
-            f"{entry['joint']} scatters by {1e3 * entry['sigma_rad']:.3f} mrad from pose to pose, independently of "
-            f"everything recorded. Record {entry['missing']}: it may explain the scatter.",
+            f"{entry.joint} scatters by {1e3 * entry.sigma_rad:.3f} mrad from pose to pose, independently of "
+            f"everything recorded. Record {entry.missing}: it may explain the scatter.",
             "note",
         )
-        for entry in report["scatter"]
+        for entry in found.scatter
     ]
     blocks += [heading("How the error fell"), figures("search", discovery_drawings(subject.discovery))]
-    blocks.append(stage_table(report, subject.discovery.gaps))
-    untestable = by_reason(((e["effect"], e["joint"], e["reason"]) for e in report["not_testable"]), 0)
+    blocks.append(stage_table(found.noise_floor_mm, subject.discovery.gaps))
+    untestable = by_reason(((e.effect, e.joint, e.reason) for e in found.not_testable), 0)
     if untestable:
         items = (rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
         blocks += [heading("What could not be tested"), bullets(items)]
     return Section("missing", "What was missing", tuple(blocks), "What was missing")
 
 
-def _card(entry: Mapping[str, Any]) -> Markup:
+def _card(entry: FoundEffect) -> Markup:
     """Return an effect with its parameters, what it explained, and what it could also be."""
-    values = entry["parameters"]
-    shown = joined(
-        (rich('{} = <span class="nw">{}</span>', code(name), _measured(**p)) for name, p in values.items()), "<br>"
-    )
+    values = entry.parameters
+    shown = joined((rich('{} = <span class="nw">{}</span>', code(name), _measured(p)) for name, p in values.items()), "<br>")
     explained = rich(
         'mean held-out error {} → <b>{} mm</b>; chance that noise looks like this: <span class="nw">{}</span>',
-        *(f"{entry['gap_before_mm']:.4f}", f"{entry['gap_after_mm']:.4f}", show_chance(entry["p_value"])),
+        *(f"{entry.gap_before_mm:.4f}", f"{entry.gap_after_mm:.4f}", show_chance(entry.p_value)),
     )
     blocks = [
-        paragraph(effect_meaning(entry["effect"]), "mute"),
+        paragraph(effect_meaning(entry.effect), "mute"),
         paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
         paragraph(explained),
     ]
-    if entry["equivalent"]:
-        others = "; ".join(effect_words(other) for other in entry["equivalent"])
-        decide = f" To decide between them: {entry['tell_apart']}." if entry["tell_apart"] else ""
+    if entry.equivalent:
+        others = "; ".join(effect_words(other) for other in entry.equivalent)
+        decide = f" To decide between them: {entry.tell_apart}." if entry.tell_apart else ""
         blocks.append(paragraph(f"Could also be: {others}.{decide}", "care"))
     return card(effect_words(entry), *blocks)
 
 
-def _measured(value: float, sigma: float | None, unit: str) -> str:
+def _measured(p: FoundParameter) -> str:
     """Return a value with its standard deviation to two digits, in the unit that suits it."""
-    factor, name = small_unit(unit)
-    if not sigma:
-        return f"{format_digits(value * factor)} {name}"
-    places = max(0, 1 - int(np.floor(np.log10(sigma * factor))))
-    return f"{value * factor:z.{places}f} ± {sigma * factor:.{places}f} {name}"
+    factor, name = small_unit(p.unit)
+    if not p.sigma:
+        return f"{format_digits(p.value * factor)} {name}"
+    places = max(0, 1 - int(np.floor(np.log10(p.sigma * factor))))
+    return f"{p.value * factor:z.{places}f} ± {p.sigma * factor:.{places}f} {name}"

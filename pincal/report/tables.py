@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 from pincal.calibration.result import ParameterRow
 from pincal.calibration.tables import parameter_table
 from pincal.design.design import Design
 from pincal.discover.precheck import DataReport, Detectability
-from pincal.discover.shrink import StageError, gap_names
+from pincal.discover.shrink import Stage
+from pincal.io.discovery_file import Disagreement, FoundEffect
 from pincal.report.words import effect_words
 from pincal.tables import Cell, Column, Kind, Table, Tone
 from pincal.units import Quantity, fixed, format_digits, show_percent, show_plainly, small_unit
@@ -23,18 +23,18 @@ _JOINTS_ABREAST = 7
 # Discovery
 
 
-def location_table(where: Sequence[Mapping[str, Any]]) -> Table:
+def location_table(where: Sequence[Disagreement]) -> Table:
     """Return where model and data disagreed before anything was named, with the share of what is beyond the noise."""
     columns = (
         Column("where", kind=Kind.NAME),
         Column("share", kind=Kind.NUMBER, show=show_percent),
         Column("what was seen", kind=Kind.TEXT),
     )
-    rows = tuple((place.get("joint") or place["region"], place["share"], place["statement"]) for place in where)
+    rows = tuple((place.joint or place.region, place.share, place.statement) for place in where)
     return Table("Where model and data disagreed, before anything was named", columns, rows)
 
 
-def effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
+def effect_table(effects: Sequence[FoundEffect]) -> Table:
     """Return the effects found, the chance that noise looks like them, and the mean held-out error before and after."""
     columns = (
         Column("effect"),
@@ -47,11 +47,11 @@ def effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
     rows = tuple(
         (
             effect_words(entry, joint=False),
-            entry["joint"] or "whole arm",
-            entry["p_value"],
-            entry["gap_before_mm"],
-            entry["gap_after_mm"],
-            "; ".join(effect_words(other) for other in entry["equivalent"]),
+            entry.joint or "whole arm",
+            entry.p_value,
+            entry.gap_before_mm,
+            entry.gap_after_mm,
+            "; ".join(effect_words(other) for other in entry.equivalent),
         )
         for entry in effects
     )
@@ -63,17 +63,16 @@ def show_chance(p_value: float) -> str:
     return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
 
 
-def stage_table(report: Mapping[str, Any], stages: tuple[StageError, ...]) -> Table:
-    """Return the errors on held-out rows at each stage, beside the noise of ``discovery.json``."""
-    floor = report["noise_floor_mm"]
+def stage_table(floor: float, stages: tuple[Stage, ...]) -> Table:
+    """Return the errors on held-out rows at each stage, beside the noise alone [mm]."""
     columns = (
         Column("model", kind=Kind.NAME),
         *(Column(name, "mm", Kind.NUMBER, fixed(4)) for name in ("mean", "rms", "max")),
         Column("rms over noise", kind=Kind.NUMBER, show=fixed(2)),
     )
     rows: list[tuple[Cell, ...]] = [
-        (name, stage.mean_mm, stage.rms_mm, stage.max_mm, stage.rms_mm / floor if floor > 0.0 else None)
-        for name, stage in zip(gap_names(stages), stages, strict=True)
+        (stage.name, stage.mean_mm, stage.rms_mm, stage.max_mm, stage.rms_mm / floor if floor > 0.0 else None)
+        for stage in stages
     ]
     rows.append(("noise alone", "", floor, "", 1.0))
     tones: list[Tone] = ["" for _ in stages]

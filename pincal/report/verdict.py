@@ -83,9 +83,9 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
     if not result.converged:
         return Verdict(Judgement.NOT_CONVERGED, Ground.CONVERGENCE)
     if discovery is not None:
-        report = discovery.report
-        judgement = Judgement(report["verdict"])
-        return Verdict(judgement, Ground.SEARCH, effects=len(report["effects"]), unexplained_mm=report["unexplained_mm"])
+        found = discovery.findings
+        judgement = Judgement(found.verdict)
+        return Verdict(judgement, Ground.SEARCH, effects=len(found.effects), unexplained_mm=found.unexplained_mm)
     if result.chi2_p_value is not None:
         judgement = Judgement.NOT_ADEQUATE if result.chi2_p_value < MISFIT else Judgement.ADEQUATE
         return Verdict(judgement, Ground.DECLARED_NOISE, ratio=result.chi2_reduced**0.5)
@@ -151,14 +151,10 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
 
 
 def _after_discovery(discovery: Discovery) -> list[NextStep]:
-    report = discovery.report
-    steps = [
-        NextStep(Action.TELL_APART, (effect_words(entry), entry["tell_apart"]))
-        for entry in report["effects"]
-        if entry["tell_apart"]
-    ]
-    steps += [NextStep(Action.RECORD_FOR_SCATTER, (entry["joint"], entry["missing"])) for entry in report["scatter"]]
-    if report["verdict"] != Judgement.ADEQUATE:
+    found = discovery.findings
+    steps = [NextStep(Action.TELL_APART, (effect_words(e), e.tell_apart)) for e in found.effects if e.tell_apart]
+    steps += [NextStep(Action.RECORD_FOR_SCATTER, (entry.joint, entry.missing)) for entry in found.scatter]
+    if Judgement(found.verdict) is not Judgement.ADEQUATE:
         problem, table = discovery.calibration.fit.station, discovery.calibration.train
         needed = {column for effect, _ in untestable(problem.model.chain, problem.conditions) for column in effect.needs}
         missing = sorted(_COLUMNS.get(column, column) for column in needed if getattr(table, column) is None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pincal.io.discovery_file import EffectName
 from pincal.model.registry import meaning_of
 from pincal.units import readable_unit
 
@@ -50,28 +51,26 @@ def effect_meaning(name: str) -> str:
     return meaning_of(name) or _BESIDE.get(name, "an effect of your own")
 
 
-def effect_words(entry: Mapping[str, Any], *, joint: bool = True) -> str:
-    """Return an effect of ``discovery.json`` in words, with its joint unless that stands elsewhere.
+def effect_words(entry: EffectName, *, joint: bool = True) -> str:
+    """Return an effect in words, with its joint unless that stands elsewhere.
 
     Example:
-        >>> effect_words({"effect": "joint_coupling", "joint": "axis_5", "source": "axis_4"})
+        >>> effect_words(EffectName(effect="joint_coupling", joint="axis_5", source="axis_4"))
         'joint_coupling of axis_5 by axis_4'
-        >>> effect_words({"effect": "unnamed", "joint": "axis_2", "depends_on": "time", "shape": "curve"}, joint=False)
+        >>> effect_words(EffectName(effect="unnamed", joint="axis_2", depends_on="time", shape="curve"), joint=False)
         'unnamed (curve of time)'
     """
-    words = [entry["effect"]]
-    if joint and entry.get("joint"):
-        words.append(f"of {entry['joint']}")
-    if "source" in entry:
-        words.append(f"by {entry['source']}")
-    if "depends_on" in entry:
-        order = f" of order {entry['order']}" if "order" in entry else ""
-        across = "" if entry.get("acts_on", "drive") == "drive" else ", across the axis"
-        words.append(f"({entry.get('shape', 'curve')}{order} of {entry['depends_on']}{across})")
-    elif entry.get("order", 1) != 1:
-        words.append(f"order {entry['order']}")
-    if entry.get("frame") == "after":
-        words.append("seen from the moving link")
+    words = [entry.effect]
+    if joint and entry.joint:
+        words.append(f"of {entry.joint}")
+    if entry.source:
+        words.append(f"by {entry.source}")
+    if entry.depends_on:
+        order = f" of order {entry.order}" if entry.order else ""
+        across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
+        words.append(f"({entry.shape or 'curve'}{order} of {entry.depends_on}{across})")
+    elif (entry.order or 1) != 1:
+        words.append(f"order {entry.order}")
     return " ".join(words)
 
 

@@ -13,6 +13,7 @@ from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors, most_probable
 from pincal.identify.station import Station, conditions_of
+from pincal.io.discovery_file import EffectName
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import ideal_readings
 from pincal.model.conditions import Conditions
@@ -181,7 +182,8 @@ def _explained(
 
 def effect_name(effect: Effect) -> str:
     """Return what an effect is called in the control tree."""
-    return effect_words({**effect.describe(), "frame": effect.locus.frame})
+    words = effect_words(EffectName.of(effect))
+    return f"{words} seen from the moving link" if effect.locus.frame == "after" else words
 
 
 def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from pincal.io.camera_file import CameraFile
-from pincal.io.discovery_file import DiscoveryFile
+from pincal.io.discovery_file import Findings
 from pincal.io.effect_entry import SCHEMA
 from pincal.io.model_file import ModelFile, StationsFile
 from pincal.io.result_file import ResultFile
@@ -22,7 +22,7 @@ FILES: dict[str, type] = {
     "model": ModelFile,
     "stations": StationsFile,
     "result": ResultFile,
-    "discovery": DiscoveryFile,
+    "discovery": Findings,
     "camera": CameraFile,
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
