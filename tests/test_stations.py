@@ -20,8 +20,9 @@ from pincal.identify.posterior import Posterior, eliminate, posterior
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
 from pincal.measure.lens import Lens
-from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays
 from pincal.measure.setup import Setup
+from pincal.measure.stations import stations_of
 from pincal.model.catalogue import BaseDrift, GearEccentricity
 from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
 from pincal.robot.robot import Robot
@@ -400,3 +401,33 @@ def test_names_and_options_of_stations_are_checked(machine: sim.TrueMachine, kuk
         Problem((east, east))
     with pytest.raises(BadInputError, match="no tables"):
         calibrate(kuka, [])
+
+
+def test_a_column_names_the_stations(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Rows of one table, or of several, that name their stations are fitted as those stations given apart."""
+    east, west = (tracked(machine, kuka, k, poses=40) for k in (0, 1))
+    named = [replace(t, station=np.full(len(t), name)) for t, name in ((east, "east"), (west, "west"))]
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    apart = calibrate(kuka, {"east": east, "west": west}, options)
+    for tables in (
+        concatenate(named),
+        [concatenate(named)],
+        [named[0], named[1].select(slice(9)), named[1].select(slice(9, 40))],
+    ):
+        found = calibrate(kuka, tables, options)
+        assert [station.name for station in found.problem.stations] == ["east", "west"]
+        np.testing.assert_array_equal(found.values, apart.values)
+
+
+def test_stations_of_one_name_are_refused(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Neither two tables nor two sensors are one station; each error says what to do."""
+    table, camera = tracked(machine, kuka, 0, poses=20), seen(machine, kuka, poses=4, pixels=True, noise=0.1)
+    for pairs, said in (
+        ([("day", table), ("day", table)], "two stations are called 'day'.*rename a file"),
+        ([("day", table), ("day", camera)], "different kinds .position and camera_pixel. are called 'day'"),
+        ([("day", table), ("x", replace(table, station=np.full(20, "day")))], "two stations are called 'day'"),
+        ([(n, replace(t, station=np.full(len(t), "day"))) for n, t in (("a", table), ("b", camera))], "one sensor at a"),
+        ([("day", replace(table, station=np.full(20, " ")))], 'line 2, "station": no name'),
+    ):
+        with pytest.raises(BadInputError, match=said):
+            stations_of(pairs)

@@ -21,6 +21,7 @@ from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors, Solution, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensor import KnownParameters
+from pincal.measure.stations import stations_of
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import Effect
 from pincal.robot.robot import Robot
@@ -70,13 +71,16 @@ def calibrate(
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:
-    """Return tables by the names of their stations; a table that is alone needs no name."""
+    """Return the rows of each station by its name; one that is alone needs none.
+
+    Raises:
+        BadInputError: without any table, and as :func:`pincal.measure.stations.stations_of`.
+    """
     if isinstance(measurements, Measurements):
-        return {"": measurements}
-    if isinstance(measurements, Mapping):
-        tables = dict(measurements)
-    else:
-        tables = {f"station_{i + 1}": table for i, table in enumerate(measurements)}
+        measurements = {"": measurements}
+    if not isinstance(measurements, Mapping):
+        measurements = {f"station_{i + 1}": table for i, table in enumerate(measurements)}
+    tables = stations_of(measurements.items())
     if not tables:
         raise BadInputError("no tables of measurements; expected one or more")
     return tables

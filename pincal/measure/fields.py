@@ -65,6 +65,7 @@ CONDITIONS = {
         Field("payload", ("payload",), "mass"),
         Field("temperature", ("temperature",), "temperature"),
         Field("time", ("time",), "time"),
+        Field("station", ("station",), "name"),
     )
 }
 """What a table can say of a pose beside the readings."""

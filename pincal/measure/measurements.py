@@ -50,6 +50,8 @@ class Measurements:
     """Temperature [deg C], shape (N,)."""
     time: np.ndarray | None = None
     """Time [s], shape (N,)."""
+    station: np.ndarray | None = None
+    """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
     approach: np.ndarray | None = None
     """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
     sigma: np.ndarray | None = None
@@ -165,7 +167,7 @@ def measurements_from_arrays(
         rows: Line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: Name of the data for messages.
         units: Units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: target, payload, temperature, time, approach, sigma, point and the fields of a sensor (position,
+        **columns: target, payload, temperature, time, station, approach, sigma, point and the fields of a sensor (position,
             quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is absent.
 
     Returns:

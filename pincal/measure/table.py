@@ -46,7 +46,7 @@ def read_measurements(
         joint_names: The n joints whose columns are needed.
         ignore: Columns to leave out; ``"*"`` leaves out all that are unknown.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a
-            condition (target, point, payload, temperature, time, approach).
+            condition (target, point, payload, temperature, time, station, approach).
         joint_types: "revolute" (the default) or "prismatic" for each joint: decides which units it may have.
 
     Returns:
