@@ -20,7 +20,7 @@ from pincal.identify.fit import Fit
 from pincal.identify.options import Options
 from pincal.identify.repeat import cross_validate
 from pincal.io.camera_file import read_lens, read_mount
-from pincal.measure.admission import scorable_rows, unobservable_notes, usable_rows
+from pincal.measure.admit import scorable_rows, unobservable_notes, usable_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.named_points import KnownDistance, NamedPoints

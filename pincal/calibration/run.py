@@ -14,8 +14,7 @@ from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.options import Options
 from pincal.identify.split import Split, hold_out
 from pincal.identify.station import Station
-from pincal.measure.admission import scorable_rows, unobservable_notes, usable_rows
-from pincal.measure.admit import admit, admit_test, noted
+from pincal.measure.admit import admit, admit_test, noted, scorable_rows, unobservable_notes, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 from pincal.validate.agreement import check_agreement

@@ -31,8 +31,8 @@ def validate(arguments: ValidateArguments) -> Exit:
     """Report the accuracy of a calibrated model on new measurements."""
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
-    from pincal.measure.admission import scorable_rows
-    from pincal.measure.admit import check_table
+    from pincal.measure.admit import scorable_rows
+    from pincal.measure.checks import check_table
     from pincal.validate.accuracy import error_table
     from pincal.validate.lack_of_fit import replicate_statistics
 

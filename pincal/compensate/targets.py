@@ -13,8 +13,8 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import Compensation, Orientation, compensate_poses, middle_of_range
 from pincal.compensate.frames import Frame, base_in_instrument, in_base_frame, program_poses
 from pincal.errors import MeasurementError
+from pincal.measure.checks import check_joint_values
 from pincal.measure.fields import CONDITIONS
-from pincal.measure.joint_values import check_joint_values
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.reader import Schema, read_table
 from pincal.measure.registry import known_fields

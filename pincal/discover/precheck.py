@@ -14,8 +14,7 @@ from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.options import Options
 from pincal.identify.reasons import Reason, Status
-from pincal.measure.admission import unobservable_notes
-from pincal.measure.admit import admit
+from pincal.measure.admit import admit, unobservable_notes
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect

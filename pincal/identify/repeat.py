@@ -18,7 +18,7 @@ from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Solution, solve
 from pincal.identify.split import Split, row_groups
-from pincal.measure.admission import scorable
+from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 

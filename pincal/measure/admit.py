@@ -1,22 +1,28 @@
-"""All checks of a table before a fit, in one call: does it belong to this robot, and is it enough?"""
+"""Which rows of a table can be fitted or judged by, after all checks that need no fit.
+
+Rows that can tell nothing are left out with a warning, and all others are still processed; the rules are the sensors'.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.admission import scorable_rows, usable_rows
-from pincal.measure.checks import TableFindings, check_measurements
+from pincal.measure.checks import check_table
 from pincal.measure.fields import nearest_first
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensing import sensor_like
+from pincal.measure.sensing import sensor_like, sensor_of
+from pincal.measure.sensor import Excluded, Grouped
 from pincal.measure.setup import Setup
 from pincal.robot.robot import Robot
+
+# Lines that a warning lists.
+_LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -46,10 +52,10 @@ def admit(robot: Robot, table: Measurements, setup: Setup, *, holdout: Measureme
     Raises:
         MeasurementError: if the table can't be of this robot, or its rows are too few.
     """
-    idle = check_gaps(setup, [table] if holdout is None else [table, holdout])
+    idle = _check_distances(setup, [table] if holdout is None else [table, holdout])
     with noted() as notes:
         table = usable_rows(table, setup)
-        check_count(robot, table, setup)
+        _check_count(robot, table, setup)
         check_table(robot, table)
     return Admitted(table, tuple(notes), idle)
 
@@ -75,35 +81,77 @@ def noted() -> Iterator[list[str]]:
     notes += dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, PincalWarning))
 
 
-def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -> TableFindings:
-    """Refuse what can't be measurements of this robot; warn of what is merely odd.
+def usable_rows(measurements: Measurements, setup: Setup) -> Measurements:
+    """Return the rows that can tell something; each reason to leave rows out causes a `PincalWarning`.
 
-    Args:
-        robot: the arm.
-        measurements: the table.
-        minimum: fewest rows that are enough.
+    Left out are points behind the camera, sockets that were touched only once, unknown points that were seen only once, and
+    unknown anchors of fewer than four distances.
 
     Raises:
-        MeasurementError: as :func:`pincal.measure.checks.check_measurements`.
+        MeasurementError: if no row is left.
     """
-    return check_measurements(
-        measurements,
-        lower=robot.lower,
-        upper=robot.upper,
-        joint_types=robot.joint_types,
-        reach_m=robot.reach,
-        minimum=minimum,
-    )
+    kind = measurements.sensor
+    if kind is None or not issubclass(kind, Grouped):
+        return measurements
+    sensor = sensor_of(measurements, setup.over(measurements))
+    assert isinstance(sensor, Grouped)
+    excluded = list(sensor.unusable_rows())
+    kept = _kept(measurements, excluded)
+    if not len(kept):
+        raise MeasurementError(f"{measurements.source}: no row is left; expected {excluded[-1].expected}")
+    return kept
 
 
-def check_gaps(setup: Setup, tables: Sequence[Measurements]) -> tuple[str, ...]:
+def scorable_rows(measurements: Measurements, setup: Setup) -> Measurements:
+    """Return the rows that a calibration can be judged by; rows left out cause a `PincalWarning`.
+
+    A socket that the calibration did not have is judged by the mean of its rows, so it needs two; any other point that it
+    did not have can't be judged.
+
+    Args:
+        measurements: rows that it never saw.
+        setup: the points that it had.
+    """
+    return _kept(measurements, _unscorable(measurements, setup))
+
+
+def scorable(measurements: Measurements, setup: Setup) -> np.ndarray:
+    """Return which rows a calibration can be judged by, shape (N,), as :func:`scorable_rows` has it, without warnings."""
+    lost = np.zeros(len(measurements), bool)
+    for part in _unscorable(measurements, setup):
+        lost |= part.rows
+    return ~lost
+
+
+def _unscorable(measurements: Measurements, setup: Setup) -> Iterator[Excluded]:
+    kind = measurements.sensor
+    if kind is not None and issubclass(kind, Grouped) and len(measurements):
+        yield from kind.unscorable_rows(measurements, setup)
+
+
+def unobservable_notes(measurements: Measurements, setup: Setup) -> Iterator[str]:
+    """Yield what measurements of this kind can't determine, however many rows there are, in words."""
+    return sensor_like(measurements, setup).unobservable()
+
+
+def _kept(measurements: Measurements, excluded: Iterable[Excluded]) -> Measurements:
+    """Return the rows that are not excluded; warn of the others."""
+    kept = np.ones(len(measurements), bool)
+    for part in excluded:
+        kept &= ~part.rows
+        if part.rows.any():
+            lines = measurements.rows[part.rows]
+            listed = ", ".join(str(line) for line in lines[:_LISTED]) + (" ..." if len(lines) > _LISTED else "")
+            text = f"{measurements.source}: {len(lines)} rows {part.reason} and are left out: lines {listed}"
+            warnings.warn(text, PincalWarning, stacklevel=3)
+    return measurements if kept.all() else measurements.select(kept)
+
+
+def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str, ...]:
     """Refuse a known distance from a point of the tables to one that nobody knows.
 
     Returns:
         A note on distances between points that are in none of the tables: they may belong to another one.
-
-    Raises:
-        MeasurementError: naming the unknown point.
     """
     found = [table.point_names for table in tables]
     known = {str(name) for names in found if names is not None for name in np.unique(names)} | set(setup.points)
@@ -119,15 +167,10 @@ def check_gaps(setup: Setup, tables: Sequence[Measurements]) -> tuple[str, ...]:
     return (f"known distances between points that are in no row are not used: {', '.join(idle)}",) if idle else ()
 
 
-def check_count(robot: Robot, measurements: Measurements, setup: Setup | None = None) -> None:
-    """Refuse a table that could not even tell where instrument and tool stand.
-
-    Raises:
-        MeasurementError: saying how many rows are needed.
-    """
-    sensor = sensor_like(measurements, setup or Setup())
-    targets = len(np.unique(measurements.target)) if len(measurements) else 1
-    tool = len(sensor.tool_symbols) * targets
+def _check_count(robot: Robot, measurements: Measurements, setup: Setup) -> None:
+    """Refuse a table that could not even tell where instrument and tool stand."""
+    sensor = sensor_like(measurements, setup)
+    tool = len(sensor.tool_symbols) * (len(np.unique(measurements.target)) if len(measurements) else 1)
     # What a camera's lens is like takes no rows beyond: any one of them tells two readings of it.
     own = sum(parameter.unit == "m" for parameter in sensor.parameters)
     poses = len(np.unique(measurements.q, axis=0))

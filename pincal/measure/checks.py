@@ -1,120 +1,80 @@
 """Plausibility of a table before any fit: degrees, millimetres, swapped joints, copied rows.
 
-Each check needs only the table and a few plain numbers of the robot. What can't be right is an error; what is
-odd but possible is a warning, or is handed back.
+What can't be right is an error; what is odd but possible is a warning.
 """
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.joint_values import check_joint_values
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensor import Plausible
+from pincal.robot.robot import Robot
 
-__all__ = ["TableFindings", "check_joint_values", "check_measurements", "check_reach", "check_rows"]
-
+# Share of the rows beyond the limits from which on the column, not the row, is at fault.
+_MANY = 0.2
+# Longer than the longest rail of a robot.
+_MOST_M = 50.0
+# Two full turns: more than any cable allows, and less than a few degrees' motion written in degrees.
+_MOST_RAD = 4 * np.pi
+# Limits of URDFs are rounded and controllers overshoot them by about this much [rad, m].
+_LIMIT_TOLERANCE = 0.05
 # Below this range [rad, m] a joint only shows the noise of its encoder.
 _CONSTANT = 1e-4
 _LISTED_LINES = 5
 
 
-@dataclass(frozen=True)
-class TableFindings:
-    """What is odd, but possible, in a table.
-
-    Example:
-        >>> TableFindings(constant_joints=("joint_6",), duplicates=(), outside_limits=()).constant_joints
-        ('joint_6',)
-    """
-
-    constant_joints: tuple[str, ...]
-    """Joints that stand still in all rows."""
-    duplicates: tuple[int, ...]
-    """Lines that repeat an earlier row in every column."""
-    outside_limits: tuple[str, ...]
-    """Joints with values beyond their limits."""
-
-
-def check_measurements(
-    measurements: Measurements,
-    *,
-    lower: ArrayLike,
-    upper: ArrayLike,
-    joint_types: Sequence[str],
-    reach_m: float,
-    tool_reach_m: float = 2.0,
-    minimum: int = 1,
-) -> TableFindings:
-    """Run all checks of this module.
+def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -> None:
+    """Refuse what can't be measurements of this robot; warn of what is merely odd.
 
     Args:
-        measurements: The table, N rows of n joints.
-        lower: Lower joint limits [rad], prismatic [m], shape (n,); -inf where there is none.
-        upper: Upper joint limits, likewise.
-        joint_types: "revolute" or "prismatic" for each joint.
-        reach_m: Farthest distance of the flange from the base [m].
-        tool_reach_m: Farthest distance of a target from the flange [m].
-        minimum: Fewest rows that the fit needs.
-
-    Returns:
-        The findings that need no decision.
+        robot: the arm.
+        measurements: the table.
+        minimum: fewest rows that are enough.
 
     Raises:
-        MeasurementError: As raised by `check_rows`, `check_joint_values` and `check_reach`.
+        MeasurementError: as the other functions of this module.
     """
-    constant, duplicates = _check_rows(measurements, minimum=minimum)
-    outside = check_joint_values(measurements, lower=lower, upper=upper, joint_types=joint_types)
-    check_reach(measurements, reach_m=reach_m, tool_reach_m=tool_reach_m)
-    return TableFindings(constant_joints=constant, duplicates=duplicates, outside_limits=outside)
+    check_rows(measurements, minimum=minimum)
+    check_joint_values(measurements, robot.lower, robot.upper, robot.joint_types)
+    check_reach(measurements, robot.reach)
 
 
-def check_reach(measurements: Measurements, reach_m: float, tool_reach_m: float = 2.0) -> None:
+def check_reach(measurements: Measurements, reach_m: float) -> None:
     """Check that readings are in metres, as far as the arm's size tells; the rules are the sensor's.
 
     Args:
-        measurements: The table.
-        reach_m: Farthest distance of the flange from the base [m].
-        tool_reach_m: Farthest distance of a target from the flange [m].
+        measurements: the table.
+        reach_m: farthest distance of the flange from the base [m].
 
     Raises:
-        MeasurementError: Values farther apart than the arm can reach, or closer together than the motion of
-            the joints allows though a unit was given, or distances that are no lengths of a measuring line.
+        MeasurementError: for values farther apart than the arm can reach, or closer together than the motion of the joints
+            allows though a unit was given, or distances that are no lengths of a measuring line.
     """
     sensor = measurements.sensor
     if len(measurements) > 1 and sensor is not None and issubclass(sensor, Plausible):
-        sensor.check_plausible(measurements, reach_m=reach_m, tool_reach_m=tool_reach_m)
+        sensor.check_plausible(measurements, reach_m)
 
 
-def check_rows(measurements: Measurements, *, minimum: int) -> tuple[str, ...]:
+def check_rows(measurements: Measurements, *, minimum: int) -> None:
     """Check that there are enough rows and that they differ.
 
-    Args:
-        measurements: The table.
-        minimum: Fewest rows that the fit needs.
-
-    Returns:
-        The joints that stand still. Rows that repeat an earlier one in every column cause a `PincalWarning`;
-        the same pose measured again with another result is a replicate and welcome.
+    Rows that repeat an earlier one in every column cause a `PincalWarning`; the same pose measured again with another result
+    is a replicate and welcome.
 
     Raises:
-        MeasurementError: Fewer rows than needed, or the same pose in all of them.
+        MeasurementError: for fewer rows than needed, or the same pose in all of them.
     """
-    return _check_rows(measurements, minimum=minimum)[0]
-
-
-def _check_rows(measurements: Measurements, *, minimum: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
     count, source = len(measurements), measurements.source
     if count < max(minimum, 1):
         raise MeasurementError(f"{source}: {count} rows; expected at least {max(minimum, 1)}, measure more poses")
-    constant = np.ptp(measurements.q, axis=0) <= _CONSTANT
-    if count > 1 and constant.all():
+    if count > 1 and (np.ptp(measurements.q, axis=0) <= _CONSTANT).all():
         raise MeasurementError(f"{source}: all {count} rows have the same joint values; expected different poses")
     lines = _duplicate_lines(measurements)
     if lines:
@@ -123,12 +83,11 @@ def _check_rows(measurements: Measurements, *, minimum: int) -> tuple[tuple[str,
             f"{source}: {len(lines)} rows repeat an earlier row in every column (line {first}); copies add "
             "weight without knowledge: delete them unless they were measured",
             PincalWarning,
-            stacklevel=3,
+            stacklevel=2,
         )
-    return tuple(np.array(measurements.joint_names)[constant].tolist()), lines
 
 
-def _duplicate_lines(measurements: Measurements) -> tuple[int, ...]:
+def _duplicate_lines(measurements: Measurements) -> list[int]:
     arrays = {name: column for name, column in measurements.columns().items() if name != "rows"}
     numbers = [column for column in arrays.values() if column.dtype.kind in "fi"]
     names = [np.unique(column, return_inverse=True)[1] for column in arrays.values() if column.dtype.kind not in "fi"]
@@ -138,4 +97,85 @@ def _duplicate_lines(measurements: Measurements) -> tuple[int, ...]:
     _, inverse, counts = np.unique((table.view(np.uint64) * odd).sum(axis=1), return_inverse=True, return_counts=True)
     candidates = np.flatnonzero(counts[inverse] > 1)
     _, first = np.unique(table[candidates], axis=0, return_index=True)
-    return tuple(measurements.rows[np.delete(candidates, first)].tolist())
+    return list(measurements.rows[np.delete(candidates, first)].tolist())
+
+
+def check_joint_values(measurements: Measurements, lower: ArrayLike, upper: ArrayLike, joint_types: Sequence[str]) -> None:
+    """Check that joint values are in rad or m, in the right columns and within the limits.
+
+    Each joint with values beyond its limits causes a `PincalWarning`.
+
+    Args:
+        measurements: the table, N rows of n joints.
+        lower: lower joint limits [rad], prismatic [m], shape (n,); -inf where there is none.
+        upper: upper joint limits, likewise; a joint with lower >= upper counts as unlimited.
+        joint_types: "revolute" or "prismatic" for each joint.
+
+    Raises:
+        MeasurementError: for values that can only be degrees or millimetres though no unit says so, or two columns that are
+            swapped.
+    """
+    q, slides = measurements.q, np.array([kind == "prismatic" for kind in joint_types])
+    if not q.size:
+        return
+    low, high = np.array(lower, dtype=float), np.array(upper, dtype=float)
+    unlimited = ~(low < high)
+    low[unlimited], high[unlimited] = -np.inf, np.inf
+    excess = np.maximum(low - q, q - high)
+    outside = excess > _LIMIT_TOLERANCE
+    in_small_unit = np.where(slides, q / 1000, np.deg2rad(q))
+    fits_small_unit = _inside(in_small_unit, low, high).all(axis=0)
+
+    far = (np.abs(q) > np.where(slides, _MOST_M, _MOST_RAD)) & (outside | ~np.isfinite(low) | ~np.isfinite(high))
+    _refuse_unit(measurements, far.any(axis=0) & ((far.mean(axis=0) > _MANY) | fits_small_unit), slides)
+    swaps = _curing_swaps(measurements, low, high, slides=slides) if outside.any() else []
+    share = float(outside.any(axis=1).mean())
+    if swaps and share > _MANY:
+        raise MeasurementError(
+            f"{measurements.source}: {share:.0%} of the rows lie beyond the joint limits, and none does with "
+            f"the columns {' or '.join(swaps)} swapped; exchange their names in the header"
+        )
+    is_far = np.abs(q).max(axis=0) > 2 * np.maximum(np.abs(low), np.abs(high))
+    _refuse_unit(measurements, is_far & (outside.mean(axis=0) > _MANY) & fits_small_unit, slides)
+    _warn_outside(measurements, outside, excess, swaps)
+
+
+def _inside(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return (values >= low - _LIMIT_TOLERANCE) & (values <= high + _LIMIT_TOLERANCE)
+
+
+def _refuse_unit(measurements: Measurements, is_wrong: np.ndarray, slides: np.ndarray) -> None:
+    """Raise for a joint whose unit is wrong, shape (n,), and was not stated; a stated unit is the user's word."""
+    for j in np.flatnonzero(is_wrong):
+        name, row = measurements.joint_names[j], int(np.abs(measurements.q[:, j]).argmax())
+        if name not in measurements.units:
+            unit, word, si = ("mm", "millimetres", "m") if slides[j] else ("deg", "degrees", "rad")
+            raise MeasurementError(
+                f'{measurements.source}, line {measurements.rows[row]}, "{name}": {measurements.q[row, j]:g} '
+                f"{si} looks like {word}; write `{name} [{unit}]` in the header, or `{name} [{si}]` if meant"
+            )
+
+
+def _curing_swaps(measurements: Measurements, low: np.ndarray, high: np.ndarray, *, slides: np.ndarray) -> list[str]:
+    """Return the pairs of columns whose exchange brings all values inside the limits."""
+    names, ends = measurements.joint_names, np.stack([measurements.q.min(axis=0), measurements.q.max(axis=0)])
+    cures = []
+    for i, j in itertools.combinations(range(len(names)), 2):
+        order = np.arange(len(names))
+        order[[i, j]] = j, i
+        if slides[i] == slides[j] and _inside(ends[:, order], low, high).all():
+            cures.append(f"{names[i]} and {names[j]}")
+    return cures
+
+
+def _warn_outside(measurements: Measurements, outside: np.ndarray, excess: np.ndarray, swaps: Sequence[str]) -> None:
+    hint = f"; all rows are inside with {' or '.join(swaps)} swapped" if swaps else ""
+    for j in np.flatnonzero(outside.any(axis=0)):
+        worst = int(excess[:, j].argmax())
+        warnings.warn(
+            f'{measurements.source}: {outside[:, j].sum()} rows of "{measurements.joint_names[j]}" lie beyond its limits, '
+            f"the worst is {measurements.q[worst, j]:.6g} in line {measurements.rows[worst]}, "
+            f"{excess[worst, j]:.3g} too far{hint}; check the sign, the zero and the URDF",
+            PincalWarning,
+            stacklevel=3,
+        )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -58,12 +57,6 @@ class NamedPoints:
     places: Mapping[str, Place | None] = field(default_factory=dict)
     distances: tuple[KnownDistance, ...] = ()
 
-    def __post_init__(self) -> None:
-        for gap in self.distances:
-            for name in (gap.first, gap.second):
-                if self.places and name not in self.places:
-                    raise MeasurementError(f"a distance names {name!r}; the points are {_listed(self.places)}")
-
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the K points."""
@@ -100,18 +93,9 @@ class NamedPoints:
         found[~self.known] = own[: len(self.parameters)].reshape(-1, 3)
         return found
 
-    def with_names(self, names: Sequence[str]) -> NamedPoints:
-        """Return the points with those of other names among them, unknown."""
-        new: dict[str, Place | None] = {str(name): None for name in names if name not in self.places}
-        return replace(self, places={**self.places, **new}) if new else self
-
     @property
     def are_in_line(self) -> bool:
         """Whether the known points leave a rotation open: fewer than three of them, or all on one line."""
         places = self.given[self.known]
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 2 else np.zeros(2)
         return bool(spread[1] <= _LINE * max(spread[0], 1e-300))
-
-
-def _listed(names: Mapping[str, Any]) -> str:
-    return ", ".join(list(names)[:8]) + (" ..." if len(names) > 8 else "")

@@ -9,28 +9,28 @@ from pincal.measure.fields import Table
 
 # Share of the rows beyond the limits from which on the column, not the row, is at fault.
 _MANY = 0.2
+# Farthest distance of a target from the flange [m].
+_TOOL_REACH_M = 2.0
 
 
-def span_m(*, reach_m: float, tool_reach_m: float) -> float:
-    """Return how far apart two targets of an arm can be at most [m]."""
-    return 2 * (reach_m + tool_reach_m)
+def span_m(reach_m: float) -> float:
+    """Return how far apart two targets can be at most [m], for a flange that reaches so far from the base."""
+    return 2 * (reach_m + _TOOL_REACH_M)
 
 
-def check_spread(table: Table, points: np.ndarray, *, label: str, most: float) -> float:
-    """Refuse points that are farther apart than the arm can span.
+def check_spread(table: Table, points: np.ndarray, *, label: str, reach_m: float) -> float:
+    """Return the distance between (nearly) the farthest points [m]; refuse more than the arm can span.
 
     Args:
         table: the table, for messages.
         points: shape (N, k) [m].
         label: the column that a message names.
-        most: how far apart they can be at most [m].
-
-    Returns:
-        The distance between (nearly) the farthest points [m].
+        reach_m: farthest distance of the flange from the base [m].
 
     Raises:
         MeasurementError: naming the unit that seems to be meant.
     """
+    most = span_m(reach_m)
     from_centre = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     worst = int(from_centre.argmax())
     # From the farthest point on, the diameter is at most twice what this finds, and never less.

@@ -17,7 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import RANK, Extrinsics
 from pincal.measure.fields import Table
 from pincal.measure.named_points import NamedPoints
-from pincal.measure.sensor import Constrained, Constraints, Excluded, Filtered, Grouped, OwnParameters, Sensor
+from pincal.measure.sensor import Constraints, Excluded, Grouped, OwnParameters, Sensor
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, transform
@@ -27,7 +27,7 @@ _LISTED = 8
 
 
 @dataclass(frozen=True)
-class PointSensor(Sensor, OwnParameters, Constrained, Grouped, Filtered):
+class PointSensor(Sensor, OwnParameters, Grouped):
     """Readings that each involve one named point.
 
     A class states, beside what :class:`pincal.measure.sensor.Sensor` asks for, ``thing``, what a point is called, and
@@ -101,9 +101,9 @@ class PointSensor(Sensor, OwnParameters, Constrained, Grouped, Filtered):
     def unusable_rows(self) -> Iterator[Excluded]:
         """Yield what the instrument can't have seen, then unknown points with too few readings: they only place it."""
         keep = np.ones(len(self), bool)
-        for excluded in self.invalid_rows():
-            keep &= ~excluded.rows
-            yield excluded
+        if self.impossible is not None:
+            keep = ~self.impossible.rows
+            yield self.impossible
         names = np.array(self.points.names)[self.index]
         found, inverse, count = np.unique(names[keep], return_inverse=True, return_counts=True)
         poor = (count < self.fewest) & np.array([self.points.places[str(name)] is None for name in found], bool)
@@ -116,9 +116,10 @@ class PointSensor(Sensor, OwnParameters, Constrained, Grouped, Filtered):
             f"{self.fewest} readings and more of {self.thing}, in other poses",
         )
 
+    @property
     @abstractmethod
-    def invalid_rows(self) -> Iterator[Excluded]:
-        """Yield rows that the instrument can't have seen."""
+    def impossible(self) -> Excluded | None:
+        """Rows that the instrument can't have seen; None if there is no such thing."""
 
     @classmethod
     @final

@@ -1,4 +1,4 @@
-"""Reading a table from CSV or Parquet: columns in SI units, put together to the fields that a schema allows.
+"""Reading a table from CSV or Parquet: columns by name and unit, in SI units, put together to the fields of a schema.
 
 Measurements, targets of a compensation and lists of known points are tables of different schemas.
 """
@@ -6,17 +6,44 @@ Measurements, targets of a compensation and lists of known points are tables of 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import os
+import re
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.columns import converted, match_columns, quantities_of
-from pincal.measure.fields import Field
-from pincal.measure.sheet import open_sheet, read_cells
+from pincal.measure.fields import Field, nearest_first
+from pincal.measure.sheet import Column, Sheet, open_sheet, read_cells
+
+if TYPE_CHECKING:
+    import polars as pl
+
+# SI value = factor * value + offset, by physical quantity and unit.
+_LENGTHS: dict[str, tuple[float, float]] = {
+    "m": (1, 0),
+    "mm": (1e-3, 0),
+    "cm": (1e-2, 0),
+    "um": (1e-6, 0),
+    "µm": (1e-6, 0),
+    "in": (0.0254, 0),
+}
+_UNITS: dict[str, dict[str, tuple[float, float]]] = {
+    "length": _LENGTHS,
+    "noise": _LENGTHS | {"px": (1, 0)},
+    "angle": {"rad": (1, 0), "mrad": (1e-3, 0), "deg": (np.pi / 180, 0), "°": (np.pi / 180, 0)},
+    "mass": {"kg": (1, 0), "g": (1e-3, 0), "lb": (0.45359237, 0)},
+    "time": {"s": (1, 0), "ms": (1e-3, 0), "min": (60, 0), "h": (3600, 0)},
+    "temperature": {"degC": (1, 0), "°C": (1, 0), "K": (1, -273.15)},
+    "pixel": {"px": (1, 0)},
+    "number": {},
+    "name": {},
+}
 
 
 @dataclass(frozen=True)
@@ -25,7 +52,6 @@ class Schema:
 
     Attributes:
         fields: the quantities that are understood.
-        required: names of those that have to be there.
         joint_names: the joints, each with a column of its own and perhaps one for the direction of approach.
         joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
         may_lack_joints: whether a table without any joint is allowed.
@@ -33,11 +59,21 @@ class Schema:
     """
 
     fields: tuple[Field, ...]
-    required: tuple[str, ...] = ()
     joint_names: tuple[str, ...] = ()
     joint_types: tuple[str, ...] = ()
     may_lack_joints: bool = False
     ignore: tuple[str, ...] = ()
+
+    def quantities(self, *, source: str) -> dict[str, str]:
+        """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""
+        known = {column: field.quantity for field in self.fields for column in field.columns}
+        clash = [name for name in self.joint_names if name in known]
+        if clash:
+            raise MeasurementError(f'{source}: joint "{clash[0]}" has the name of a column; rename it in the URDF')
+        types = self.joint_types or ("revolute",) * len(self.joint_names)
+        pairs = zip(self.joint_names, types, strict=True)
+        joints = {name: "length" if kind == "prismatic" else "angle" for name, kind in pairs}
+        return joints | known | {f"approach_{name}": "number" for name in self.joint_names}
 
 
 @dataclass(frozen=True)
@@ -68,18 +104,29 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
     """
     path = Path(path)
     joints = schema.joint_names
-    with typed_errors(path):
+    with _typed_errors(path):
         sheet = open_sheet(path)
-        quantities = quantities_of(joints, schema.joint_types or None, schema.fields, source=path.name)
-        if schema.may_lack_joints and not {label.split("[")[0].strip() for label in sheet.labels} & set(joints):
+        quantities = schema.quantities(source=path.name)
+        if schema.may_lack_joints and not {_name(label) for label in sheet.labels} & set(joints):
             quantities = {name: quantity for name, quantity in quantities.items() if name not in joints}
             joints = ()
-        columns = match_columns(sheet, joints, quantities, ignore=schema.ignore)
-        found = {column.name for column in columns}
-        _check_required(schema, found, source=path.name)
+        columns = _matched(sheet, joints, quantities, ignore=schema.ignore)
         cells, rows = read_cells(sheet, columns)
-        values = {column.name: converted(cells.pop(column.name), column) for column in columns}
-    arrays = _joint_arrays(joints, values, len(rows)) | _field_arrays(schema.fields, values, source=path.name)
+        values = {}
+        for column in columns:
+            values[column.name] = _in_si(cells.pop(column.name), column)
+    arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
+    if any(f"approach_{name}" in values for name in joints):
+        unknown = np.zeros(len(rows))
+        arrays["approach"] = np.column_stack([values.pop(f"approach_{name}", unknown) for name in joints])
+    for field in schema.fields:
+        given = [part for part in field.columns if part in values]
+        if given and len(given) < len(field.columns):
+            missing = " ".join(part for part in field.columns if part not in given)
+            raise MeasurementError(f"{path.name}: {' '.join(given)} without {missing}; add what is missing")
+        if given:
+            parts = [values.pop(part) for part in given]
+            arrays[field.name] = np.column_stack(parts) if len(parts) > 1 else parts[0]
     return Cells(arrays, rows, {column.name: column.unit for column in columns if column.unit})
 
 
@@ -99,8 +146,12 @@ def read_columns(
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
     """
-    fields = tuple(Field(name, (name,), quantity) for name, quantity in quantities.items())
-    return read_table(path, Schema(fields, required=tuple(name for name in quantities if name not in optional))).arrays
+    required = [name for name in quantities if name not in optional]
+    missing = set(required).difference(column_names(path))
+    if missing:
+        first = next(name for name in required if name in missing)
+        raise MeasurementError(f"{Path(path).name}: no column {first!r}; expected columns {' '.join(required)}")
+    return read_table(path, Schema(tuple(Field(name, (name,), quantity) for name, quantity in quantities.items()))).arrays
 
 
 def column_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
@@ -109,12 +160,74 @@ def column_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
     Raises:
         MeasurementError: for a file that can't be read.
     """
-    with typed_errors(Path(path)):
-        return tuple(label.split("[")[0].strip() for label in open_sheet(Path(path)).labels)
+    with _typed_errors(Path(path)):
+        return tuple(_name(label) for label in open_sheet(Path(path)).labels)
+
+
+def _name(label: str) -> str:
+    return label.split("[")[0].strip()
+
+
+def _matched(
+    sheet: Sheet, joints: tuple[str, ...], quantities: Mapping[str, str], *, ignore: tuple[str, ...]
+) -> list[Column]:
+    """Return the columns that are needed; raise for those that are not understood."""
+    source, columns, unknown = sheet.path.name, dict[str, Column](), list[str]()
+    for index, label in enumerate(sheet.labels):
+        name = _name(label)
+        if name in ignore or label in ignore:
+            continue
+        if name not in quantities:
+            unknown.append(label)
+            continue
+        unit = _unit_of(label, quantities[name], where=f'{source}, column {index + 1} ("{label}")')
+        if name in columns:
+            raise MeasurementError(f'{source}: two columns "{name}"; expected one, delete or rename the other')
+        columns[name] = Column(index, name, label, unit, quantities[name])
+    _check_joints([name for name in joints if name not in columns], unknown, source=source)
+    if unknown and "*" not in ignore:
+        free = [name for name in quantities if name not in columns]
+        known = ", ".join(nearest_first([_name(label) for label in unknown], free))
+        listed = ", ".join(f'"{label}"' for label in unknown)
+        raise MeasurementError(
+            f"{source}: unknown column {listed}; known and not in the table, nearest first: "
+            f"{known or 'none'}; rename it (a unit is written as x [mm]), delete it or ignore it"
+        )
+    return list(columns.values())
+
+
+def _check_joints(missing: Sequence[str], unknown: Sequence[str], *, source: str) -> None:
+    if not missing:
+        return
+    texts = []
+    for name in missing:
+        same = [label for label in unknown if _name(label).casefold() == name.casefold()]
+        close = same or difflib.get_close_matches(name, unknown, n=1, cutoff=0.6)
+        texts.append(f'"{name}"' + (f' (is it "{close[0]}"?)' if close else ""))
+    raise MeasurementError(f"{source}: no column for joint {', '.join(texts)}; expected a column named as in the URDF")
+
+
+def _unit_of(label: str, quantity: str, *, where: str) -> str:
+    match = re.fullmatch(r"[^\[\]]*(?:\[([^\[\]]*)\])?", label)
+    unit = unicodedata.normalize("NFC", (match[1] or "").strip()).replace("μ", "µ") if match else ""
+    accepted = ", ".join(f"[{unit}]" for unit in _UNITS[quantity]) or "no unit"
+    if match is None:
+        raise MeasurementError(f"{where}: unclosed unit; expected at its end one of {accepted}")
+    if "[" in label and unit not in _UNITS[quantity]:
+        raise MeasurementError(f"{where}: [{unit}] is no unit of this column; expected one of {accepted}")
+    return unit
+
+
+def _in_si(series: pl.Series, column: Column) -> np.ndarray:
+    if column.is_name:
+        return np.array(series.to_list(), dtype=str)
+    values = series.to_numpy()
+    scale, offset = _UNITS[column.quantity].get(column.unit, (1, 0))
+    return values if (scale, offset) == (1, 0) else values * scale + offset
 
 
 @contextlib.contextmanager
-def typed_errors(path: Path) -> Iterator[None]:
+def _typed_errors(path: Path) -> Iterator[None]:
     """Raise whatever goes wrong with a file as a `MeasurementError` that names it."""
     import polars as pl
 
@@ -129,33 +242,3 @@ def typed_errors(path: Path) -> Iterator[None]:
     except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         reason = str(error).strip().split("\n")[0]
         raise MeasurementError(f"{path}: can't be read ({reason}); expected a CSV or .parquet table") from error
-
-
-def _check_required(schema: Schema, found: set[str], *, source: str) -> None:
-    required = [column for field in schema.fields if field.name in schema.required for column in field.columns]
-    missing = [column for column in required if column not in found]
-    if missing:
-        raise MeasurementError(f"{source}: no column {missing[0]!r}; expected columns {' '.join(required)}")
-
-
-def _joint_arrays(names: tuple[str, ...], values: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    if not names:
-        return {}
-    arrays = {"q": np.column_stack([values.pop(name) for name in names])}
-    if any(f"approach_{name}" in values for name in names):
-        unknown = np.zeros(count)
-        arrays["approach"] = np.column_stack([values.pop(f"approach_{name}", unknown) for name in names])
-    return arrays
-
-
-def _field_arrays(fields: tuple[Field, ...], values: dict[str, np.ndarray], *, source: str) -> dict[str, np.ndarray]:
-    arrays = {}
-    for field in fields:
-        given = [part for part in field.columns if part in values]
-        if given and len(given) < len(field.columns):
-            missing = " ".join(part for part in field.columns if part not in given)
-            raise MeasurementError(f"{source}: {' '.join(given)} without {missing}; add what is missing")
-        if given:
-            stack = [values.pop(part) for part in given]
-            arrays[field.name] = np.column_stack(stack) if len(stack) > 1 else stack[0]
-    return arrays

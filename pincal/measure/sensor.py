@@ -6,7 +6,7 @@ and what they cannot determine. Whatever is asked of measurements elsewhere goes
 needs no other place than its own file.
 
 What only some sensors have is a class of its own to inherit from: :class:`OwnParameters`, :class:`KnownParameters`,
-:class:`Constrained`, :class:`Grouped`, :class:`Filtered`, :class:`Foreseeable`, :class:`Plausible`.
+:class:`Grouped`, :class:`Foreseeable`, :class:`Plausible`.
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ class Sensor(ABC):
     @final
     def constraints(self, own: np.ndarray) -> Constraints | None:
         """Return what is known of the sensor's own parameters beside the readings, None where nothing is."""
-        return self.facts(own) if isinstance(self, Constrained) else None
+        return self.facts(own) if isinstance(self, Grouped) else None
 
     @property
     @final
@@ -287,30 +287,22 @@ class KnownParameters(ABC):
         """What to say if the readings contradict the values that were given."""
 
 
-class Constrained(ABC):
-    """A sensor of whose own parameters something is known beside the readings, such as the distance of two sockets."""
-
-    @abstractmethod
-    def facts(self, own: np.ndarray) -> Constraints | None:
-        """Return what is known; None where nothing is."""
-
-
 class Grouped(ABC):
-    """A sensor whose rows belong to groups, each of which own parameters rest on."""
+    """A sensor each of whose rows involves one of several things, such as a socket; own parameters describe unknown ones."""
 
     @property
     @abstractmethod
     def row_groups(self) -> np.ndarray:
-        """What each row belongs to, shape (N,)."""
+        """The thing that each row involves, shape (N,)."""
 
     @property
     @abstractmethod
     def needs_all_rows(self) -> bool:
         """Whether the rows make sense only together."""
 
-
-class Filtered(ABC):
-    """A sensor that knows rows which can tell nothing, such as points behind a camera."""
+    @abstractmethod
+    def facts(self, own: np.ndarray) -> Constraints | None:
+        """Return what is known of the own parameters beside the readings, such as the distance of two sockets, or None."""
 
     @abstractmethod
     def unusable_rows(self) -> Iterator[Excluded]:
@@ -343,13 +335,8 @@ class Plausible(ABC):
 
     @classmethod
     @abstractmethod
-    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
-        """Refuse readings that can't be of an arm of this size.
-
-        Args:
-            table: at least two rows.
-            reach_m: farthest distance of the flange from the base [m].
-            tool_reach_m: farthest distance of a target from the flange [m].
+    def check_plausible(cls, table: Table, reach_m: float) -> None:
+        """Refuse a table, of at least two rows, whose readings can't be of an arm that reaches so far [m] with its flange.
 
         Raises:
             MeasurementError: naming the unit that seems to be meant.

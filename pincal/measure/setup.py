@@ -44,10 +44,10 @@ class Setup:
         return self if names is None else replace(self, points=self.named(np.unique(names)).places)
 
     def named(self, names: Sequence[str] | np.ndarray = ()) -> NamedPoints:
-        """Return the named points, others of these names among them as unknown."""
-        found = NamedPoints(self.points).with_names([str(name) for name in names])
-        inside = tuple(d for d in self.distances if {d.first, d.second} <= found.places.keys())
-        return replace(found, distances=inside)
+        """Return the named points, others of these names among them as unknown, and the distances between them."""
+        places = {**self.points, **{str(name): None for name in names if name not in self.points}}
+        inside = tuple(d for d in self.distances if {d.first, d.second} <= places.keys())
+        return NamedPoints(places, inside)
 
     def lens_parameters(self) -> tuple[Parameter, ...]:
         """Return the camera's parameters, as deviations from what is known of it."""

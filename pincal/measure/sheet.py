@@ -41,6 +41,11 @@ class Column:
     unit: str
     quantity: str
 
+    @property
+    def is_name(self) -> bool:
+        """Whether it holds names, not numbers."""
+        return self.quantity == "name"
+
 
 def open_sheet(path: Path) -> Sheet:
     """Read the header of a CSV or Parquet file."""
@@ -92,7 +97,7 @@ def _has_cells(line: bytes) -> bool:
 
 
 def _schema(sheet: Sheet, columns: list[Column], number: Any, text: Any) -> dict[str, Any]:
-    numeric = {column.index: number for column in columns if column.quantity != "name"}
+    numeric = {column.index: number for column in columns if not column.is_name}
     names = {column.index: column.name for column in columns}
     return {names.get(i, f"column {i + 1}"): numeric.get(i, text) for i in range(len(sheet.labels))}
 
@@ -179,10 +184,10 @@ def _check_lines(sheet: Sheet, kept: list[bytes], rows: np.ndarray) -> None:
 def _clean(series: pl.Series, column: Column, sheet: Sheet) -> pl.Series:
     import polars as pl
 
-    if column.quantity != "name" and series.dtype.is_numeric():
+    if not column.is_name and series.dtype.is_numeric():
         return series.cast(pl.Float64)
     text = series.cast(pl.String).str.strip_chars()
-    if column.quantity == "name":
+    if column.is_name:
         return text.replace([""], [None])
     if sheet.separator != ",":
         text = text.str.replace(",", ".", literal=True)
@@ -200,7 +205,7 @@ def _check_cells(
     total, first = 0, (len(rows), columns[0])
     for column in columns:
         series = cells[column.name]
-        right = series.is_not_null() if column.quantity == "name" else series.is_finite().fill_null(False)
+        right = series.is_not_null() if column.is_name else series.is_finite().fill_null(False)
         if not right.all():
             wrong = np.flatnonzero(~right.to_numpy())
             total += wrong.size
@@ -209,7 +214,7 @@ def _check_cells(
         row, column = first
         value = raw[column.name][row]
         found = "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
-        expected = "a name" if column.quantity == "name" else "a finite number"
+        expected = "a name" if column.is_name else "a finite number"
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
             f"cells like this in the table: {total}; correct them, delete their rows or ignore the column"

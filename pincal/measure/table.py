@@ -20,15 +20,8 @@ from pincal.measure.measurements import Measurements, concatenate, measurements_
 from pincal.measure.reader import Schema, column_names, read_columns, read_table
 from pincal.measure.registry import expected_columns, known_fields
 
-__all__ = [
-    "Measurements",
-    "column_names",
-    "concatenate",
-    "measurements_from_arrays",
-    "read_columns",
-    "read_measurements",
-    "write_table",
-]
+__all__ = ["Measurements", "column_names", "concatenate", "measurements_from_arrays", "read_columns"]
+__all__ += ["read_measurements", "write_table"]
 
 
 def read_measurements(

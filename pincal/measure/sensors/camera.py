@@ -6,7 +6,6 @@ object. Where no point of the object is known, its points are found in the robot
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -19,7 +18,7 @@ from pincal.parameters import FRAME_SYMBOLS
 
 @dataclass(frozen=True)
 class CameraSensor(PointSensor):
-    """Readings of a camera, each of one point."""
+    """Readings of a camera, each of one point; ``has_scale`` says whether they tell how far away it is."""
 
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 6
@@ -29,12 +28,8 @@ class CameraSensor(PointSensor):
     has_camera: ClassVar[bool] = True
     thing: ClassVar[str] = "a point"
     fewest: ClassVar[int] = 2
-
-    @property
-    @final
-    def needs_all_rows(self) -> bool:
-        """No: each row has its point."""
-        return False
+    needs_all_rows: ClassVar[bool] = False
+    has_scale: ClassVar[bool]
 
     @final
     def unobservable_with(self, known: int) -> Iterator[str]:
@@ -44,11 +39,8 @@ class CameraSensor(PointSensor):
                 "the points of the calibration object are not known, so they are found in the robot's base frame; with "
                 "--points FILE.csv (columns point x y z) they tell more"
             )
-            yield from self.unobservable_without_points()
-
-    @abstractmethod
-    def unobservable_without_points(self) -> Iterator[str]:
-        """Yield what is open where no point of the object is known."""
+            if not (self.has_scale or self.points.distances):
+                yield "images of unknown points have no scale of their own: it rests on the nominal lengths of the arm"
 
     @final
     def seen(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:

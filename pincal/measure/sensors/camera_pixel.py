@@ -16,7 +16,7 @@ from pincal.measure.fields import POINT, Field, Table
 from pincal.measure.lens import NEAREST, Lens
 from pincal.measure.point_sensor import index_of
 from pincal.measure.rows import some_rows
-from pincal.measure.sensor import Block, Excluded, KnownParameters
+from pincal.measure.sensor import Block, KnownParameters
 from pincal.measure.sensors.camera import CameraSensor
 from pincal.measure.setup import Setup
 from pincal.measure.triangulation import Views, camera_starts
@@ -39,6 +39,8 @@ class CameraPixelSensor(CameraSensor, KnownParameters):
     fields: ClassVar[tuple[Field, ...]] = (Field("pixel", ("u", "v"), "pixel"), POINT)
     blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
     per_row: ClassVar[tuple[str, ...]] = ("index", "pixel")
+    has_scale: ClassVar[bool] = False
+    impossible: ClassVar[None] = None
     deviation_end: ClassVar[str] = "the part across the view that the image tells"
 
     pixel: np.ndarray
@@ -104,12 +106,3 @@ class CameraPixelSensor(CameraSensor, KnownParameters):
         for found in camera_starts(views, self.setup.lens, rows=rows):
             hand = transform(found.rotation, found.camera)
             yield self.start_with_points(found.points, hand[None], rest=found.lens.values - nominal)
-
-    def unobservable_without_points(self) -> Iterator[str]:
-        """Yield the scale."""
-        if not self.points.distances:
-            yield "images of unknown points have no scale of their own: it rests on the nominal lengths of the arm"
-
-    def invalid_rows(self) -> Iterator[Excluded]:
-        """Yield nothing: an image has no depth."""
-        yield from ()

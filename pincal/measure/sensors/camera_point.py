@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.fields import POINT, Field, Table
-from pincal.measure.plausible import check_spread, span_m
+from pincal.measure.plausible import check_spread
 from pincal.measure.point_sensor import centred, index_of, solved
 from pincal.measure.sensor import Block, Excluded, Plausible
 from pincal.measure.sensors.camera import CameraSensor
@@ -31,6 +31,7 @@ class CameraPointSensor(CameraSensor, Plausible):
     fields: ClassVar[tuple[Field, ...]] = (Field("camera_point", ("cx", "cy", "cz"), "length"), POINT)
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
     per_row: ClassVar[tuple[str, ...]] = ("index", "camera_point")
+    has_scale: ClassVar[bool] = True
     deviation_end: ClassVar[str] = "where the camera would have to be for its reading"
 
     camera_point: np.ndarray
@@ -73,17 +74,14 @@ class CameraPointSensor(CameraSensor, Plausible):
         t = solved(-centred(R, self.index), centred(p + seen, self.index))
         yield self.start_at_means(p + seen + R @ t, transform(W, t)[None])
 
-    def unobservable_without_points(self) -> Iterator[str]:
-        """Yield nothing: points in space have a scale of their own."""
-        yield from ()
-
-    def invalid_rows(self) -> Iterator[Excluded]:
-        """Yield points behind the camera."""
+    @property
+    def impossible(self) -> Excluded:
+        """Points behind the camera."""
         behind = self.camera_point[:, 2] <= 0.0
-        yield Excluded(behind, "have cz <= 0, a point behind the camera", "points in front of the camera")
+        return Excluded(behind, "have cz <= 0, a point behind the camera", "points in front of the camera")
 
     @classmethod
-    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
+    def check_plausible(cls, table: Table, reach_m: float) -> None:
         """Refuse points whose distances from the camera differ by more than the arm can span."""
         ranges = np.linalg.norm(table.array("camera_point"), axis=1, keepdims=True)
-        check_spread(table, ranges, label="cx", most=span_m(reach_m=reach_m, tool_reach_m=tool_reach_m))
+        check_spread(table, ranges, label="cx", reach_m=reach_m)

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, Self, final
 
 import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import POSITIVE, Field, Table
-from pincal.measure.plausible import check_spread, span_m
+from pincal.measure.plausible import check_spread
 from pincal.measure.point_sensor import PointSensor, index_of
-from pincal.measure.sensor import Block, Excluded, Foreseeable, Plausible, Sensor
+from pincal.measure.sensor import Block, Foreseeable, Plausible, Sensor
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
@@ -33,8 +33,31 @@ _MOST_DISTANCE_M = 100.0
 _LEAST = 1e-3
 
 
+class PlausibleDistances(Plausible):
+    """Readings of one distance each."""
+
+    @classmethod
+    @final
+    def check_plausible(cls, table: Table, reach_m: float) -> None:
+        """Refuse distances that can't be in metres."""
+        distance = table.array("distance")
+        check_spread(table, distance[:, None], label="distance", reach_m=reach_m)
+        middle, longest = float(np.median(distance)), float(distance.max())
+        unit = table.units.get("distance", "m")
+        if middle > _MOST_DISTANCE_M:
+            raise MeasurementError(
+                f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; expected at most "
+                f"{_MOST_DISTANCE_M:g} m; looks like millimetres: write `distance [mm]`, or their unit"
+            )
+        if longest < _LEAST * reach_m:
+            raise MeasurementError(
+                f"{table.source}: distance of at most {longest * 1000:.3g} mm; expected the whole "
+                f"distance, not a deviation; values in metres under [{unit}]? Then write `distance [m]`"
+            )
+
+
 @dataclass(frozen=True)
-class DistanceSensor(Sensor, Foreseeable, Plausible):
+class DistanceSensor(PlausibleDistances, Sensor, Foreseeable):
     """1D: the distance, shape (N,) [m], from the instrument's point to the target.
 
     The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
@@ -43,6 +66,7 @@ class DistanceSensor(Sensor, Foreseeable, Plausible):
     kind: ClassVar[str] = "distance"
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE,)
     blocks: ClassVar[tuple[Block, ...]] = _BLOCKS
+    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     twist_rows: ClassVar[int] = 3
     per_row: ClassVar[tuple[str, ...]] = ("distance",)
@@ -60,11 +84,6 @@ class DistanceSensor(Sensor, Foreseeable, Plausible):
     def foreseen(cls, poses: np.ndarray) -> Self:
         """Return the distances of poses."""
         return cls(np.linalg.norm(poses[:, :, 3], axis=1))
-
-    @property
-    def base_symbols(self) -> tuple[str, ...]:
-        """Where the base is, not how it is turned."""
-        return FRAME_SYMBOLS[:3]
 
     def shifted(self, change: np.ndarray) -> Self:
         """Return distances longer by ``change``, shape (1, N) [m]."""
@@ -90,18 +109,13 @@ class DistanceSensor(Sensor, Foreseeable, Plausible):
         """Yield the place of the base."""
         yield _NO_BASE
 
-    @classmethod
-    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
-        """Refuse distances that can't be in metres."""
-        _check_distances(table, reach_m=reach_m, tool_reach_m=tool_reach_m)
-
     @staticmethod
     def _direction(poses: np.ndarray) -> np.ndarray:
         return np.asarray(poses[:, :, 3] / np.linalg.norm(poses[:, :, 3], axis=1, keepdims=True))
 
 
 @dataclass(frozen=True)
-class AnchoredDistanceSensor(PointSensor, Plausible):
+class AnchoredDistanceSensor(PlausibleDistances, PointSensor):
     """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
 
     kind: ClassVar[str] = "distance"
@@ -114,6 +128,8 @@ class AnchoredDistanceSensor(PointSensor, Plausible):
     deviation_end: ClassVar[str] = _ALONG_SIGHT
     thing: ClassVar[str] = "an anchor"
     fewest: ClassVar[int] = 4
+    needs_all_rows: ClassVar[bool] = False
+    impossible: ClassVar[None] = None
 
     distance: np.ndarray
 
@@ -127,11 +143,6 @@ class AnchoredDistanceSensor(PointSensor, Plausible):
     def own_parameters(self) -> tuple[Parameter, ...]:
         """Coordinates of the unknown anchors."""
         return self.points.parameters
-
-    @property
-    def needs_all_rows(self) -> bool:
-        """No: each row has its anchor."""
-        return False
 
     def shifted(self, change: np.ndarray) -> Self:
         """Return distances longer by ``change``, shape (1, N) [m]."""
@@ -170,15 +181,6 @@ class AnchoredDistanceSensor(PointSensor, Plausible):
         if len(self.points.names) == 1:
             yield "distances from one anchor see one direction a pose: several anchors all around the arm tell more"
 
-    def invalid_rows(self) -> Iterator[Excluded]:
-        """Yield nothing: every distance is one."""
-        yield from ()
-
-    @classmethod
-    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
-        """Refuse distances that can't be in metres."""
-        _check_distances(table, reach_m=reach_m, tool_reach_m=tool_reach_m)
-
     def _direction(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         lines = self._lines(poses, own)
         return np.asarray(lines / np.maximum(np.linalg.norm(lines, axis=0), 1e-12))
@@ -203,20 +205,3 @@ def _starts(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int)
         found = tools.copy()
         found[:, :3, 3] = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
         yield Extrinsics(transform(np.eye(3), solution[:3, 0]), found)
-
-
-def _check_distances(table: Table, *, reach_m: float, tool_reach_m: float) -> None:
-    distance = table.array("distance")
-    check_spread(table, distance[:, None], label="distance", most=span_m(reach_m=reach_m, tool_reach_m=tool_reach_m))
-    middle, longest = float(np.median(distance)), float(distance.max())
-    unit = table.units.get("distance", "m")
-    if middle > _MOST_DISTANCE_M:
-        raise MeasurementError(
-            f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; expected at most "
-            f"{_MOST_DISTANCE_M:g} m; looks like millimetres: write `distance [mm]`, or their unit"
-        )
-    if longest < _LEAST * reach_m:
-        raise MeasurementError(
-            f"{table.source}: distance of at most {longest * 1000:.3g} mm; expected the whole "
-            f"distance, not a deviation; values in metres under [{unit}]? Then write `distance [m]`"
-        )

@@ -14,8 +14,8 @@ import numpy as np
 
 from pincal.measure.extrinsics import RANK, Extrinsics, by_target
 from pincal.measure.fields import Field, Rule, Table
-from pincal.measure.sensor import Block, Foreseeable, Plausible, Sensor
-from pincal.measure.sensors.position import POSITION, check_positions
+from pincal.measure.sensor import Block, Foreseeable, Sensor
+from pincal.measure.sensors.position import POSITION, PlausiblePositions
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import exponentials, nearest_rotation, rotation_matrices, rotation_vectors, transform
@@ -32,13 +32,14 @@ QUATERNION = Field(
 
 
 @dataclass(frozen=True)
-class PoseSensor(Sensor, Foreseeable, Plausible):
+class PoseSensor(PlausiblePositions, Sensor, Foreseeable):
     """6D: position, shape (N, 3) [m], and orientation, shape (N, 3, 3), of the tool in the instrument's frame."""
 
     kind: ClassVar[str] = "pose"
     fields: ClassVar[tuple[Field, ...]] = (POSITION, QUATERNION)
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3), Block("orientation", "rad", 3))
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
+    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 6
     per_row: ClassVar[tuple[str, ...]] = ("position", "rotation")
     reads_pose: ClassVar[bool] = True
@@ -55,11 +56,6 @@ class PoseSensor(Sensor, Foreseeable, Plausible):
     def foreseen(cls, poses: np.ndarray) -> Self:
         """Return the poses themselves."""
         return cls(poses[:, :, 3], poses[:, :, :3])
-
-    @property
-    def base_symbols(self) -> tuple[str, ...]:
-        """All: poses see where the base stands and how it is turned."""
-        return FRAME_SYMBOLS
 
     def shifted(self, change: np.ndarray) -> Self:
         """Return poses moved by ``change``, shape (6, N) [m, rad]; exact to first order in the rotation."""
@@ -108,11 +104,6 @@ class PoseSensor(Sensor, Foreseeable, Plausible):
     def unobservable(self) -> Iterator[str]:
         """Yield nothing: poses leave nothing open."""
         yield from ()
-
-    @classmethod
-    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
-        """Refuse positions that can't be in metres."""
-        check_positions(table, reach_m=reach_m, tool_reach_m=tool_reach_m)
 
 
 def _rotation_equations(tips: np.ndarray, measured: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, Self, final
 
 import numpy as np
 
@@ -30,14 +30,34 @@ _MOVED = 0.5
 _LEAST_SPREAD = 1e-3
 
 
+class PlausiblePositions(Plausible):
+    """Readings with a position, which is farther apart than the arm can span, or hardly moves, in a wrong unit."""
+
+    @classmethod
+    @final
+    def check_plausible(cls, table: Table, reach_m: float) -> None:
+        """Refuse positions farther apart than the arm can span, or much closer than the motion of its joints."""
+        spread = check_spread(table, table.array("position"), label="x", reach_m=reach_m)
+        if np.median(np.ptp(table.q, axis=0)) < _MOVED:
+            return
+        text = f"{table.source}: the joints move, but the positions stay within {spread * 1000:.3g} mm"
+        unit = next((table.units[name] for name in POSITION.columns if name in table.units), "m")
+        # Metres under [mm] shrink the whole workspace, at most as wide as the arm can span, a thousandfold.
+        if unit != "m" and spread <= _LEAST_SPREAD * span_m(reach_m):
+            raise MeasurementError(f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header")
+        if spread < _LEAST_SPREAD * reach_m:
+            warnings.warn(f"{text}; is the target held, or the instrument stuck?", PincalWarning, stacklevel=3)
+
+
 @dataclass(frozen=True)
-class PositionSensor(Sensor, Foreseeable, Plausible):
+class PositionSensor(PlausiblePositions, Sensor, Foreseeable):
     """3D: the position of the target, shape (N, 3) [m], in the instrument's frame."""
 
     kind: ClassVar[str] = "position"
     fields: ClassVar[tuple[Field, ...]] = (POSITION,)
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 3
     per_row: ClassVar[tuple[str, ...]] = ("position",)
     reads_pose: ClassVar[bool] = True
@@ -53,11 +73,6 @@ class PositionSensor(Sensor, Foreseeable, Plausible):
     def foreseen(cls, poses: np.ndarray) -> Self:
         """Return the positions of poses."""
         return cls(poses[:, :, 3])
-
-    @property
-    def base_symbols(self) -> tuple[str, ...]:
-        """All: positions see where the base stands and how it is turned."""
-        return FRAME_SYMBOLS
 
     def shifted(self, change: np.ndarray) -> Self:
         """Return positions moved by ``change``, shape (3, N) [m]."""
@@ -93,23 +108,3 @@ class PositionSensor(Sensor, Foreseeable, Plausible):
     def unobservable(self) -> Iterator[str]:
         """Yield nothing: positions in general poses leave nothing open."""
         yield from ()
-
-    @classmethod
-    def check_plausible(cls, table: Table, *, reach_m: float, tool_reach_m: float) -> None:
-        """Refuse positions farther apart than the arm can span, or much closer than the motion of its joints."""
-        check_positions(table, reach_m=reach_m, tool_reach_m=tool_reach_m)
-
-
-def check_positions(table: Table, *, reach_m: float, tool_reach_m: float) -> None:
-    """Refuse positions that can't be in metres; see :class:`pincal.measure.sensor.Plausible`."""
-    most = span_m(reach_m=reach_m, tool_reach_m=tool_reach_m)
-    spread = check_spread(table, table.array("position"), label="x", most=most)
-    if np.median(np.ptp(table.q, axis=0)) < _MOVED:
-        return
-    text = f"{table.source}: the joints move, but the positions stay within {spread * 1000:.3g} mm"
-    unit = next((table.units[name] for name in POSITION.columns if name in table.units), "m")
-    # Metres under [mm] shrink the whole workspace, at most as wide as the arm can span, a thousandfold.
-    if unit != "m" and spread <= _LEAST_SPREAD * most:
-        raise MeasurementError(f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header")
-    if spread < _LEAST_SPREAD * reach_m:
-        warnings.warn(f"{text}; is the target held, or the instrument stuck?", PincalWarning, stacklevel=3)

@@ -15,7 +15,7 @@ import numpy as np
 from pincal.measure.extrinsics import Extrinsics, by_target
 from pincal.measure.fields import Field, Table
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.sensor import Block, Excluded
+from pincal.measure.sensor import Block
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
@@ -41,6 +41,7 @@ class ContactSensor(PointSensor):
     deviation_end: ClassVar[str] = "the socket"
     thing: ClassVar[str] = "a socket"
     fewest: ClassVar[int] = 2
+    impossible: ClassVar[None] = None
     judges_new_points: ClassVar[bool] = True
 
     shift: np.ndarray | None = None
@@ -105,10 +106,6 @@ class ContactSensor(PointSensor):
                 "contacts without a known length can't tell the scale of the arm, which rests on its nominal lengths: give "
                 "the distance of two sockets (--socket-distance A B METRES)"
             )
-
-    def invalid_rows(self) -> Iterator[Excluded]:
-        """Yield nothing: every contact is one."""
-        yield from ()
 
     def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Put the mean of ``values``, shape (3, N), in place of what is not known."""
