@@ -113,7 +113,7 @@ def _measure(path: Path, machine: PaperMachine, campaign: Campaign, *, rng: np.r
     from pincal.measure.table import read_measurements, write_table
 
     write_table(path, campaign.measure(machine, rng))
-    return read_measurements(path, machine.names)
+    return read_measurements(path, machine.nominal.names)
 
 
 def _compensate(
@@ -131,7 +131,7 @@ def _compensate(
     exact, position = replace(setup, sigma=0.0), dict(zip("xyz", wanted[:, :, 3].T, strict=True))
     misses: dict[str, dict[str, float]] = {}
     for name, file, q in (("as programmed", "program.csv", program.q), ("corrected", "corrected.csv", corrected.q)):
-        joints = dict(zip(machine.names, q.T, strict=True))
+        joints = dict(zip(machine.nominal.names, q.T, strict=True))
         write_table(folder / file, joints | position | {"payload": program.payload})
         reached = exact.measure(machine, q, payload=program.payload)
         missed = 1e3 * np.linalg.norm([reached[axis] - position[axis] for axis in "xyz"], axis=0)

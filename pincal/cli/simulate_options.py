@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -268,13 +268,14 @@ class SimulateArguments:
         """
         from pincal.simulate.sensors import SetupOptions
 
-        given = self.sensor
-        chosen = {name: getattr(given, name) for name in ("targets", "tool", "sockets", "anchors", "ball_bar", "lens")}
-        chosen |= {"sigma_angle": given.noise_angle, "spacing": given.socket_spacing, "seen": given.object}
+        given = {field.name: getattr(self.sensor, field.name, None) for field in fields(SetupOptions)}
         wanted = SetupOptions(
-            sigma=self._sigma(), sigma_angle=_NOISE_ANGLE, min_height=self.floor, at_base=given.instrument == "base"
+            sigma=self._sigma(),
+            noise_angle=_NOISE_ANGLE,
+            min_height=self.floor,
+            at_base=self.sensor.instrument == "base",
         )
-        return replace(wanted, **{name: value for name, value in chosen.items() if value is not None})
+        return replace(wanted, **{name: value for name, value in given.items() if value is not None})
 
     def _sigma(self) -> float:
         """Return the noise in the sensor's own unit."""

@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError, RobotFileError
 
-# A joint axis closer than this to the x axis of its frame leaves no direction to project (sine of the angle
-# between them).
-PARALLEL = 1e-6
+# A joint axis closer than this to the x axis of its frame leaves no direction to project (sine of the angle between them).
+_PARALLEL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -79,11 +78,8 @@ def read_arm(urdf: str | Path, tip: str, base: str | None = None) -> Arm:
 
     Args:
         urdf: Path of a URDF file, or its XML text.
-        tip: Name of a link or joint frame at the end of the arm.
-        base: Name of the frame in which positions are given; the root of the URDF if None.
-
-    Returns:
-        The nominal arm.
+        tip: Name of the link at the end of the arm.
+        base: Name of the link in whose frame positions are given; default: the root of the URDF.
 
     Raises:
         RobotFileError: If the URDF can't be read, a frame is missing or no joint lies between base and tip.
@@ -119,14 +115,10 @@ def _frame_id(model: Any, name: str) -> int:
     return int(model.getFrameId(name, pin.BODY))
 
 
-def _frame(model: Any, name: str) -> Any:
-    return model.frames[_frame_id(model, name)]
-
-
 def _path(model: Any, tip: str, base: str | None) -> list[int]:
     """Return the indices of the joints that move the tip and not the base."""
-    before = set(model.supports[_frame(model, base).parentJoint]) if base else set()
-    path = [index for index in model.supports[_frame(model, tip).parentJoint] if index and index not in before]
+    tip_joint, base_joint = (model.frames[_frame_id(model, end)].parentJoint if end else 0 for end in (tip, base))
+    path = [index for index in model.supports[tip_joint] if index and index not in model.supports[base_joint]]
     if not path:
         raise RobotFileError(f"no joint between base {base!r} and tip {tip!r}; name a tip that the joints move")
     return path
@@ -186,7 +178,7 @@ def _working_frame(axis: np.ndarray) -> np.ndarray:
     """Return the rotation whose z is the axis and whose x is the URDF frame's x (or y) projected."""
     z = axis / np.linalg.norm(axis)
     x = np.eye(3)[0] - z[0] * z
-    if np.linalg.norm(x) < PARALLEL:
+    if np.linalg.norm(x) < _PARALLEL:
         x = np.eye(3)[1] - z[1] * z
     x = x / np.linalg.norm(x)
     return np.column_stack((x, np.cross(z, x), z))

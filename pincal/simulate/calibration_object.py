@@ -75,11 +75,7 @@ def paper_object() -> CalibrationObject:
 
 
 def grid_object(rows: int = 7, columns: int = 9) -> CalibrationObject:
-    """Return a plane grid of points 25 mm apart about the origin, looking along z.
-
-    Args:
-        rows: Number of rows, along y.
-        columns: Number of columns, along x.
+    """Return a plane grid of points 25 mm apart about the origin, looking along z, its rows along y, its columns along x.
 
     Example:
         >>> grid_object().names[:2], grid_object().places[-1]

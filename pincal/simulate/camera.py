@@ -38,8 +38,7 @@ class View:
         facing: Normal of the object in the base frame, towards the camera, shape (3,).
         distance: Smallest and largest distance of the camera from the point [m].
         tilt: Largest angle between view and the object's normal [rad].
-        accept: Further condition on a pose: gets transforms from camera to base frame, shape (N, 4, 4), says
-            which are suitable, shape (N,).
+        accept: Which transforms from camera to base frame, shape (N, 4, 4), are suitable, shape (N,); None: all.
     """
 
     camera_pose: np.ndarray
@@ -72,21 +71,12 @@ class View:
 def plan_views(
     arm: Arm, n: int, *, rng: np.random.Generator, view: View, min_height: float | None = 0.1, rounds: int = 20
 ) -> np.ndarray:
-    """Draw poses in which the camera looks at a point.
+    """Draw poses of the nominal arm in which the camera looks at a point, shape (n, number of joints).
 
-    Args:
-        arm: The nominal arm.
-        n: Number of poses.
-        rng: Source of randomness.
-        view: How the camera is to look.
-        min_height: Height of the floor from which the arm keeps off [m]; None for no floor.
-        rounds: Rounds of random goals before giving up.
-
-    Returns:
-        Joint positions, shape (n, number of joints).
+    The arm keeps off a floor at ``min_height`` [m] (None: no floor).
 
     Raises:
-        BadInputError: If the arm hardly reaches such poses.
+        BadInputError: If so many rounds of random goals do not give enough poses within reach.
     """
 
     def draw() -> np.ndarray:
@@ -208,19 +198,14 @@ class EyeInHand(SensorSetup):
 
     def truth(self) -> dict[str, Any]:
         """Return where camera and object are, and the camera itself."""
+        poses = {"T_tip_camera": self.camera_pose.tolist(), "T_base_object": self.object_pose.tolist()}
+        if self.in_metres or self.lens is None:
+            return {"noise": {"sigma_m": self.sigma, "sigma_rad": None}} | poses
         noise = {"sigma_m": None, "sigma_rad": None, "sigma_px": self.sigma}
-        found = {
-            "noise": {"sigma_m": self.sigma, "sigma_rad": None} if self.in_metres else noise,
-            "T_tip_camera": self.camera_pose.tolist(),
-            "T_base_object": self.object_pose.tolist(),
-        }
-        return found | ({} if self.in_metres or self.lens is None else {"camera": self.lens.intrinsics})
+        return {"noise": noise} | poses | {"camera": self.lens.intrinsics}
 
 
 def in_camera(camera: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return points of the base frame [m], shape (K, 3), in the frame of each camera, shape (N, K, 3).
-
-    ``camera`` holds the transforms from camera to base frame, shape (N, 4, 4).
-    """
+    """Return points [m, base frame], shape (K, 3), in the frames of cameras, shape (N, K, 3), given as T_base_camera."""
     seen: np.ndarray = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3])
     return seen

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.conditions import Conditions
 from pincal.simulate.effect import HiddenEffect, as_read
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.setup import Machine, SensorSetup, Table, draw_scatter
+from pincal.simulate.state import Conditions
 
 # Time from one pose to the next: drive, settle, measure [s].
 _INTERVAL = 40.0
@@ -42,8 +42,7 @@ class Campaign:
         Raises:
             BadInputError: If the set-up can't measure it, or its errors and effects are too large for any arm.
         """
-        approaches = [f"approach_{name}" for name in machine.names] if "approach" in self.hidden else []
-        table = self.setup.measure(machine, self.q, rng=rng, hide=(*self.hidden, *approaches), **self.conditions)
+        table = self.setup.measure(machine, self.q, rng=rng, hide=self.hidden, **self.conditions)
         for name, column in table.items():
             if column.dtype.kind == "f" and not np.isfinite(column).all():
                 raise BadInputError(f"column {name}: not finite; make errors and effects smaller")
@@ -96,17 +95,10 @@ class Campaign:
 
 
 def draw_conditions(names: Sequence[str], poses: int, *, joints: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Return what a campaign goes through: a machine that warms up, minutes that pass, joints that come from both sides.
+    """Return what N poses of n joints go through: a machine that warms up, minutes that pass, joints from both sides.
 
-    Args:
-        names: Of ``temperature``, ``time`` and ``approach``, those wanted.
-        poses: Number N of poses.
-        joints: Number n of joints.
-        rng: Source of randomness.
-
-    Returns:
-        ``temperature`` [deg C] and ``time`` [s], shape (N,), ``approach`` (-1 or 1), shape (N, n); the same rows
-        whichever are wanted.
+    The names wanted are of ``temperature`` [deg C] and ``time`` [s], shape (N,), and ``approach`` (-1 or 1), shape (N, n);
+    their values do not depend on which are wanted.
     """
     time = _INTERVAL * np.arange(poses)
     warming = _COLD + _WARMING * (1.0 - np.exp(-3.0 * np.arange(poses) / poses))
@@ -119,15 +111,7 @@ def draw_conditions(names: Sequence[str], poses: int, *, joints: int, rng: np.ra
 
 
 def spread_payloads(values: Sequence[float], poses: int, *, order: str = "blocks") -> np.ndarray:
-    """Return the payload of each pose.
-
-    Args:
-        values: The payloads [kg].
-        poses: Number N of poses.
-        order: ``blocks``, one payload after the other, or ``alternating`` from pose to pose.
-
-    Returns:
-        Payloads [kg], shape (N,).
+    """Return the payload of each of N poses [kg], shape (N,), by one of the orders ``blocks`` and ``alternating``.
 
     Raises:
         BadInputError: If there is no such order.

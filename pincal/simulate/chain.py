@@ -57,15 +57,10 @@ def _free(twist: np.ndarray) -> np.ndarray:
 
 
 def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
-    """Return where Pinocchio places each joint.
+    """Return where Pinocchio places each joint of :func:`build_chain`, and last the tip, in configurations q, shape (N, nq).
 
-    Args:
-        model: Model of :func:`build_chain`.
-        data: Its ``pinocchio.Data``; making one takes longer than a thousand poses.
-        q: Its configurations, shape (N, nq).
-
-    Returns:
-        Transforms to the undeformed base frame, shape (N, number of joints, 4, 4); the last is the tip.
+    ``data`` is the model's ``pinocchio.Data``: making one takes longer than a thousand poses. The transforms are those to
+    the undeformed base frame, shape (N, number of joints, 4, 4).
     """
     import pinocchio as pin
 

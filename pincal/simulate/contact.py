@@ -76,17 +76,17 @@ class Contact(SensorSetup):
 
     def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
         """Draw poses that hold the tool point at one place after the other."""
-        owner = np.arange(n) * len(self.fixed) // n
+        shares = np.bincount(np.arange(n) * len(self.fixed) // n, minlength=len(self.fixed))
         planned = []
-        for i, (name, place) in enumerate(self.fixed.items()):
+        for (name, place), share in zip(self.fixed.items(), shares, strict=True):
             try:
-                planned.append(self._plan_at(arm, np.asarray(place, float), int(np.sum(owner == i)), rng, min_height))
+                planned.append(self._plan_at(arm, np.asarray(place, float), n=share, rng=rng, min_height=min_height))
             except BadInputError as error:
                 raise BadInputError(f"{name}: {error}") from None
         return np.vstack(planned)
 
     def _plan_at(
-        self, arm: Arm, place: np.ndarray, n: int, rng: np.random.Generator, min_height: float | None
+        self, arm: Arm, place: np.ndarray, *, n: int, rng: np.random.Generator, min_height: float | None
     ) -> np.ndarray:
         def draw() -> np.ndarray:
             seed = plan_poses(arm, max(2 * n, _TRIES), rng, min_height=min_height)
@@ -142,7 +142,7 @@ class Contact(SensorSetup):
 
 
 def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, radius: float = 0.0) -> Poses:
-    """Hold the tool point of the true machine at given places, or by a bar.
+    """Return what is recorded near some poses when the tool point of the true machine is held at places, or by a bar.
 
     Args:
         machine: The true machine.
@@ -150,9 +150,6 @@ def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, rad
         places: Where the tool point is held, in the robot's base frame [m], shape (N, 3).
         tool: Tool point in the tip frame [m].
         radius: Length of the bar that holds it off the place, in any direction [m]; 0 without a bar.
-
-    Returns:
-        The poses with the joint positions that are recorded there.
 
     Raises:
         BadInputError: If the true arm can't be held there, as with backlash of unknown direction.
@@ -177,14 +174,7 @@ def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, rad
 def can_hold(
     arm: Arm, seed: np.ndarray, *, goals: np.ndarray, tool: Point, min_height: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bring the tool point of the nominal arm to goals.
-
-    Args:
-        arm: The nominal arm.
-        seed: Joint positions to start from [rad or m], shape (N, n).
-        goals: Wanted tool points in the base frame [m], shape (N, 3).
-        tool: Tool point in the tip frame [m].
-        min_height: Height of the floor [m]; None for no floor.
+    """Bring the tool point of the nominal arm to goals [m, base frame], shape (N, 3), from joint positions ``seed``, (N, n).
 
     Returns:
         Joint positions, shape (N, n), and whether they are suitable, shape (N,): at the goal, within the limits, off the

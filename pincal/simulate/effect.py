@@ -1,8 +1,8 @@
 """The hidden effects of the true machine: their interface.
 
-Every effect is a small frozen value with the name that discovery reports, the joint on which it acts and a
-size in the unit of its class. A size of 0 is no effect. Effects are written from the mechanism (crank, play,
-bumps), not from the linear basis functions of the fit.
+Every effect is a small frozen value with the name that discovery reports, the joint on which it acts and a size in the
+unit of its class. A size of 0 is no effect. Effects are written from the mechanism (crank, play, bumps), not from the
+linear basis functions of the fit.
 """
 
 from __future__ import annotations
@@ -88,14 +88,7 @@ class DeformingEffect(HiddenEffect):
 
     @abstractmethod
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Add what the effect does to each pose.
-
-        Args:
-            arm: The true arm, in whose working frames everything is expressed.
-            poses: Recorded poses and conditions.
-            loads: Gravity loads on the deformed arm.
-            deformation: Sum of all effects, added to in place.
-        """
+        """Add what the effect does to each pose, in the working frames of the true arm, to the deformation in place."""
 
 
 class DriveEffect(DeformingEffect):

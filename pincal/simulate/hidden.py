@@ -37,14 +37,7 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
 
 
 def hidden_effect(name: str, **values: Any) -> HiddenEffect:
-    """Make a hidden effect from its name.
-
-    Args:
-        name: A key of ``HIDDEN_EFFECTS``.
-        **values: Its fields: ``joint``, ``size`` and what its class adds.
-
-    Returns:
-        The effect.
+    """Make a hidden effect from its name, a key of ``HIDDEN_EFFECTS``, and its fields.
 
     Raises:
         BadInputError: If there is no such effect, or it has no such field.

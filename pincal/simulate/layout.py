@@ -22,10 +22,12 @@ _APART, _ROOM = 0.25, 0.02
 # A camera's view is turned from the last axis by so much [rad]; an object stands so far and high, in reaches of the arm.
 _TURNED = 0.15
 _OBJECT_DISTANCE, _OBJECT_HEIGHT, _OBJECT_TURNED = (0.4, 0.65), (0.05, 0.35), 0.3
+# Places tried for an object.
+_OBJECT_PLACES = 80
 
 
 def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
-    """Return a random place of an instrument: the transform from the robot's base to its frame, shape (4, 4)."""
+    """Return T_instrument_base of an instrument at a random place."""
     from scipy.spatial.transform import Rotation
 
     place = place_beside(arm, rng)
@@ -34,11 +36,7 @@ def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_targets(arm: Arm, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Mount targets at the tip, away from each other and off the last axis (on it they would not show that joint).
-
-    Returns:
-        Transforms from target to tip frame by name, shape (4, 4).
-    """
+    """Return targets off the last axis (on it they would not show that joint), away from each other, as T_tip_target."""
     from scipy.spatial.transform import Rotation
 
     reach, start = arm.reach, rng.uniform(-np.pi, np.pi)
@@ -76,7 +74,7 @@ def draw_fixed_points(
         rng: Source of randomness.
         tool: Tool point in the tip frame [m].
         radius: Length of the bar from the place to the tool point [m]; 0 without a bar.
-        spacing: Put them in pairs so far apart [m]; each by itself if None.
+        spacing: Put them in pairs so far apart [m]; None: each by itself.
         min_height: Height of the floor [m]; None for no floor.
 
     Returns:
@@ -130,11 +128,7 @@ def _apart(groups: np.ndarray, count: int, distance: float) -> np.ndarray:
 
 
 def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
-    """Mount a camera at the tip beside the last axis, looking along it and away from the arm.
-
-    Returns:
-        Transform from the camera frame (z along the view) to the tip frame, shape (4, 4).
-    """
+    """Return T_tip_camera, z along the view, of a camera beside the last axis that looks along it and away from the arm."""
     from scipy.spatial.transform import Rotation
 
     reach = arm.reach
@@ -152,17 +146,10 @@ def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     return transform((onto * lean * Rotation.from_rotvec([0.0, 0.0, angle])).as_matrix(), place)
 
 
-def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.ndarray], bool], tries: int = 80) -> np.ndarray:
+def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.ndarray], bool]) -> np.ndarray:
     """Stand a calibration object before the robot where the camera can look at all of it.
 
-    Args:
-        arm: The nominal arm.
-        rng: Source of randomness.
-        is_seen: Whether the camera can, for a transform from object to base frame, shape (4, 4).
-        tries: Number of places to try.
-
-    Returns:
-        Transform from the object's frame to the robot's base frame, shape (4, 4).
+    Both the pose returned and the argument of ``is_seen`` are transforms from object to base frame, shape (4, 4).
 
     Raises:
         BadInputError: If no place is suitable.
@@ -170,7 +157,7 @@ def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.nda
     from scipy.spatial.transform import Rotation
 
     reach = arm.reach
-    for _ in range(tries):
+    for _ in range(_OBJECT_PLACES):
         direction = rng.uniform(-np.pi, np.pi)
         ground = rng.uniform(*_OBJECT_DISTANCE) * np.array([np.cos(direction), np.sin(direction)])
         place = reach * np.append(ground, rng.uniform(*_OBJECT_HEIGHT))
@@ -179,6 +166,6 @@ def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.nda
         if is_seen(pose):
             return pose
     raise BadInputError(
-        f"{tries} places, and the arm can bring the camera before all of the object in none of them; take another seed, a "
-        "plane grid or a lens of shorter focal length, and an arm of at least six joints"
+        f"{_OBJECT_PLACES} places, and the arm can bring the camera before all of the object in none of them; take another "
+        "seed, a plane grid or a lens of shorter focal length, and an arm of at least six joints"
     )

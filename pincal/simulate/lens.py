@@ -88,9 +88,7 @@ class Lens:
 def draw_lens(rng: np.random.Generator, **given: Any) -> Lens:
     """Return a camera with the errors of a good machine-vision lens, about 1 % of barrel at the corners.
 
-    Args:
-        rng: Source of randomness.
-        **given: Values that are not drawn, by the keys of :attr:`Lens.intrinsics`.
+    ``given`` are values that are not drawn, by the keys of :attr:`Lens.intrinsics`.
     """
     width, height = given.get("width", 2048), given.get("height", 1536)
     fx = given.get("fx", 2000.0 * (1.0 + _FOCAL * rng.uniform(-1.0, 1.0)))

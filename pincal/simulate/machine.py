@@ -17,14 +17,12 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, read_arm
 from pincal.simulate.chain import build_chain, configurations, gravity_loads, place
-from pincal.simulate.conditions import broadcast_copy, poses_of
 from pincal.simulate.effect import DeformingEffect, HiddenEffect, LoadingEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity
-from pincal.simulate.state import Deformation, Equilibrium, Loads, Poses, no_deformation, no_loads
+from pincal.simulate.state import Deformation, Equilibrium, Loads, Poses, broadcast_copy, poses_of
 
-GRAVITY = (0.0, 0.0, -9.81)
-"""Acceleration of gravity in the base frame of an upright robot [m/s^2]."""
-
+# Acceleration of gravity in the base frame of an upright robot [m/s^2].
+_GRAVITY = (0.0, 0.0, -9.81)
 # Change of the deformation in one round below which the arm is at rest [rad and m]; far below any measurement.
 _AT_REST = 1e-12
 # Each round gains about three digits on an industrial arm; if many more than five are needed, the arm collapses.
@@ -37,8 +35,8 @@ class TrueMachine:
 
     Attributes:
         nominal: The arm of the URDF.
-        placement_errors: Error of each joint's placement and last of the tip's: translation [m] and rotation
-            vector [rad] in the URDF joint frame, shape (n + 1, 6).
+        placement_errors: Error of each joint's placement and last of the tip's: translation [m] and rotation vector [rad]
+            in the URDF joint frame, shape (n + 1, 6).
         joint_offsets: Added to the recorded joint positions [rad or m], shape (n,).
         mass_factors: True over nominal mass of what moves with each joint [-], shape (n,).
         com_errors: True minus nominal centre of mass in the joint's working frame [m], shape (n, 3).
@@ -62,7 +60,7 @@ class TrueMachine:
     com_errors: np.ndarray
     compliance: np.ndarray
     moment_frame: str = "paper"
-    gravity: tuple[float, float, float] = GRAVITY
+    gravity: tuple[float, float, float] = _GRAVITY
     reference_temperature: float = 20.0
     effects: tuple[HiddenEffect, ...] = ()
 
@@ -73,11 +71,8 @@ class TrueMachine:
         Args:
             urdf: Path of a URDF file, or its XML text.
             tip: Frame at the end of the arm.
-            base: Frame in which positions are given; the root of the URDF if None.
+            base: Frame in which positions are given; default: the root of the URDF.
             **errors: Any attribute but ``nominal``.
-
-        Returns:
-            The machine.
 
         Raises:
             RobotFileError: If the URDF has no such arm.
@@ -150,14 +145,8 @@ class TrueMachine:
     ) -> TrueMachine:
         """Return the machine with random errors of geometry.
 
-        Args:
-            rng: Source of randomness.
-            sigma_length: Standard deviation of the displacements of joints and tip, each axis [m].
-            sigma_angle: Standard deviation of their tilts, each axis [rad].
-            sigma_offset: Standard deviation of the joint zeros [rad or m].
-
-        Returns:
-            A new machine.
+        The standard deviations are those of the displacements of joints and tip, each axis [m], of their tilts, each axis
+        [rad], and of the joint zeros [rad or m].
         """
         n = len(self.names)
         errors = rng.standard_normal((n + 1, 6)) * np.repeat([sigma_length, sigma_angle], 3)
@@ -166,13 +155,8 @@ class TrueMachine:
     def draw_masses(self, rng: np.random.Generator, *, sigma: float = 0.03) -> TrueMachine:
         """Return the machine with random errors of mass and centre of mass.
 
-        Args:
-            rng: Source of randomness.
-            sigma: Standard deviation of the masses relative to their nominal values, and of each component of
-                the centres of mass relative to their distance from the joint's origin [-].
-
-        Returns:
-            A new machine.
+        ``sigma`` is the standard deviation of the masses relative to their nominal values, and of each component of the
+        centres of mass relative to their distance from the joint's origin [-].
         """
         distance = np.linalg.norm(self.nominal.centres, axis=1, keepdims=True)
         factors = 1.0 + sigma * rng.standard_normal(len(self.names))
@@ -180,7 +164,7 @@ class TrueMachine:
         return replace(self, mass_factors=factors, com_errors=shift)
 
     def poses(self, q: np.ndarray, **conditions: Any) -> Poses:
-        """Return poses with the conditions of :func:`pincal.simulate.conditions.poses_of`."""
+        """Return poses with the conditions of :func:`pincal.simulate.state.poses_of`."""
         return poses_of(self.nominal, q, reference_temperature=self.reference_temperature, **conditions)
 
     def equilibrium(self, poses: Poses) -> Equilibrium:
@@ -195,7 +179,7 @@ class TrueMachine:
                 mass, com = effect.true_payload(mass, com)
         poses = replace(poses, payload=mass, payload_com=com)
         q, gravity = poses.q + self.joint_offsets, np.asarray(self.gravity, float)
-        deformation = self._deformed(poses, no_loads(*q.shape))
+        deformation = self._deformed(poses, Loads.zero(*q.shape))
         for _ in range(_ROUNDS):
             places = place(self._chain, self._data, configurations(q, deformation))
             loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity)
@@ -206,19 +190,14 @@ class TrueMachine:
         raise BadInputError(f"the arm does not come to rest in {_ROUNDS} rounds; use a smaller compliance")
 
     def _deformed(self, poses: Poses, loads: Loads) -> Deformation:
-        deformation = no_deformation(*poses.q.shape)
+        deformation = Deformation.zero(*poses.q.shape)
         for effect in self._deforming:
             effect.deform(self.arm, poses, loads, deformation)
         return deformation
 
     def tip(self, q: np.ndarray, **conditions: Any) -> np.ndarray:
-        """Return where the tip really is.
+        """Return where the tip really is, shape (N, 4, 4), at recorded joint positions q [rad or m], shape (N, n).
 
-        Args:
-            q: Recorded joint positions [rad or m], shape (N, n).
-            **conditions: As in :meth:`poses`.
-
-        Returns:
-            Transforms from the tip to the base frame [m], shape (N, 4, 4).
+        These are transforms from the tip to the base frame [m]; the conditions are those of :meth:`poses`.
         """
         return self.equilibrium(self.poses(q, **conditions)).tip

@@ -11,16 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Unpack
-from xml.etree import ElementTree
 
 import numpy as np
 
 from pincal.builtin import kuka_urdf_path
 from pincal.simulate.arm import Arm, read_arm, transform
-from pincal.simulate.conditions import Conditions, poses_of
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.planning import point_at
-from pincal.simulate.state import Equilibrium, Poses, no_deformation, no_loads
+from pincal.simulate.state import Conditions, Deformation, Equilibrium, Loads, Poses, poses_of
 
 _HALF_TURN, _QUARTER_TURN = np.pi, np.pi / 2.0
 
@@ -49,11 +47,10 @@ ELASTICITY: dict[str, tuple[float, ...]] = {
     "k_y": (4.0e-7, 2.2e-7, 2.8e-7, 0.0, 0.0, 0.0),
     "k_z": (3.0e-7, 4.0e-7, 4.0e-7, 0.0, 0.0, 0.0),
 }
-"""Elastic constants [rad/(N m)] of joints 1 to 3, as in the paper's case study; their values are this
-project's.
+"""Elastic constants [rad/(N m)] of joints 1 to 3, as in the paper's case study, which does not print their values.
 
-The paper does not print its own. With the geometry of Table I and 125 kg these make an initial deviation of 6
-mm in the mean and 15 mm at worst over the workspace; the paper reports 7 to 20 mm.
+With the geometry of Table I and 125 kg these make an initial deviation of 6 mm in the mean and 15 mm at worst over the
+workspace; the paper reports 7 to 20 mm.
 """
 
 GRAVITY = 9.81
@@ -86,18 +83,13 @@ class PaperMachine:
         """The arm of the built-in URDF."""
         return read_arm(kuka_urdf_path(), "tool0")
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the joints from base to tip."""
-        return self.nominal.names
-
     def poses(self, q: np.ndarray, *, scatter: np.ndarray | None = None, **conditions: Unpack[Conditions]) -> Poses:
         """Return recorded poses with their conditions."""
         return poses_of(self.nominal, q, scatter=scatter, **conditions)
 
     def equilibrium(self, poses: Poses) -> Equilibrium:
         """Return the flange of the model DH,s,e at joint positions that the effects have changed."""
-        deformation, loads = no_deformation(*poses.q.shape), no_loads(*poses.q.shape)
+        deformation, loads = Deformation.zero(*poses.q.shape), Loads.zero(*poses.q.shape)
         for effect in self.effects:
             if isinstance(effect, DeformingEffect):
                 effect.deform(self.nominal, poses, loads, deformation)
@@ -113,17 +105,9 @@ def paper_positions(
     payload_com: Vector = PAYLOAD_COM,
     tool_offset: Vector = (0.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """Return true positions of a point at the flange of the paper's robot.
+    """Return true positions, in the base frame S_0 [m], shape (N, 3), of a point of the flange frame [m], shape (3,).
 
-    Args:
-        q: Joint positions [rad], shape (N, 6).
-        with_elasticity: As in :func:`paper_transform`, like the payload.
-        payload_mass: Mass at the flange [kg], one number or shape (N,).
-        payload_com: Its centre of mass in the flange frame [m], shape (3,).
-        tool_offset: The point in the flange frame [m], shape (3,).
-
-    Returns:
-        Positions in the base frame S_0 [m], shape (N, 3).
+    The other arguments are those of :func:`paper_transform`.
 
     Example:
         >>> paper_positions(np.zeros((1, 6)), with_elasticity=False).round(4)
@@ -149,8 +133,8 @@ def paper_transform(
         with_elasticity: Whether the joints are compliant (DH,s,e) or rigid (DH,s).
         payload_mass: Mass at the flange [kg], one number or shape (N,).
         payload_com: Its centre of mass in the flange frame [m], shape (3,).
-        geometry: ``REAL`` or other values of the same parameters [rad, m].
-        elasticity: ``ELASTICITY`` or other elastic constants [rad/(N m)].
+        geometry: Values of the parameters of ``REAL`` [rad, m].
+        elasticity: Values of those of ``ELASTICITY`` [rad/(N m)].
 
     Returns:
         Transforms from the flange frame S_6 to the base frame S_0 [m], shape (N, 4, 4).
@@ -172,12 +156,11 @@ def paper_moments(
 ) -> np.ndarray:
     """Return the static moments of Eq. (3) on the geometry DH,s; arguments as in :func:`paper_transform`.
 
-    Returns:
-        (n_x, n_y, n_z) of each joint in its frame after s_x, s_y and before q [N m], shape (N, 6, 3).
+    They are (n_x, n_y, n_z) of each joint in its frame after s_x, s_y and before q [N m], shape (N, 6, 3).
     """
     q = np.asarray(q, float)
     frames = link_frames(q, geometry)
-    masses, centres = link_bodies()
+    masses, centres = _link_bodies()
     payload = np.broadcast_to(np.asarray(payload_mass, float), len(q))
     moments = np.zeros((len(q), 6, 3))
     for i in range(6):
@@ -191,15 +174,10 @@ def paper_moments(
 
 
 def link_frames(q: np.ndarray, geometry: Geometry, *, gamma: np.ndarray | None = None) -> list[np.ndarray]:
-    """Return the frames S_0 to S_6 of the model DH,s,e.
+    """Return the frames S_0 to S_6 of the model DH,s,e, each as transforms to S_0 [m], shape (N, 4, 4).
 
-    Args:
-        q: Joint positions [rad], shape (N, 6).
-        geometry: ``NOMINAL`` or ``REAL``.
-        gamma: Elastic angles (gamma_x, gamma_y, gamma_z) of each joint [rad], shape (N, 6, 3); 0 if None.
-
-    Returns:
-        Seven arrays of transforms to S_0 [m], each of shape (N, 4, 4).
+    ``q`` are joint positions [rad], shape (N, 6), and ``gamma`` the elastic angles (gamma_x, gamma_y, gamma_z) of each joint
+    [rad], shape (N, 6, 3); default: 0.
     """
     gamma = np.zeros((len(q), 6, 3)) if gamma is None else gamma
     frames = [np.tile(np.eye(4), (len(q), 1, 1))]
@@ -214,27 +192,17 @@ def link_frames(q: np.ndarray, geometry: Geometry, *, gamma: np.ndarray | None =
     return frames
 
 
-def link_bodies() -> tuple[np.ndarray, np.ndarray]:
-    """Return masses and centres of mass of links 1 to 6 from the built-in URDF.
+def _link_bodies() -> tuple[np.ndarray, np.ndarray]:
+    """Return masses [kg], shape (6,), of links 1 to 6 of the built-in URDF, and their centres in S_k [m], shape (6, 3).
 
-    Link k of the URDF is drawn in S_(k-1) turned by q_k; its centre of mass moves to S_k at the nominal
-    geometry.
-
-    Returns:
-        Masses [kg], shape (6,), and centres of mass of link k in S_k [m], shape (6, 3).
+    Link k of the URDF is drawn in S_(k-1) turned by q_k; its centre of mass moves to S_k at the nominal geometry.
     """
-    root = ElementTree.parse(kuka_urdf_path()).getroot()
-    masses, centres = np.empty(6), np.empty((6, 3))
+    arm, centres = PaperMachine().nominal, np.empty((6, 3))
     for k in range(6):
-        inertial = root.find(f"link[@name='link_{k + 1}']/inertial")
-        assert inertial is not None
-        values = {child.tag: child.attrib for child in inertial}
-        masses[k] = float(values["mass"]["value"])
-        centre = np.array([*map(float, values["origin"]["xyz"].split()), 1.0])
         theta, d, a, alpha = (NOMINAL[name][k] for name in ("o", "d", "a", "alpha"))
         link = _rotate("z", theta) @ transform(place=(0.0, 0.0, d)) @ transform(place=(a, 0.0, 0.0)) @ _rotate("x", alpha)
-        centres[k] = np.linalg.solve(link, centre)[:3]
-    return masses, centres
+        centres[k] = np.linalg.solve(link, np.append(arm.centres[k], 1.0))[:3]
+    return arm.masses, centres
 
 
 def _weigh(frame: np.ndarray, mass: np.ndarray, centre: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -36,8 +36,7 @@ def plan_poses(
         arm: Nominal arm, ``machine.nominal``.
         n: Number of poses.
         rng: Source of randomness.
-        min_height: Smallest z of the tip and of the origins of the third joint and all after it in the base
-            frame [m]; None for no floor.
+        min_height: Height of the floor [m], as in :func:`is_clear`; None for no floor.
         max_radius: Largest distance of the tip from the base's origin [m]; None for no limit.
         span: Part of the joint range that is used, about its middle [-].
 
@@ -62,16 +61,10 @@ def plan_poses(
 
 
 def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shortage: str) -> np.ndarray:
-    """Draw poses until there are enough.
-
-    Args:
-        draw: Returns the acceptable poses of one round, shape (any, number of joints).
-        n: Number of poses wanted.
-        rounds: Number of rounds before giving up.
-        shortage: The rest of the error message if there are too few poses, and what to do then.
+    """Draw poses, some acceptable ones in each round, until there are n.
 
     Raises:
-        BadInputError: If all rounds together give too few.
+        BadInputError: If all rounds together give too few; ``shortage`` ends the message and says what to do then.
     """
     found: list[np.ndarray] = []
     for _ in range(rounds):
@@ -96,8 +89,7 @@ def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
 def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
     """Return the frames of an arm without load at joint positions q [rad or m], shape (N, n).
 
-    Returns:
-        Transforms of base, working frames after q and tip to the base frame, shape (N, n + 2, 4, 4).
+    These are transforms of base, working frames after q and tip to the base frame, shape (N, n + 2, 4, 4).
     """
     moves = np.tile(np.eye(4), (*q.shape, 1, 1))
     turn, slide = np.where(arm.prismatic, 0.0, q), np.where(arm.prismatic, q, 0.0)
@@ -125,8 +117,7 @@ def reach(
     Args:
         arm: Arm without load.
         seed: Joint positions to start from, shape (N, n).
-        goal: Wanted positions of the tool point in the base frame [m], shape (N, 3), or wanted transforms of
-            the tip, shape (N, 4, 4).
+        goal: Wanted positions of the tool point in the base frame [m], shape (N, 3), or transforms of the tip, (N, 4, 4).
         tool: Tool point in the tip frame [m]; used with positions only.
 
     Returns:

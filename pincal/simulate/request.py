@@ -11,34 +11,23 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
 from pincal.simulate.campaign import draw_conditions, spread_payloads
-from pincal.simulate.conditions import Conditions
 from pincal.simulate.effect import SizedByLoad
 from pincal.simulate.hidden import HIDDEN_EFFECTS
 from pincal.simulate.machine import TrueMachine
+from pincal.simulate.state import Conditions
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect
 
-RECORDED = ("temperature", "time", "approach")
-"""Columns that a campaign may record of its conditions."""
+# Columns that a campaign may record of its conditions.
+_RECORDED = ("temperature", "time", "approach")
 
 
 class Stream(IntEnum):
     """Parts of a simulation, each with random numbers of its own: a change to one leaves the others as they were."""
 
-    ERRORS = 0
-    ELASTICITY = 1
-    MASSES = 2
-    EFFECTS = 3
-    LAYOUT = 4
-    POSES = 5
-    CONDITIONS = 6
-    NOISE = 7
+    ERRORS, ELASTICITY, MASSES, EFFECTS, LAYOUT, POSES, CONDITIONS, NOISE = range(8)
 
     def generator(self, seed: int) -> np.random.Generator:
-        """Return the source of randomness of this part for the seed of the whole simulation.
-
-        Raises:
-            BadInputError: If the seed is negative.
-        """
+        """Return the source of randomness of this part for the seed of the whole simulation, which is 0 or more."""
         if seed < 0:
             raise BadInputError(f"seed {seed}; expected 0 or more")
         return np.random.default_rng([seed, int(self)])
@@ -60,14 +49,10 @@ def draw_machine(
         nominal: The machine without errors.
         seed: Seed of the machine.
         errors: Size of the geometric errors relative to typical ones, 0 for none.
-        elastic: Compliance of drives and bearings relative to a typical one, 0 for a rigid arm; default: a typical
-            one if the arm has masses.
+        elastic: Compliance of drives and bearings relative to a typical one; default: 1 if the arm has masses, else 0.
         masses_off: Standard deviation of masses and centres of mass [%].
         effects: Hidden effects: name and given fields of each.
         massless: Names of the arm's links that lack a mass.
-
-    Returns:
-        A new machine.
 
     Raises:
         BadInputError: If an effect is unknown, or loads are asked for on an arm without masses.
@@ -100,7 +85,7 @@ def repeat_poses(
     payload_order: str = "blocks",
     payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[np.ndarray, Conditions]:
-    """Return the poses of all cycles and the conditions under which they are measured.
+    """Return the poses of all cycles, shape (cycles N, n), and the conditions under which they are measured.
 
     Args:
         machine: The machine, whose effects decide which conditions matter.
@@ -108,16 +93,13 @@ def repeat_poses(
         given: Conditions of these poses that are not to be drawn, shape (N, ...).
         seed: Seed of poses, conditions and noise.
         cycles: Number of times that every pose is measured, one round after the other.
-        recorded: Of ``RECORDED``, columns to record whether an effect needs them or not.
+        recorded: Of temperature, time and approach, columns to record whether an effect needs them or not.
         payload: Payloads [kg]; None for no payload column.
-        payload_order: ``blocks`` or ``alternating``, see :func:`pincal.simulate.campaign.spread_payloads`.
+        payload_order: As in :func:`pincal.simulate.campaign.spread_payloads`.
         payload_com: Centre of mass of the payload in the tip frame [m].
-
-    Returns:
-        Joint positions, shape (cycles N, n), and their conditions.
     """
     needed = {effect.column for effect in machine.effects} | set(recorded)
-    names, poses = [name for name in RECORDED if name in needed], len(q)
+    names, poses = [name for name in _RECORDED if name in needed], len(q)
     rng = Stream.CONDITIONS.generator(seed)
     drawn = draw_conditions(names, cycles * poses, joints=len(machine.names), rng=rng)
     fixed = dict(given)
@@ -132,12 +114,9 @@ def repeat_poses(
 
 
 def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the poses of a table, to measure them again, and the conditions that it records.
+    """Return the poses of a table [rad or m], shape (N, n), to measure them again, and the conditions that it records.
 
     Several targets or points may be seen in one pose; each pose is returned once.
-
-    Returns:
-        Joint positions [rad or m], shape (N, n), and of ``RECORDED`` and ``payload`` what the table has.
     """
     labels = rows.target if rows.point is None else rows.point
     begins, seen = np.ones(len(rows), bool), set[str]()
@@ -145,5 +124,5 @@ def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray
         begins[i] = i == 0 or label in seen or not np.array_equal(rows.q[i], rows.q[i - 1])
         seen = {label} if begins[i] else seen | {label}
     rows = rows.select(begins)
-    given = {name: value for name in (*RECORDED, "payload") if (value := getattr(rows, name)) is not None}
+    given = {name: value for name in (*_RECORDED, "payload") if (value := getattr(rows, name)) is not None}
     return rows.q, given

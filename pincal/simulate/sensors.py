@@ -32,29 +32,29 @@ class SetupOptions:
 
     Attributes:
         sigma: Noise of a coordinate or distance [m], of image coordinates [px].
-        sigma_angle: Noise of an orientation about each axis [rad].
+        noise_angle: Noise of an orientation about each axis [rad].
         targets: Number of targets on the tool.
         tool: Target, tool point or camera in the tip frame [m]; drawn if None.
         at_base: Whether positions are given in the robot's base frame instead of an instrument's drawn one.
         sockets: Number of sockets.
-        spacing: Distance of the two sockets of a pair [m].
+        socket_spacing: Distance of the two sockets of a pair [m].
         anchors: Number of points from which distances are measured; 0: from the instrument's origin.
         ball_bar: Length of a bar between anchor and tool point [m]; None without one.
-        seen: What a camera looks at, a key of :data:`pincal.simulate.calibration_object.OBJECTS`.
+        object: What a camera looks at, a key of :data:`pincal.simulate.calibration_object.OBJECTS`.
         lens: Given intrinsics of the camera, see :attr:`pincal.simulate.lens.Lens.intrinsics`.
         min_height: Height of the floor in the base frame [m]; None for no floor.
     """
 
     sigma: float = 0.0
-    sigma_angle: float = 0.0
+    noise_angle: float = 0.0
     targets: int = 1
     tool: Point | None = None
     at_base: bool = False
     sockets: int = 4
-    spacing: float = 0.05
+    socket_spacing: float = 0.05
     anchors: int = 0
     ball_bar: float | None = None
-    seen: str = "paper"
+    object: str = "paper"
     lens: dict[str, float] = field(default_factory=dict)
     min_height: float | None = 0.0
 
@@ -75,30 +75,20 @@ def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
         return _contact("distance", arm, rng, options)
     instrument, targets = _instrument_and_targets(arm, rng, options)
     anchors = {f"anchor_{i + 1}": place_beside(arm, rng) for i in range(options.anchors)}
-    return Instrument(
-        reads=kind,
-        pose=instrument,
-        targets=targets,
-        anchors=anchors,
-        sigma=options.sigma,
-        sigma_angle=options.sigma_angle,
-    )
+    sigma, sigma_angle = options.sigma, options.noise_angle
+    return Instrument(reads=kind, pose=instrument, targets=targets, anchors=anchors, sigma=sigma, sigma_angle=sigma_angle)
 
 
 def _contact(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
     """Return sockets, or the anchors of a ball bar."""
     instrument, targets = _instrument_and_targets(arm, rng, replace(options, targets=1))
     x, y, z = (float(value) for value in next(iter(targets.values()))[:3, 3])
-    length = options.ball_bar if kind == "distance" and options.ball_bar is not None else 0.0
-    label, count = ("anchor", max(options.anchors, 1)) if kind == "distance" else ("socket", options.sockets)
+    spacing: float | None = options.socket_spacing
+    label, count, length = "socket", options.sockets, 0.0
+    if kind == "distance":
+        label, count, length, spacing = "anchor", max(options.anchors, 1), options.ball_bar or 0.0, None
     places = draw_fixed_points(
-        arm,
-        count,
-        rng,
-        tool=(x, y, z),
-        radius=length,
-        spacing=options.spacing if kind == "socket" else None,
-        min_height=options.min_height,
+        arm, count, rng, tool=(x, y, z), radius=length, spacing=spacing, min_height=options.min_height
     )
     fixed = {f"{label}_{i + 1}": place for i, place in enumerate(places)}
     return Contact(tool=(x, y, z), fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
@@ -109,7 +99,7 @@ def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOp
     if options.tool is not None:
         camera[:3, 3] = options.tool
     setup = EyeInHand(
-        target=OBJECTS[options.seen](),
+        target=OBJECTS[options.object](),
         camera_pose=camera,
         lens=draw_lens(rng, **options.lens),
         in_metres=kind == "camera_point",

@@ -11,9 +11,8 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.conditions import Conditions
 from pincal.simulate.effect import HiddenEffect, MeasuringEffect
-from pincal.simulate.state import Equilibrium, Poses
+from pincal.simulate.state import Conditions, Equilibrium, Poses
 
 Table = dict[str, np.ndarray]
 """Columns of a table of measurements, by name."""
@@ -21,10 +20,6 @@ Table = dict[str, np.ndarray]
 
 class Machine(Protocol):
     """What a set-up needs of the machine that it measures."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the joints."""
 
     @property
     def nominal(self) -> Arm:
@@ -42,13 +37,7 @@ class Machine(Protocol):
 
 
 class Reading(NamedTuple):
-    """What a set-up reads.
-
-    Attributes:
-        poses: The N poses in which the machine was measured.
-        rows: Index of the pose of each row of the table, shape (M,).
-        columns: The columns that the sensor adds, shape (M,).
-    """
+    """What a set-up reads in N poses: the pose of each of M rows, shape (M,), and the columns that the sensor adds."""
 
     poses: Poses
     rows: np.ndarray
@@ -79,11 +68,7 @@ class SensorSetup(ABC):
     def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
         """Draw poses of the nominal arm that suit the set-up and keep off the floor at ``min_height`` [m] (None: no floor).
 
-        Returns:
-            Joint positions [rad or m], shape (n, number of joints).
-
-        Raises:
-            BadInputError: If hardly any pose is suitable.
+        These are joint positions [rad or m], shape (n, number of joints); BadInputError if hardly any pose is suitable.
         """
 
     def measure(
@@ -97,14 +82,13 @@ class SensorSetup(ABC):
     ) -> Table:
         """Measure the true machine.
 
-        The same ``rng`` gives the same rows whatever effects the machine has. Without noise and ``rng`` they are
-        the truth.
+        The same ``rng`` gives the same rows whatever effects the machine has. Without noise and ``rng`` they are the truth.
 
         Args:
             machine: The true machine.
             q: Recorded joint positions [rad or m], shape (N, n); with contact, positions near the recorded ones.
             rng: Source of noise and scatter; needed if there is noise.
-            hide: Columns that are left out of the table.
+            hide: Columns that are left out of the table; ``approach`` stands for those of all joints.
             **conditions: The conditions under which the poses are taken.
 
         Returns:
@@ -116,9 +100,10 @@ class SensorSetup(ABC):
         """
         poses = machine.poses(q, scatter=draw_scatter(machine, q, rng), **conditions)
         reading = self._read(machine, poses, rng)
-        table = _pose_columns(machine.names, reading.poses, conditions)
+        table = _pose_columns(machine.nominal.names, reading.poses, conditions)
         table = {name: column[reading.rows] for name, column in table.items()} | reading.columns
-        return {name: column for name, column in table.items() if name not in hide}
+        hidden = {*hide, *(f"approach_{name}" for name in machine.nominal.names if "approach" in hide)}
+        return {name: column for name, column in table.items() if name not in hidden}
 
     @abstractmethod
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
@@ -135,15 +120,11 @@ class SensorSetup(ABC):
 
 def draw_scatter(machine: Machine, q: np.ndarray, rng: np.random.Generator | None) -> np.ndarray | None:
     """Return scatter for poses q, drawn from a child of the generator, so that the noise does not depend on it."""
-    return None if rng is None else rng.spawn(1)[0].standard_normal((len(q), len(machine.names)))
+    return None if rng is None else rng.spawn(1)[0].standard_normal((len(q), len(machine.nominal.names)))
 
 
 def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | None) -> np.ndarray:
-    """Return normal noise of a shape, or zeros if sigma is 0.
-
-    Raises:
-        BadInputError: If there is noise to draw and no source of randomness.
-    """
+    """Return normal noise of a shape, or zeros if sigma is 0; BadInputError if there is noise and no source of it."""
     if sigma == 0.0:
         return np.zeros(shape)
     if rng is None:
@@ -152,11 +133,7 @@ def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | 
 
 
 def refuse_scale(machine: Machine, why: str) -> None:
-    """Refuse a machine with errors of an instrument's lengths, for a set-up that reads no lengths.
-
-    Raises:
-        BadInputError: If the machine has such an error; ``why`` says what the set-up reads instead.
-    """
+    """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` says what is read instead."""
     for effect in machine.effects:
         if isinstance(effect, MeasuringEffect):
             raise BadInputError(f"{effect.effect}: it is an error of lengths that are read, and {why}; leave it out")

@@ -28,8 +28,7 @@ _PROBES = 100
 def typical_moments(machine: TrueMachine) -> np.ndarray:
     """Return the moment for which each joint is made: the largest in random poses with a tenth of the arm's mass as load.
 
-    Returns:
-        Moments [N m], shape (n,), none below a fiftieth of the largest; only the nominal arm and gravity matter.
+    The moments [N m], shape (n,), none below a fiftieth of the largest, depend on the nominal arm and gravity alone.
 
     Raises:
         BadInputError: If the arm has no mass.
@@ -71,16 +70,7 @@ def draw_typical_elasticity(machine: TrueMachine, rng: np.random.Generator, *, s
 
 
 def typical_effect(machine: TrueMachine, name: str, rng: np.random.Generator, **given: Any) -> HiddenEffect:
-    """Make a hidden effect, by default of typical size and at a random joint.
-
-    Args:
-        machine: The machine that is to have it.
-        name: A key of :data:`pincal.simulate.HIDDEN_EFFECTS`.
-        rng: Source of randomness.
-        **given: Fields of the effect: ``joint``, ``size`` and what its class adds.
-
-    Returns:
-        The effect.
+    """Make a hidden effect, as :func:`hidden_effect`, by default of typical size and at a random joint.
 
     Raises:
         BadInputError: If there is no such effect, field or joint, or if it needs masses that the arm lacks.
