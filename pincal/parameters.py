@@ -60,6 +60,17 @@ class Parameter:
         return self.name.removeprefix(f"{self.station}/") if self.station else self.name
 
 
+def root_of(covariance: np.ndarray) -> np.ndarray:
+    """Return a matrix L with L L^T = C for a covariance C; both of shape (n, n).
+
+    Variances differ by twelve orders of magnitude; rounding must not carry the large ones into the small ones.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0)))
+
+
 @dataclass(frozen=True)
 class Covariance:
     """Covariance of n parameters, C = A A^T + a block per group of parameters.
@@ -92,6 +103,16 @@ class Covariance:
         for places, block in self.groups:
             found[places] += np.diag(block)
         return np.asarray(found)
+
+    @property
+    def root(self) -> np.ndarray:
+        """A matrix L with L L^T = C, shape (n, m)."""
+        columns = [self.factor]
+        for places, block in self.groups:
+            part = np.zeros((len(self), len(block)))
+            part[places] = root_of(block)
+            columns.append(part)
+        return np.hstack(columns)
 
     def dense(self) -> np.ndarray:
         """Return it as a matrix, shape (n, n)."""

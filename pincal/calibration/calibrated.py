@@ -63,6 +63,11 @@ class Calibrated(ABC):
         """Return a calibrated model of the robot itself, whatever it was measured with."""
         return self.to_model()
 
+    @property
+    @abstractmethod
+    def robot_estimate(self) -> Estimate:
+        """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
+
     @overload
     def predict(
         self,
@@ -257,6 +262,12 @@ class CalibratedModel(Calibrated):
     def dense_covariance(self) -> np.ndarray:
         """The covariance as a matrix, shape (P, P)."""
         return self.estimate.dense_covariance()
+
+    @property
+    def robot_estimate(self) -> Estimate:
+        """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
+        chain, effects = self.model.chain, self.model.effects
+        return self.estimate.take(p.name for e in effects if e.scope == "robot" for p in e.parameters(chain))
 
     def to_model(self) -> CalibratedModel:
         """Return the model itself."""

@@ -18,6 +18,7 @@ from pincal.identify import calibrate as identify
 from pincal.identify import fit as identified
 from pincal.identify.calibrate import Tables
 from pincal.identify.options import Options
+from pincal.parameters import Estimate
 from pincal.robot.robot import Robot
 from pincal.tables import Table
 
@@ -50,6 +51,11 @@ class Fit(identified.Fit, Calibrated):
     def to_stations(self) -> CalibratedStations:
         """Return what was found of all stations."""
         return CalibratedStations.of(self)
+
+    @property
+    def robot_estimate(self) -> Estimate:
+        """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
+        return (self.to_stations() if len(self.names) > 1 else self.to_model()).robot_estimate
 
     def at(self, station: str) -> CalibratedModel:
         """Return the calibrated model of one of several stations.

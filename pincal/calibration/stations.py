@@ -57,6 +57,11 @@ class CalibratedStations:
         """Names of the stations."""
         return tuple(self.models)
 
+    @property
+    def robot_estimate(self) -> Estimate:
+        """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
+        return self.estimate.take(parameter.name for parameter in self.estimate.parameters if not parameter.station)
+
     def at(self, name: str) -> CalibratedModel:
         """Return the calibrated model that predicts what one station reads.
 

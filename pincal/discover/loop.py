@@ -25,7 +25,6 @@ from pincal.discover.resolution import curves_over, refined, resolved
 from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
-from pincal.identify.problem import Problem
 from pincal.model.catalogue.candidates import elasticity
 from pincal.model.effect import Curve, Effect, Family
 
@@ -143,7 +142,8 @@ def fit_all_rows(state: State, search: Search) -> State:
     is_thinned = len(fit.station) < len(first.station)
     if is_thinned:
         solution = replace(fit.solution, weights=first.solution.weights)
-        whole = replace(fit, problem=Problem((first.station.with_model(fit.model),)), solution=solution)
+        rows = replace(first.problem, stations=(first.station.with_model(fit.model),))
+        whole = replace(fit, problem=rows, solution=solution)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
         state = _with_curves(state, wider, fit)

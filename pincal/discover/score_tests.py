@@ -61,8 +61,8 @@ class ScoreTests:
         n_model: the first columns, those of the model and of nuisance effects.
         S: shape (P, P), whitened by the noise that the model leaves.
         b: shape (P,).
-        precision: shape (n_model,), 1 / prior^2 of the model's parameters.
-        pull: shape (n_model,), precision times present deviation.
+        precision: shape (n_model, n_model), inverse covariance of what was known of the model's parameters before.
+        pull: shape (n_model,), slope of the sum of squares by it at the present values.
         blocks_S, blocks_b: shape (B, P, P), (B, P), by block of poses, for cross-validation.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
@@ -93,7 +93,7 @@ class ScoreTests:
         """S' and b' of all candidate columns."""
         N = slice(0, self.n_model)
         C = slice(self.n_model, len(self.b))
-        scale, L = _scaled_factor(self.S[N, N] + np.diag(self.precision))
+        scale, L = _scaled_factor(self.S[N, N] + self.precision)
         left = solve_triangular(L, scale[:, None] * self.S[N, C], lower=True, check_finite=False)
         slope = solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
         return self.S[C, C] - left.T @ left, self.b[C] - left.T @ slope
@@ -196,7 +196,7 @@ class _LeftOut:
         """Factor once what all candidates share."""
         S, b = found.blocks_S[k], found.blocks_b[k]
         N = slice(0, found.n_model)
-        scale, factor = _scaled_factor(found.S[N, N] - S[N, N] + np.diag(found.precision))
+        scale, factor = _scaled_factor(found.S[N, N] - S[N, N] + found.precision)
         slope = scale * (found.b[N] - b[N] - found.pull)
         step = scale * cho_solve((factor, True), slope, check_finite=False)
         return cls(found.S, found.b, S, b, scale, factor, step)
@@ -246,7 +246,8 @@ def score_test(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect
     blocks_S, blocks_b, squares, kept = _gram(fit, problem, values, free, tested, groups)
     n_model = len(kept) - sum(len(places) for places in tested)
     ends = n_model + np.cumsum([0, *(len(places) for places in tested)])
-    at, priors = values[kept], sizes[kept]
+    priors = sizes[kept]
+    known, slope = problem.beyond_priors(kept[:n_model], values, sizes)
     precision = priors[:n_model] ** -2.0
     counts = [int(np.sum(fit.solution.weights[rows] > 0)) for rows in problem.rows]
     return ScoreTests(
@@ -255,8 +256,8 @@ def score_test(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect
         n_model=n_model,
         S=blocks_S.sum(axis=0),
         b=blocks_b.sum(axis=0),
-        precision=precision,
-        pull=at[:n_model] * np.where(np.isfinite(priors[:n_model]), precision, 0.0),
+        precision=np.diag(precision) + known,
+        pull=values[kept[:n_model]] * precision - slope,
         sizes=priors,
         blocks_S=blocks_S,
         blocks_b=blocks_b,

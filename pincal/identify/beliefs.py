@@ -43,8 +43,8 @@ def released_of(problem: Problem, options: Options) -> np.ndarray:
 
 
 def excited_of(problem: Problem) -> np.ndarray:
-    """Return which parameters act at all at the nominal geometry: not the compliance about a vertical axis."""
-    excited = np.zeros(len(problem.parameters), bool)
+    """Return which parameters act at all at the nominal geometry, or did so: not the compliance about a vertical axis."""
+    excited = problem.is_remembered.copy()
     for station, places in zip(problem.stations, problem.places, strict=True):
         local = np.ones(len(places), bool)
         station.split(local)[0][:] = station.model.largest_basis(_sample(station))[1]
@@ -59,7 +59,11 @@ def priors_of(problem: Problem, options: Options) -> Priors:
         local = np.ones(len(places))
         station.split(local)[0][:] = station.model.largest_basis(_sample(station))[0]
         largest[places] = np.maximum(largest[places], local)
-    return Priors(np.array([parameter.size for parameter in problem.parameters]) / largest, bounds_of(problem, options))
+    sizes = np.array([parameter.size for parameter in problem.parameters]) / largest
+    if problem.remembered is not None:
+        known, earlier = problem.remembered
+        sizes[known] = earlier.widened(sizes[known])
+    return Priors(sizes, bounds_of(problem, options))
 
 
 def bounds_of(problem: Problem, options: Options) -> np.ndarray:

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, released_of, sensors_own
+from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
 from pincal.identify.fit import Fit, Stage, carried
@@ -30,6 +31,9 @@ Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
 
 # Chance that sound data call for a parameter that is not there.
 _MISSED = 1e-6
+# Readings beyond the unknowns from which the noise is known to 30 %. Beside an earlier fit fewer won't do: the parameters
+# that it knows give way as far as the noise seems small, and the noise seems small as far as they give way.
+_FEWEST_LEFT = 6
 # The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
@@ -64,7 +68,7 @@ def calibrate(
     tables = tables_of(measurements)
     options = _completed(options, tables)
     problem, nominal, priors, noise = _begin(robot, tables, options, executor)
-    fitted, stages = _fit(problem, nominal.values, priors, noise, options, executor=executor)
+    fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options, executor=executor)
     _refuse_too_few(tables, problem, fitted, noise)
     nominal = _without_outliers(problem, nominal, fitted, priors, noise, executor)
     return Fit(problem, nominal, fitted, priors, noise, stages, options)
@@ -129,7 +133,7 @@ def expected_fit(robot: Robot, measurements: Measurements, options: Options | No
     tables = tables_of(measurements)
     options = _completed(options, tables)
     problem, nominal, priors, noise = _begin(robot, tables, options, None)
-    fitted, stages = _fit(problem, nominal.values, priors, noise, options)
+    fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options)
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, priors.sizes).equations(fitted.sigma)
     # The expected data agree with the nominal geometry: nothing pulls away from it.
@@ -167,7 +171,8 @@ def _begin(
         place(robot, table, options.at(station), name=name)
         for (station, table), name in zip(tables.items(), names, strict=True)
     ]
-    problem = Problem(tuple(station for station, _ in placed))
+    earlier = None if options.earlier is None else Earlier.of(options.earlier)
+    problem = Problem(tuple(station for station, _ in placed), earlier)
     values = np.zeros(len(problem.parameters))
     for (_, local), places in zip(placed, problem.places, strict=True):
         values[places] = local
@@ -261,7 +266,10 @@ def _refuse_too_few(tables: dict[str, Measurements], problem: Problem, fitted: S
     """Refuse a fit through all readings: it leaves nothing to estimate the noise from."""
     counts = [int(np.sum(fitted.weights[rows] > 0.0)) for rows in problem.rows]
     readings = int(np.dot(counts, [problem.block_sizes[span].sum() for span in problem.block_spans]))
-    if noise.declared[0] is None and fitted.posterior.visible_rank >= readings:
+    spent = fitted.posterior.visible_rank
+    if problem.earlier is not None:
+        spent = _FEWEST_LEFT + int(np.sum(fitted.free & ~problem.is_remembered))
+    if noise.declared[0] is None and spent >= readings:
         raise MeasurementError(
             f"{', '.join(table.source for table in tables.values())}: {sum(counts)} training rows give {readings} readings, "
             "no more than the parameters that they would fit, so nothing is left to tell the noise from; measure more "

@@ -86,6 +86,7 @@ class Equations:
         own: the parameters that were eliminated; with one station none.
         sizes: shape (F,), standard deviations of the priors; inf for none.
         values: shape (F,), present values.
+        remembered: shape (C, C), the part of G that is known from an earlier fit; None for nothing.
     """
 
     G: np.ndarray
@@ -95,6 +96,7 @@ class Equations:
     own: tuple[Eliminated, ...]
     sizes: np.ndarray
     values: np.ndarray
+    remembered: np.ndarray | None = None
 
     def step(self, bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the step that the posterior wants within bounds of the values, shape (F,), and which ones a bound stops."""
@@ -139,7 +141,9 @@ class Equations:
     def posterior(self) -> Posterior:
         """Return what data and priors say together."""
         at, sizes, diagonal = self.values[self.shared], self.sizes[self.shared], self.diagonal[self.shared]
-        return replace(posterior(self.G, self.g, sizes, at, diagonal=diagonal), own=self.own)
+        found = posterior(self.G, self.g, sizes, at, diagonal=diagonal)
+        known = 0.0 if self.remembered is None else float(np.sum(found.covariance * self.remembered))
+        return replace(found, own=self.own, remembered=known)
 
     @property
     def gain(self) -> float:
@@ -167,6 +171,7 @@ class Equations:
             own=tuple(own),
             sizes=self.sizes[kept],
             values=self.values[kept],
+            remembered=None if self.remembered is None else self.remembered[np.ix_(inner, inner)],
         )
 
 
@@ -242,7 +247,7 @@ class Linearised:
         """Return the sum of squares of readings, of what sensors know beside them and of priors, in units of variances."""
         known = self.free & np.isfinite(self.sizes)
         prior = float(np.sum((self.values[known] / self.sizes[known]) ** 2))
-        return self.chi2(sigma) + sum(found.beliefs for found in self._squares) + prior
+        return self.chi2(sigma) + sum(found.beliefs for found in self._squares) + prior + self._remembered_square()
 
     @cached_property
     def _sums(self) -> dict[bytes, tuple[Equations, list[Squares]]]:
@@ -260,7 +265,24 @@ class Linearised:
     def _alone(self, sigma: np.ndarray) -> Equations:
         G, g = self._normal.at(sigma)
         free = self.free
-        return Equations(G, g, np.ones(len(g), bool), np.diag(G), (), self.sizes[free], self.values[free])
+        known = self._remember(G, g)
+        return Equations(G, g, np.ones(len(g), bool), np.diag(G), (), self.sizes[free], self.values[free], known)
+
+    def _remember(self, G: np.ndarray, g: np.ndarray) -> np.ndarray | None:
+        """Add what is known from an earlier fit to the equations of the shared parameters, and return its part of G."""
+        if self.problem.remembered is None:
+            return None
+        kept = np.flatnonzero(self.free & self.problem.is_shared)
+        known, slope = self.problem.beyond_priors(kept, self.values, self.sizes)
+        G += known
+        g += slope
+        return known
+
+    def _remembered_square(self) -> float:
+        if self.problem.remembered is None:
+            return 0.0
+        places, earlier = self.problem.remembered
+        return earlier.square(self.values[places], self.sizes[places])
 
     def _sum(self, sigma: np.ndarray) -> tuple[Equations, list[Squares]]:
         problem, free = self.problem, self.free
@@ -271,11 +293,14 @@ class Linearised:
         stations, robust = range(len(problem.stations)), self._by_rows(self.robust)
         if self.past is None or sigma.tobytes() not in self.past.sums:
             G, g, diagonal = np.zeros((n, n)), np.zeros(n), np.zeros(int(free.sum()))
+            known = self._remember(G, g)
+            diagonal[shared] += np.diag(G)
             own: dict[int, Eliminated] = {}
             residuals: dict[int, Squares] = {}
             work = [(i, 1.0, robust[i]) for i in stations]
         else:
             before, squares_before = self.past.sums[sigma.tobytes()]
+            known = before.remembered
             G, g, diagonal = before.G.copy(), before.g.copy(), before.diagonal.copy()
             own, residuals = dict(enumerate(before.own)), dict(enumerate(squares_before))
             pairs = zip(stations, self._by_rows(self.past.robust), robust, strict=True)
@@ -299,8 +324,8 @@ class Linearised:
             g[ours] += sign * part.g
             diagonal[rank[places[i][moved]]] += sign * part.diagonal
             own[i], residuals[i] = part.eliminated(mine, ours), found
-        eliminated = tuple(own.values())
-        return Equations(G, g, shared, diagonal, eliminated, self.sizes[free], self.values[free]), list(residuals.values())
+        eliminated, at = tuple(own.values()), self.values[free]
+        return Equations(G, g, shared, diagonal, eliminated, self.sizes[free], at, known), list(residuals.values())
 
     def _map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterable[Any]:
         return map(function, *arguments) if self.executor is None else self.executor.map(function, *arguments)

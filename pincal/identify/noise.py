@@ -86,7 +86,7 @@ class Judge:
         robust = point.robust
         counted = self.counted(robust)
         if self.loss == "none" or (hard and self.loss == "screen"):
-            shared = int(np.sum(self.free & self.problem.is_shared))
+            shared = int(np.sum(self.free & self.problem.is_shared & ~self.problem.is_remembered))
             own = [
                 int(np.sum(self.free[places[own]]))
                 for places, own in zip(self.problem.places, self.problem.eliminated, strict=True)

@@ -12,7 +12,7 @@ from pincal.identify.noise import Loss
 from pincal.measure.setup import Setup
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import ELASTIC, Effect
-from pincal.parameters import FRAME_SYMBOLS
+from pincal.parameters import FRAME_SYMBOLS, Estimate
 
 Stages = Literal["joint", "paper"]
 Tools = dict[str, tuple[float, float, float] | np.ndarray]
@@ -56,6 +56,7 @@ class Options:
         length_bound: largest deviation of a length [m].
         setup: named points and the camera, as far as they are known.
         stations: station name -> what it has different, where there are several.
+        earlier: what an earlier fit found of the robot's own parameters; it takes the place of their priors.
     """
 
     effects: tuple[Effect, ...] = ELASTIC
@@ -72,6 +73,7 @@ class Options:
     length_bound: float = LENGTH_BOUND
     setup: Setup = field(default_factory=Setup)
     stations: Mapping[str, StationOptions] = field(default_factory=dict)
+    earlier: Estimate | None = None
 
     def at(self, station: str) -> Options:
         """Return the options of one station."""

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from pincal.parameters import Covariance
+from pincal.parameters import Covariance, root_of
 
 # Eigenvalues below this part of the largest are rounding: the data do not see such a direction.
 NULL = 1e-13
@@ -46,6 +46,7 @@ class Posterior:
         frame_rank: number of directions among base and tool that the data determine.
         has_prior: shape (F,), which parameters the H rows of ``directions`` belong to.
         own: the parameters of stations that were eliminated beforehand.
+        remembered: number of parameters that were known from an earlier fit and not from these data.
     """
 
     step: np.ndarray
@@ -55,6 +56,7 @@ class Posterior:
     frame_rank: int
     has_prior: np.ndarray
     own: tuple[Eliminated, ...] = ()
+    remembered: float = 0.0
 
     @property
     def visible_rank(self) -> int:
@@ -82,7 +84,7 @@ class Posterior:
     @property
     def shared_effective(self) -> float:
         """The same without the parameters of stations that were eliminated."""
-        return self.frame_rank + float(np.sum(self.information / (1.0 + self.information)))
+        return self.frame_rank + float(np.sum(self.information / (1.0 + self.information))) - self.remembered
 
     @cached_property
     def own_effective(self) -> tuple[float, ...]:
@@ -98,10 +100,7 @@ class Posterior:
         shared = np.ones(n, bool)
         for part in self.own:
             shared[part.places] = False
-        # Variances differ by twelve orders of magnitude; rounding must not carry the large ones into the small ones.
-        sigma = np.sqrt(np.diag(self.covariance))
-        sizes, axes = np.linalg.eigh(self.covariance / np.outer(sigma, sigma))
-        root = sigma[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
+        root = root_of(self.covariance)
         factor = np.empty((n, len(root)))
         factor[shared] = root
         for part in self.own:

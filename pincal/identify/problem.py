@@ -1,4 +1,4 @@
-"""A problem: the sum of stations over one table of named parameters.
+"""A problem: the sum of stations, and perhaps of what an earlier fit found, over one table of named parameters.
 
 The robot's parameters are the same at every station; where an instrument stands, its targets and whatever the instrument
 itself has to be asked for belong to one station. With one station the table is that station's own, in its order; with
@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identify.earlier import Earlier
 from pincal.identify.station import Station
 from pincal.measure.sensor import Block
 from pincal.model.chain import MomentFrame
@@ -28,9 +29,12 @@ class Problem:
 
     Attributes:
         stations: the stations; several have names of their own.
+        earlier: what is known of the robot's parameters from an earlier fit; of those that no station here has it says what
+            it does where they are zero.
     """
 
     stations: tuple[Station, ...]
+    earlier: Earlier | None = None
 
     def __post_init__(self) -> None:
         names = [station.name for station in self.stations]
@@ -103,6 +107,48 @@ class Problem:
         return found
 
     @cached_property
+    def remembered(self) -> tuple[np.ndarray, Earlier] | None:
+        """Where the parameters known from an earlier fit stand in the table, and what is known; None for nothing."""
+        if self.earlier is None:
+            return None
+        absent = np.array([name not in self.index for name in self.earlier.names], bool)
+        known = self.earlier.known_zero(absent)
+        return np.array([self.index[name] for name in known.names], int), known
+
+    def recalled(self, values: np.ndarray) -> np.ndarray:
+        """Return values, shape (P,), with those of an earlier fit where it has any."""
+        if self.remembered is None:
+            return values
+        places, earlier = self.remembered
+        recalled = values.copy()
+        recalled[places] = earlier.mean
+        return recalled
+
+    def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return information and slope that an earlier fit adds to priors of some parameters, shape (K, K) and (K,).
+
+        Args:
+            kept: shape (K,), their places.
+            values: shape (P,), present values.
+            sizes: shape (P,), standard deviations of the priors.
+        """
+        information, slope = np.zeros((len(kept), len(kept))), np.zeros(len(kept))
+        if self.remembered is not None:
+            places, earlier = self.remembered
+            at, of = np.nonzero(kept[:, None] == places)
+            information[at[:, None], at] = earlier.beyond(sizes[places])[of[:, None], of]
+            slope[at] = earlier.pull(values[places], sizes[places])[of]
+        return information, slope
+
+    @cached_property
+    def is_remembered(self) -> np.ndarray:
+        """Which parameters are known from an earlier fit, shape (P,)."""
+        found = np.zeros(len(self.parameters), bool)
+        if self.remembered is not None:
+            found[self.remembered[0]] = True
+        return found
+
+    @cached_property
     def rows(self) -> tuple[slice, ...]:
         """For each station, where its rows stand among all rows."""
         return _spans(len(station) for station in self.stations)
@@ -141,15 +187,16 @@ class Problem:
             if moment_frame is not None:
                 model = model.with_chain(replace(model.chain, moment_frame=moment_frame))
             stations.append(station.with_model(model))
-        return Problem(tuple(stations))
+        return replace(self, stations=tuple(stations))
 
     def select(self, rows: np.ndarray) -> Problem:
         """Return the problem of some rows (a mask over all rows, or indices)."""
         if len(self.stations) == 1:
-            return Problem((self.station.select(rows),))
+            return replace(self, stations=(self.station.select(rows),))
         chosen = np.flatnonzero(rows) if rows.dtype == bool else rows
         parts = [chosen[(chosen >= span.start) & (chosen < span.stop)] - span.start for span in self.rows]
-        return Problem(tuple(station.select(part) for station, part in zip(self.stations, parts, strict=True)))
+        stations = (station.select(part) for station, part in zip(self.stations, parts, strict=True))
+        return replace(self, stations=tuple(stations))
 
     def extended(self, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
         """Return the problem with further effects, and where its parameters stand in the new table, shape (P,)."""

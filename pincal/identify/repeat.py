@@ -113,7 +113,7 @@ def _refit_simulated(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
         noise = rng.normal(size=(len(sigma), len(station))) * sigma[:, None] / station.weights
         sensor = station.sensor.shifted(noise - station.residuals(fit.values[places]))
         stations.append(replace(station, sensor=sensor))
-    return _refit(fit, Problem(tuple(stations))).values
+    return _refit(fit, replace(problem, stations=tuple(stations))).values
 
 
 def _refit(fit: Fit, problem: Problem) -> Solution:
