@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.discover.decisions import CandidateTable, Decision, Row, best_name, close_names, decide
+from pincal.discover.decisions import CandidateTable, Decision, Row, decide
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
-from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
@@ -38,84 +37,49 @@ class Search:
     groups: np.ndarray
 
 
-@dataclass(frozen=True)
-class ScoreEvidence:
-    """Evidence from score tests.
-
-    Attributes:
-        fit: the fit that they are against.
-        tests: the tests, with the blocks of rows for cross-validation or without.
-        groups: shape (N,), these blocks.
-        has_blocks: whether ``tests`` has them.
-    """
-
-    fit: Fit
-    tests: ScoreTests
-    groups: np.ndarray
-    has_blocks: bool
-
-    def left_given(self, which: int, given: int) -> float:
-        """Return the p-value of what one candidate still explains once another is in the model."""
-        return self.tests.gain_given(which, given).p_value
-
-    def cost_together(self, one: int, other: int) -> float:
-        """Return the information criterion of two candidates taken as one."""
-        return self.tests.judge(*self.tests.gain([one, other]), len(self.tests.effects)).ebic
-
-    def predicts(self, which: int) -> bool:
-        """Return whether a candidate improves the prediction of blocks left out by more than chance."""
-        if self.has_blocks:
-            gain, error = self.tests.cross_validated_gain([which])
-        else:
-            alone = score_test_beside_masses(self.fit, self.groups, [self.tests.effects[which]])
-            gain, error = alone.cross_validated_gain([0])
-        return gain > error
-
-
-def tests_of(decision: Decision) -> ScoreTests:
-    """Return the tests that a decision rests on."""
-    evidence = decision.table.evidence
-    assert isinstance(evidence, ScoreEvidence)
-    return evidence.tests
-
-
 def choose(fit: Fit, search: Search) -> Decision | None:
     """Return the best explanation of what a fit leaves, if it is more than chance."""
-    policy = search.policy
-    names = _table(fit, addable(fit, search), search, has_blocks=True)
-    best = best_name(names, policy)
-    near = None if best is None else names.rows[best].effect.locus.joint
-    close = [names.rows[i] for i in close_names(names, best, policy)]
-    together = [*(row.effect for row in close), *_nameless(fit, near)]
-    # Names are as costly as among all names.
-    costs = {id(row.effect): row.cost for row in close}
-    return decide(names, _table(fit, together, search, has_blocks=False, costs=costs), policy)
+
+    def contest_of(close: Sequence[Row]) -> CandidateTable:
+        near = close[0].effect.locus.joint if close else None
+        together = [*(row.effect for row in close), *_nameless(fit, near)]
+        return _table(fit, together, search, {id(row.effect): row.cost for row in close})
+
+    return decide(_table(fit, addable(fit, search), search, {}), contest_of, search.policy)
 
 
-def _table(
-    fit: Fit, effects: Sequence[Effect], search: Search, *, has_blocks: bool, costs: Mapping[int, float] | None = None
-) -> CandidateTable:
+def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[int, float]) -> CandidateTable:
     """Test candidates, named and nameless ones; each kind shares the chance of a false name.
 
     Args:
         fit: the fit.
         effects: the candidates.
         search: what is looked for.
-        has_blocks: whether rows left out can be predicted without further tests; it costs memory for many candidates.
         costs: of candidates, by their identity, that are known already.
     """
     policy = search.policy
-    groups = search.groups if has_blocks else np.zeros_like(search.groups)
-    tests = score_test_beside_masses(fit, groups, effects)
+    # Blocks of rows would take as many times the memory, so they wait for the few of which it is asked what they predict.
+    tests = score_test_beside_masses(fit, np.zeros_like(search.groups), effects)
     count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
     rows = []
     for i, effect in enumerate(effects):
         n = count[effect.is_nameless]
         score = tests.score([i], n)
-        cost = (costs or {}).get(id(effect), float(score.ebic + _surcharge(effect, policy)))
-        rows.append(Row(effect, score, cost, policy.false_name / n))
-    least = policy.least_gain(tests.squares, declared=fit.noise.declared[0] is not None)
-    return CandidateTable(tuple(rows), least, ScoreEvidence(fit, tests, search.groups, has_blocks))
+        rows.append(
+            Row(effect, score, costs.get(id(effect), score.ebic + _surcharge(effect, policy)), policy.false_name / n)
+        )
+
+    def predicts(i: int) -> bool:
+        gain, error = score_test_beside_masses(fit, search.groups, [effects[i]]).cross_validated_gain([0])
+        return gain > error
+
+    return CandidateTable(
+        rows,
+        policy.least_gain(tests.squares, declared=fit.noise.declared[0] is not None),
+        left_given=lambda i, given: tests.gain_given(i, given).p_value,
+        cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
+        predicts=predicts,
+    )
 
 
 def _surcharge(effect: Effect, policy: Policy) -> float:
@@ -160,5 +124,10 @@ def sampled(fit: Fit, policy: Policy) -> tuple[Fit, np.ndarray]:
     if n <= most:
         return fit, np.arange(n)
     rows = np.linspace(0, n - 1, most).astype(int)
+    return some_rows(fit, rows), rows
+
+
+def some_rows(fit: Fit, rows: np.ndarray) -> Fit:
+    """Return a fit as it is, of some of its rows."""
     solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=fit.problem.select(rows), solution=solution), rows
+    return replace(fit, problem=fit.problem.select(rows), solution=solution)

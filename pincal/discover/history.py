@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Family
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Step:
     """What entered the model at once.
 
@@ -17,10 +19,9 @@ class Step:
         effects: the effects; the first gives the step its name.
         score: its test against the model before.
         equivalent: candidates that the data can't tell from it.
-        before: the fit before it entered.
-        after: the fit with it.
-        criticism: the tests that it won.
-        index: its place (or places) among the candidates of ``criticism``.
+        before, after: the fit before it entered, and with it.
+        tested: the effect in the form in which it was tested; a curve may be finer in the end.
+        estimate: what its parameters were by this test, shape (K,).
     """
 
     effects: tuple[Effect, ...]
@@ -28,8 +29,8 @@ class Step:
     equivalent: tuple[Effect, ...]
     before: Fit
     after: Fit
-    criticism: ScoreTests
-    index: tuple[int, ...]
+    tested: Effect
+    estimate: np.ndarray
 
     @property
     def effect(self) -> Effect:
@@ -44,19 +45,10 @@ class Step:
 
 @dataclass(frozen=True)
 class State:
-    """Where a discovery stands.
-
-    Attributes:
-        fit: the model so far.
-        steps: what was accepted, in order.
-    """
+    """Where a discovery stands: the model so far, and what was accepted, in order."""
 
     fit: Fit
     steps: tuple[Step, ...] = ()
-
-    def with_step(self, step: Step) -> State:
-        """Return the state after a further step."""
-        return State(step.after, (*self.steps, step))
 
     def with_replaced(self, step: Step, by: Step) -> State:
         """Return the state with another step in the place of one."""
@@ -75,7 +67,7 @@ class History:
         first: the fit that it started from.
         steps: the accepted effects, in order.
         final: the fit of everything that stayed.
-        last: the criticism of the final fit, nothing of which passed.
+        last: the tests against the final fit, none of which passed.
     """
 
     first: Fit

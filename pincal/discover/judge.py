@@ -59,7 +59,7 @@ def _found(
         found = [(effect, parameters, p_value, "") for effect, parameters, p_value in sure_compliances(trail.final)]
     else:
         rivals = step.equivalent[:1]
-        decide = "".join(deciding_measurement(step.before, step.criticism, step.index[0], rival) for rival in rivals)
+        decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
         found = [(step.effect, _parameters(trail.final, step.effect), step.score.p_value, decide)]
     for effect, parameters, p_value, decide in found:
         yield FoundEffect.of(

@@ -8,21 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import (
-    Search,
-    addable,
-    choose,
-    has_compliance,
-    sampled,
-    tests_of,
-    variants,
-)
+from pincal.discover.candidate_tests import Search, addable, choose, has_compliance, sampled, variants
 from pincal.discover.decisions import Decision, each_heading_once, is_own_curve
 from pincal.discover.history import History, State, Step
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import curves_over, refined, resolved
-from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
 from pincal.model.catalogue.candidates import elasticity
@@ -61,7 +52,7 @@ def add_effects(state: State, search: Search) -> State:
             break
         residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (step.before, step.after))
         log.info("found %s: residual %.4f -> %.4f mm", _listed(step.effects), *residuals)
-        state = state.with_step(step)
+        state = State(step.after, (*state.steps, step))
     return state
 
 
@@ -71,24 +62,19 @@ def _next_step(fit: Fit, search: Search) -> Step | None:
         found = score_test_beside_masses(fit, search.groups, block)
         score = found.score(range(len(block)), 1)
         if score.p_value < search.policy.elastic:
-            return _accepted(fit, block, score, found, tuple(range(len(block))))
+            after = refit(fit, [*fit.options.effects, *block])
+            return Step(tuple(block), score, (), fit, after, block[0], np.zeros(0))
     decision = choose(fit, search)
-    if decision is None:
-        return None
-    return _decided(fit, decision, search)
+    return None if decision is None else _decided(fit, decision, search)
 
 
 def _decided(fit: Fit, decision: Decision, search: Search) -> Step:
     """Return the step that adds what was decided, a curve as fine as the data can tell."""
-    effect = decision.effect
-    effect = resolved(fit, effect, search.groups) if isinstance(effect, Curve) else effect
-    score, best = decision.table.rows[decision.best].score, decision.best
-    return replace(_accepted(fit, [effect], score, tests_of(decision), (best,)), equivalent=decision.equivalent)
-
-
-def _accepted(fit: Fit, effects: Sequence[Effect], score: Score, tests: ScoreTests, index: tuple[int, ...]) -> Step:
-    after = refit(fit, [*fit.options.effects, *effects])
-    return Step(tuple(effects), score, (), fit, after, tests, index)
+    tested = decision.effect
+    estimate = score_test_beside_masses(fit, np.zeros_like(search.groups), [tested]).estimate([0])
+    effect = resolved(fit, tested, search.groups) if isinstance(tested, Curve) else tested
+    after = refit(fit, [*fit.options.effects, effect])
+    return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate)
 
 
 def name_again(state: State, search: Search) -> State:

@@ -198,20 +198,19 @@ def _power_curve(test: Test) -> tuple[np.ndarray, np.ndarray]:
     return grid, np.array([power_of(value, test) for value in np.maximum(grid, 1e-9)])
 
 
-def deciding_measurement(fit: Fit, found: ScoreTests, best: int, rival: Effect) -> str:
+def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Effect) -> str:
     """Return, in words, the cheapest further measurement that would tell an effect from a rival.
 
     For each kind of further run the power to tell them apart is computed from the Jacobian at its poses.
 
     Args:
         fit: the fit before the effect was added.
-        found: its criticism.
-        best: the effect among the candidates of ``found``.
+        effect: the effect.
+        value: its parameters, shape (K,).
         rival: the other one.
     """
-    pair = [found.effects[best], rival]
+    pair = [effect, rival]
     here = score_test(fit, pair, [], np.zeros(len(fit.station), int))
-    value, _ = found.estimate([best])
     again = _separation(replace(here, S=2.0 * here.S), value)
     for words, conditions in _designs(fit):
         try:

@@ -164,12 +164,12 @@ class ScoreTests:
     def _blocks(self) -> list[_LeftOut]:
         return [_LeftOut.of(self, k) for k in range(len(self.blocks_S))]
 
-    def estimate(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return values and covariance of some candidates' parameters to first order, priors included."""
+    def estimate(self, which: Sequence[int]) -> np.ndarray:
+        """Return some candidates' parameters to first order, priors included."""
         S, b = self._projected
         j = self.columns_of(which)
         C = np.linalg.inv(S[np.ix_(j, j)] + np.diag(self.sizes[self.n_model + j] ** -2.0))
-        return C @ b[j], C
+        return np.asarray(C @ b[j])
 
 
 @dataclass(frozen=True)
