@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
     from pincal.calibration.fit import Fit, calibrate
+    from pincal.calibration.placing import Placed, place_station
     from pincal.calibration.run import Calibration, run_calibration
     from pincal.calibration.stations import CalibratedStations, load_stations
     from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "pincal.calibration.calibrated": ("CalibratedModel", "load_model", "save_model"),
     "pincal.calibration.fit": ("Fit", "calibrate"),
+    "pincal.calibration.placing": ("Placed", "place_station"),
     "pincal.calibration.run": ("Calibration", "run_calibration"),
     "pincal.calibration.stations": ("CalibratedStations", "load_stations"),
     "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
@@ -121,6 +123,7 @@ __all__ = [
     "Parameter",
     "PincalError",
     "PincalWarning",
+    "Placed",
     "Policy",
     "Robot",
     "Sensor",
@@ -146,6 +149,7 @@ __all__ = [
     "measurements_from_arrays",
     "monte_carlo",
     "pinocchio_model",
+    "place_station",
     "read_measurements",
     "register_effect",
     "register_sensor",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
 from pincal.model.chain import Chain
-from pincal.model.effects import BaseFrame, Effect, ToolFrame
+from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import carried_over
 from pincal.robot.robot import Robot
@@ -28,37 +29,54 @@ _ROWS = 2000
 def place(robot: Robot, measurements: Measurements, options: Options, *, name: str = "") -> tuple[Station, np.ndarray]:
     """Return a station with base and tool about where they are, and the values to start from.
 
-    Of the closed-form candidates the one whose fit of base and tool leaves least is taken.
-
     Args:
-        robot: the arm.
+        robot: the arm, taken as nominal.
         measurements: the station's table.
         options: how to calibrate, as they are for this station.
         name: of the station, where there are several.
     """
+    gravity = None if options.gravity is None else np.array(options.gravity)
+    arm = Model(Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity), ())
+    station, values = place_arm(arm, np.zeros(0), measurements, options=options, name=name)
+    model = replace(station.model, effects=(*station.model.effects, *options.effects), equilibrium=options.equilibrium)
+    index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
+    whole = station.with_model(model)
+    return whole, carried_over(values, index, whole.parameters)
+
+
+def place_arm(
+    arm: Model, values: np.ndarray, measurements: Measurements, *, options: Options, name: str = ""
+) -> tuple[Station, np.ndarray]:
+    """Return the station of an arm whose deviations are known, with base and tool about where they are, and its values.
+
+    Of the closed-form candidates the one whose fit of base and tool leaves least is taken.
+
+    Args:
+        arm: the arm's chain and effects, without base and tool; its targets and reference orientations don't count.
+        values: shape (P,), of its parameters.
+        measurements: the station's table.
+        options: what is known of the station.
+        name: of the station, where there are several.
+    """
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
-    chain = Chain.of(
-        robot,
-        moment_frame=options.moment_frame,
-        gravity=None if options.gravity is None else np.array(options.gravity),
-        targets=tuple(str(t) for t in np.unique(measurements.target)),
-    )
-    rows = station_of(Model(chain, ()), measurements, np.array(options.payload_centre), options.setup, name=name)
-    frames: tuple[Effect, ...] = (BaseFrame(rows.sensor.base_symbols), ToolFrame(rows.sensor.tool_symbols))
+    targets = tuple(str(t) for t in np.unique(measurements.target))
+    chain = replace(arm.chain, targets=targets).with_references(np.eye(3), np.tile(np.eye(3), (len(targets), 1, 1)))
+    arm = arm.with_chain(chain)
+    rows = station_of(arm, measurements, np.array(options.payload_centre), options.setup, name=name)
     some = rows.select(some_rows(len(rows), _ROWS, rows.sensor.groups))
-    tips = np.ascontiguousarray(some.model.predict(np.zeros(0), some.conditions))
-    found = some.sensor.starts(tips, some.conditions.target, len(chain.targets))
+    tips = np.ascontiguousarray(arm.predict(values, some.conditions))
+    found = some.sensor.starts(tips, some.conditions.target, len(targets))
     candidates = [_known(placement, chain, options) for placement in found]
     if not rows.sensor.base_symbols:
         candidates = [replace(candidate, base=np.eye(4)) for candidate in candidates]
-    bare = rows.with_model(Model(chain, frames))
-    settled = [_settled(*_at(bare, placement), options) for placement in candidates]
+    frames = (BaseFrame(rows.sensor.base_symbols), ToolFrame(rows.sensor.tool_symbols))
+    whole = rows.with_model(arm.with_effects([*frames, *arm.effects]))
+    deviations = dict(zip(arm.names, values, strict=True))
+    starts = [_at(whole, placement, deviations) for placement in candidates]
+    settled = [_settled(*start, options) for start in starts]
     best = int(np.argmin([rest for _, rest in settled]))
-    model = Model(chain, (*frames, *options.effects), equilibrium=options.equilibrium)
-    station, _ = _at(rows.with_model(model), candidates[best])
-    index = {parameter.name: i for i, parameter in enumerate(bare.parameters)}
-    return station, carried_over(settled[best][0], index, station.parameters)
+    return starts[best][0], settled[best][0]
 
 
 def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
@@ -75,13 +93,15 @@ def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
     return replace(placement, base=base, tools=tools)
 
 
-def _at(station: Station, placement: Extrinsics) -> tuple[Station, np.ndarray]:
-    """Return the station about a placement, and the values that stand there."""
+def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]) -> tuple[Station, np.ndarray]:
+    """Return the station about a placement, and the values that stand there, with those of the arm by name."""
     chain = station.model.chain.with_references(placement.base[:3, :3], placement.tools[:, :3, :3])
     station = station.with_model(station.model.with_chain(chain))
     values = np.zeros(len(station.parameters))
     station.split(values)[1][:] = placement.own
     names = {parameter.name: i for i, parameter in enumerate(station.parameters)}
+    for name, value in deviations.items():
+        values[names[name]] = value
     for element, at in [("base", placement.base), *zip(chain.targets, placement.tools, strict=True)]:
         for symbol, value in zip("xyz", at[:3, 3], strict=True):
             if f"{element}.{symbol}" in names:

@@ -55,7 +55,9 @@ def admit(robot: Robot, table: Measurements, setup: Setup, *, holdout: Measureme
     idle = _check_distances(setup, [table] if holdout is None else [table, holdout])
     with noted() as notes:
         table = usable_rows(table, setup)
-        _check_count(robot, table, setup)
+        n = robot.n_joints
+        told = f"to tell where instrument and tool stand and {n} joint offsets"
+        _check_count(table, setup, joints=n, told=told, better=50)
         check_table(robot, table)
     return Admitted(table, tuple(notes), idle)
 
@@ -167,21 +169,32 @@ def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str,
     return (f"known distances between points that are in no row are not used: {', '.join(idle)}",) if idle else ()
 
 
-def _check_count(robot: Robot, measurements: Measurements, setup: Setup) -> None:
-    """Refuse a table that could not even tell where instrument and tool stand."""
+def check_placeable(measurements: Measurements, setup: Setup) -> None:
+    """Refuse a table that could not tell where instrument and tool of a known robot stand, and check it by one reading.
+
+    Raises:
+        MeasurementError: saying how many rows are needed.
+    """
+    told = "to tell where instrument and tool of a new station stand, with a reading to spare"
+    _check_count(measurements, setup, joints=1, told=told, better=10)
+
+
+def _check_count(measurements: Measurements, setup: Setup, *, joints: int, told: str, better: int) -> None:
+    """Refuse a table that could not even tell where instrument and tool stand, and so many joint offsets."""
     sensor = sensor_like(measurements, setup)
     tool = len(sensor.tool_symbols) * (len(np.unique(measurements.target)) if len(measurements) else 1)
     # What a camera's lens is like takes no rows beyond: any one of them tells two readings of it.
     own = sum(parameter.unit == "m" for parameter in sensor.parameters)
     poses = len(np.unique(measurements.q, axis=0))
-    fewest = -(-(tool + robot.n_joints) // 6) + 1
+    fewest = -(-(tool + joints) // 6) + 1
     if sensor.pose_limit and poses < fewest:
         raise MeasurementError(
-            f"{measurements.source}: {poses} poses {sensor.pose_limit}: expected at least {fewest}, and better 30 or more"
+            f"{measurements.source}: {poses} poses {sensor.pose_limit}: expected at least {fewest}, "
+            f"and better {min(better, 30)} or more"
         )
-    needed = -(-(len(sensor.base_symbols) + own + tool + robot.n_joints) // sum(block.size for block in sensor.blocks))
+    needed = -(-(len(sensor.base_symbols) + own + tool + joints) // sum(block.size for block in sensor.blocks))
     if len(measurements) < needed:
         raise MeasurementError(
             f"{measurements.source}: {len(measurements)} rows of kind {measurements.kind}; expected at least {needed} "
-            f"to tell where instrument and tool stand and {robot.n_joints} joint offsets, and better 50 or more"
+            f"{told}, and better {better} or more"
         )

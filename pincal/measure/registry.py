@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS, SIGMA, Field
-from pincal.measure.sensor import Foreseeable, Sensor
+from pincal.measure.sensor import Block, Foreseeable, Sensor
 from pincal.measure.sensors.camera_pixel import CameraPixelSensor
 from pincal.measure.sensors.camera_point import CameraPointSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
@@ -70,6 +70,11 @@ def known_fields() -> Mapping[str, Field]:
 def known_kinds() -> Mapping[str, str]:
     """Return what sensors measure, and the module that defines each of them."""
     return {sensor.kind: sensor.__module__ for sensor in SENSORS.known().values()}
+
+
+def blocks_of(kind: str) -> tuple[Block, ...]:
+    """Return the components of the readings of a known kind."""
+    return next(sensor.blocks for sensor in SENSORS.known().values() if sensor.kind == kind)
 
 
 def foreseeable() -> Mapping[str, type[Foreseeable]]:

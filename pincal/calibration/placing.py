@@ -1,0 +1,233 @@
+"""A calibrated robot at a new set-up: where instrument and targets stand, found from its rows.
+
+The robot's own parameters stay as they were calibrated; base frame, targets and what else the instrument has to be asked for
+are found anew. What belonged to another station (a drift, a scale) does not come along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_of
+from pincal.errors import BadInputError
+from pincal.identify.beliefs import bounds_of
+from pincal.identify.initial import place_arm
+from pincal.identify.noise import Noise
+from pincal.identify.normal import accumulate
+from pincal.identify.options import Options
+from pincal.identify.posterior import eliminate
+from pincal.identify.problem import Problem
+from pincal.identify.solve import Priors, Solution, solve
+from pincal.identify.station import Station
+from pincal.measure.admit import check_placeable
+from pincal.measure.measurements import Measurements
+from pincal.measure.registry import blocks_of
+from pincal.measure.sensor import Block
+from pincal.measure.setup import Setup
+from pincal.parameters import FRAME_SYMBOLS, Estimate
+from pincal.robot.se3 import placed as frame_at
+from pincal.robot.se3 import rotation_vectors
+from pincal.validate.misfit import Misfit, misfit
+
+# Rows that leave a reading elsewhere open by more than this many times its noise have not told where things stand.
+_UNTOLD = 100.0
+# Poses of the calibrated range in which this is looked at.
+_LOOKED_AT = 64
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How far things moved from one station to another.
+
+    Attributes:
+        instrument: how far its origin moved in the robot's base frame [m]; None where readings don't tell.
+        turned: by what angle it turned [rad]; likewise.
+        target: how far the targets that both have moved on the tool, the largest [m]; None if they have none in common.
+    """
+
+    instrument: float | None
+    turned: float | None
+    target: float | None
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A calibrated robot at a new station.
+
+    Attributes:
+        model: the calibrated model, which predicts in the frame of the new station's instrument.
+        station: that model over the station's rows.
+        solution: the fit of the station's own parameters.
+        moved: how far instrument and target are from where they were.
+        misfit: what is left, against what noise and the calibration's uncertainty allow.
+    """
+
+    model: CalibratedModel
+    station: Station
+    solution: Solution
+    moved: Moved
+    misfit: Misfit
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values of the station's parameters, shape (P,)."""
+        return self.model.values
+
+
+def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
+    """Find where instrument and targets of a new station stand; the robot stays as it was calibrated.
+
+    Args:
+        calibrated: the calibrated robot; of several stations, the first one tells how far things moved.
+        measurements: rows of the new station, with any instrument.
+
+    Returns:
+        The robot at the new station. Outliers are left out.
+
+    Raises:
+        BadInputError: if the rows are too few, or too much alike, to tell where things stand.
+
+    Example:
+        >>> from pincal import Chain, Conditions, Model, Options, Robot, calibrate, measurements_from_arrays
+        >>> robot = Robot.from_urdf("ur10")
+        >>> q = robot.random_configurations(40, np.random.default_rng(0))
+        >>> seen = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q))[:, :, 3]
+        >>> first, second = (measurements_from_arrays(robot.joint_names, q, position=seen + way) for way in (0.0, 0.5))
+        >>> found = place_station(calibrate(robot, first, Options(effects=())), second)
+        >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
+        (0.866025, True)
+    """
+    known = calibrated.robot_model()
+    setup = _setup_over(known.setup, measurements)
+    check_placeable(measurements, setup)
+    arm = known.with_effects(lambda effect: effect.scope == "robot")
+    x, y, z = map(float, known.payload_centre)
+    options = Options(payload_centre=(x, y, z), setup=setup)
+    station, start = place_arm(arm.model, arm.model_values, measurements, options=options)
+    problem = Problem((station,))
+    free = station.is_own.copy()
+    station.split(free)[1][:] = ~station.sensor.fixed
+    sigma = expected_noise(known, station.sensor.blocks, measurements)
+    priors = Priors(np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options))
+    solution = solve(problem, start, free, priors, Noise(tuple(map(float, sigma))))
+    of_arm = _of_arm(station, arm.estimate)
+    model = replace(
+        known,
+        model=station.model,
+        estimate=estimate_of(station.parameters, solution.values, _with_own(station, solution, of_arm)),
+        sensor_kind=measurements.kind,
+        sigma=sigma,
+        setup=setup,
+        nominal_values=None,
+    )
+    _refuse_untold(model, station, solution, source=measurements.source)
+    left = misfit(station, solution.values, covariance=of_arm, found=free, sigma=sigma, robust=_sound(solution))
+    return Placed(model, station, solution, moved(known, model), left)
+
+
+def _sound(solution: Solution) -> np.ndarray:
+    """Return 1 for rows that are no outliers, shape (N,)."""
+    return (solution.weights > 0.0).astype(float)
+
+
+def _setup_over(setup: Setup, measurements: Measurements) -> Setup:
+    """Return the setup with the points of a table alone: others, and what was found of them, belong to other stations."""
+    names = measurements.point_names
+    if names is None:
+        return replace(setup, points={})
+    return replace(setup, points={str(name): setup.points.get(str(name)) for name in np.unique(names)})
+
+
+def expected_noise(known: CalibratedModel, blocks: Sequence[Block], measurements: Measurements) -> np.ndarray:
+    """Return the standard deviation to expect of one component of each block of readings, shape (blocks,).
+
+    It is that of the calibration, whose residuals hold what its model leaves, too; of other readings in the same unit that
+    as well, and else what good instruments have. Rows that declare more have more.
+    """
+    if known.sensor_kind == measurements.kind:
+        found = np.array(known.sigma, float)
+    else:
+        by_unit = dict(zip((block.unit for block in blocks_of(known.sensor_kind)), known.sigma, strict=True))
+        found = np.array([by_unit.get(block.unit, block.noise) for block in blocks], float)
+    if measurements.sigma is not None:
+        declared = float(np.sqrt(np.mean(measurements.sigma**2)))
+        found = np.where([block.unit == "m" for block in blocks], np.maximum(found, declared), found)
+    return found
+
+
+def _of_arm(station: Station, arm: Estimate) -> np.ndarray:
+    """Return the covariance of a station's parameters, shape (P, P), as far as they are the arm's; zero for the others."""
+    names = [p.name for p, own in zip(station.parameters, station.is_own, strict=True) if not own]
+    covariance = np.zeros((len(station.parameters),) * 2)
+    covariance[np.ix_(~station.is_own, ~station.is_own)] = arm.take(names).dense_covariance()
+    return covariance
+
+
+def _with_own(station: Station, solution: Solution, of_arm: np.ndarray) -> np.ndarray:
+    r"""Return the covariance of all parameters, shape (P, P), if the station's own were found with the arm's held.
+
+    With K their covariance for a known arm, L how they follow it and C the arm's covariance: :math:`K + L C L^T`, and
+    :math:`-L C` with the arm's.
+    """
+    own, known = solution.free, np.diag(of_arm) > 0.0
+    free = own | known
+    G, g = accumulate(station, solution.values, free, solution.weights).at(solution.sigma)
+    sizes = np.array([parameter.size for parameter in station.parameters])
+    part = eliminate(G, g, own[free], sizes[free], solution.values[free])
+    C = of_arm[np.ix_(known, known)]
+    covariance = of_arm.copy()
+    covariance[np.ix_(own, own)] = part.alone.covariance + part.carried @ C @ part.carried.T
+    covariance[np.ix_(own, known)] = -part.carried @ C
+    covariance[np.ix_(known, own)] = covariance[np.ix_(own, known)].T
+    return covariance
+
+
+def _refuse_untold(model: CalibratedModel, station: Station, solution: Solution, *, source: str) -> None:
+    """Refuse rows that leave open where things stand: in other poses, the readings would be anywhere."""
+    if station.sensor.blocks[0].unit != "m":
+        return
+    rng, (lower, upper) = np.random.default_rng(0), model.covered.q.T
+    rows = station.select(np.resize(np.arange(len(station)), _LOOKED_AT))
+    there = replace(rows.conditions, q=rng.uniform(lower, upper, (len(rows), len(lower))))
+    size, K = station.sensor.blocks[0].size, solution.posterior.covariance
+    pieces = replace(rows, conditions=there).linearise(solution.values, solution.free)
+    worst = max(float(np.einsum("imn,ij,jmn->mn", J[:, :size], K, J[:, :size]).max()) for _, _, J in pieces) ** 0.5
+    if worst > _UNTOLD * solution.sigma[0]:
+        raise BadInputError(
+            f"{source}: {len(station)} rows leave the place of instrument and target open: in other poses of the robot by "
+            f"{1e3 * worst:.3g} mm; add rows in different poses and with the tool turned in different ways"
+        )
+
+
+def moved(before: CalibratedModel, after: CalibratedModel) -> Moved:
+    """Return how far instrument and targets are from where they were, for the same robot at two stations."""
+    both = set(before.estimate.names) & set(after.estimate.names)
+    instrument = turned = target = None
+    T_instrument_base = [_base(model) for model in (before, after)]
+    if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[:3]} <= both:
+        origins = [np.linalg.inv(T)[:3, 3] for T in T_instrument_base]
+        instrument = float(np.linalg.norm(origins[1] - origins[0]))
+    if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[3:]} <= both:
+        turn = T_instrument_base[1][:3, :3] @ T_instrument_base[0][:3, :3].T
+        turned = float(np.linalg.norm(rotation_vectors(turn[None])[0]))
+    targets = [model.model.chain.targets for model in (before, after)]
+    pairs = list(zip(*targets, strict=True)) if len(targets[0]) == len(targets[1]) == 1 else []
+    pairs = pairs or [(name, name) for name in targets[0] if name in targets[1]]
+    if pairs:
+        ways = [_coordinates(before, a)[:3] - _coordinates(after, b)[:3] for a, b in pairs]
+        target = float(np.linalg.norm(ways, axis=1).max())
+    return Moved(instrument, turned, target)
+
+
+def _base(model: CalibratedModel) -> np.ndarray:
+    """Return the frame of the robot's base in that of the instrument, shape (4, 4)."""
+    return frame_at(model.model.chain.base_rotation, _coordinates(model, "base"))
+
+
+def _coordinates(model: CalibratedModel, element: str) -> np.ndarray:
+    """Return the coordinates of a frame, shape (6,) [m, rad]; zero for those that the readings don't depend on."""
+    names = [f"{element}.{symbol}" for symbol in FRAME_SYMBOLS]
+    return np.array([model.estimate[name] if name in model.estimate.names else 0.0 for name in names])
