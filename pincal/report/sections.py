@@ -35,9 +35,10 @@ _TONES: dict[str, Tone] = {Judgement.ADEQUATE: "good", Judgement.NOT_JUDGED: "ca
 def summary(subject: Subject) -> Section:
     """Whether the model is good, what to do next, and the errors at a glance."""
     result, verdict = subject.result, verdict_of(subject.result, subject.discovery)
-    tag = rich(f'<span class="tag {_TONES.get(verdict.judgement, "bad")}">{{}}</span> {{}}', verdict.judgement, verdict)
+    tone = _TONES.get(verdict.judgement, "bad")
+    tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
     warnings = (paragraph(warning, "note") for warning in result.warnings)
-    steps = bullets(str(step) for step in next_steps(subject.calibration, subject.discovery))
+    steps = bullets(next_steps(subject.calibration, subject.discovery))
     left = group("plain", paragraph(_headline(subject)), paragraph(tag), *warnings)
     columns = group("split", left, group("plain", heading("What to do next"), steps))
     return Section("summary", "Summary", (columns, group("glance", *_glance(subject))), style="panel")
