@@ -23,7 +23,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
-from pincal.report.plots import effect_figure, shrinking_figure
+from pincal.report.plots.found import effect_figure, shrinking_figure
 
 HIDDEN = (
     "backlash_cobot",

@@ -10,19 +10,18 @@ from report_cases import HOSTILE, kuka_run
 
 from pincal import Robot
 from pincal.calibration.run import Calibration
-from pincal.report import plots
 from pincal.report.evidence import Evidence, evidence_of
-from pincal.report.plots import style
+from pincal.report.plots import errors, found, style
 from pincal.report.svg import inline_svg
 
 OF_EVIDENCE = {
-    "histogram": plots.histogram_figure,
-    "cumulative": plots.cumulative_figure,
-    "joint": lambda evidence: plots.joint_figure(evidence, 1),
-    "top": lambda evidence: plots.workspace_figure(evidence, "top"),
-    "side": lambda evidence: plots.workspace_figure(evidence, "side"),
-    "order": plots.order_figure,
-    "drift": plots.drift_figure,
+    "histogram": errors.histogram_figure,
+    "cumulative": errors.cumulative_figure,
+    "joint": lambda evidence: errors.joint_figure(evidence, 1),
+    "top": lambda evidence: errors.workspace_figure(evidence, "top"),
+    "side": lambda evidence: errors.workspace_figure(evidence, "side"),
+    "order": errors.order_figure,
+    "drift": errors.drift_figure,
 }
 
 
@@ -91,24 +90,24 @@ def test_exact_errors_are_drawn(evidence: Evidence) -> None:
 def test_time_takes_the_place_of_lines(evidence: Evidence) -> None:
     """Where times were recorded they are the axis, in hours."""
     timed = replace(evidence, time=60.0 * np.arange(len(evidence.line)))
-    assert "[h]" in plots.order_figure(timed).axes[0].get_xlabel()
-    assert plots.drift_figure(timed).axes[0].get_xlim()[1] == pytest.approx(79 / 60, abs=0.2)
+    assert "[h]" in errors.order_figure(timed).axes[0].get_xlabel()
+    assert errors.drift_figure(timed).axes[0].get_xlim()[1] == pytest.approx(79 / 60, abs=0.2)
 
 
 def test_corrections_are_those_of_identified_parameters(run: Calibration) -> None:
     """Lengths and angles that the data tell are drawn, the largest first; without any there is no figure."""
-    figure = plots.correction_figure(run.result.parameters, "m")
+    figure = found.correction_figure(run.result.parameters, "m")
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     told = {p.name for p in run.result.parameters if p.status == "identified" and p.unit == "m"}
     assert set(names) <= told
     with pytest.raises(ValueError, match="no identified parameter"):
-        plots.correction_figure([], "rad")
+        found.correction_figure([], "rad")
 
 
 def test_a_hostile_name_is_drawn_as_text(evidence: Evidence) -> None:
     """Mark-up, dollars and line ends in a name are neither mark-up nor mathematics."""
     names = (evidence.joint_names[0], HOSTILE, *evidence.joint_names[2:])
-    svg = inline_svg(plots.joint_figure(replace(evidence, joint_names=names), 1), key="k", title=HOSTILE)
+    svg = inline_svg(errors.joint_figure(replace(evidence, joint_names=names), 1), key="k", title=HOSTILE)
     assert "<script" not in svg and "<b " not in svg and "&lt;script&gt;" in svg
     assert "$x_1$" in style.plain("$x_1$").replace("\\", "")
 
@@ -118,7 +117,7 @@ def test_figures_in_one_page_share_no_identifier(evidence: Evidence) -> None:
     import re
 
     for key in ("f1", "f2"):
-        svg = inline_svg(plots.order_figure(evidence), key=key, title="order")
+        svg = inline_svg(errors.order_figure(evidence), key=key, title="order")
         found = re.findall(r' id="([^"]+)"', svg)
         assert found and all(name.startswith(f"{key}-") for name in found)
         assert set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg)) <= set(found)
@@ -126,13 +125,13 @@ def test_figures_in_one_page_share_no_identifier(evidence: Evidence) -> None:
 
 def test_the_same_figure_is_the_same_text(evidence: Evidence) -> None:
     """Drawn twice a figure is equal to the letter, so that a report is, too."""
-    first, second = (inline_svg(plots.cumulative_figure(evidence), key="k", title="t") for _ in range(2))
+    first, second = (inline_svg(errors.cumulative_figure(evidence), key="k", title="t") for _ in range(2))
     assert first == second
 
 
 def test_no_display_and_no_pyplot_is_touched() -> None:
     """Importing the figures imports no pyplot, whose state is everybody's."""
-    code = "import sys, pincal.report.plots; print('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, pincal.report.plots.errors, pincal.report.plots.found; print('matplotlib.pyplot' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"
 

@@ -57,7 +57,7 @@ def demo(arguments: DemoArguments) -> Exit:
     from pincal.identify.options import Options
     from pincal.io.strict_json import write_json
     from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions
-    from pincal.report.plots import deviation_figure
+    from pincal.report.plots.found import deviation_figure
     from pincal.robot.robot import Robot
     from pincal.simulate.hidden import hidden_effect
     from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS, PaperMachine

@@ -10,34 +10,10 @@ from matplotlib.figure import Figure
 
 from pincal.calibration.result import ParameterRow
 from pincal.discover.run import Discovery
-from pincal.report import plots
 from pincal.report.blocks import group, picture
 from pincal.report.evidence import Evidence
+from pincal.report.plots import errors, found
 from pincal.report.svg import inline_svg
-
-_HISTOGRAM = "Share of poses by size of error, on a logarithmic scale: the further left, the better."
-_CUMULATIVE = (
-    "Share of poses with a smaller error: solid lines held-out, dotted lines fitted poses. Where both coincide, new poses "
-    "will do as well as these. The dashed curve is what the noise of the instrument alone would leave."
-)
-_TOP = (
-    "The workspace from above, the robot at the origin; each cell shows the mean error of its poses, brighter is worse, on "
-    "the same scale before and after."
-)
-_SIDE = "The same from the side: distance from the robot's vertical axis, and height."
-_ORDER = "Each pose in the order of measurement, with the running median. A step or a slope means that something moved."
-_DRIFT = (
-    "Residuals after calibration, x, y, z in the instrument's frame, averaged over neighbouring poses; bars are two "
-    "standard deviations. If the bars include zero, nothing drifted."
-)
-_CORRECTION = (
-    "Calibrated minus nominal, largest first, with 95 % intervals. Filled: significantly different from nominal; open: no "
-    "significant correction."
-)
-_SHRINKING = (
-    "Error on poses used neither by the fit nor by the search, step by step from top to bottom. The vertical line marks the "
-    "noise of the instrument."
-)
 
 Drawing = tuple[Figure, str, str]
 """A figure, its title and its caption."""
@@ -55,49 +31,73 @@ def figures(key: str, drawings: Iterable[Drawing]) -> Markup:
 def error_drawings(readings: Iterable[Evidence]) -> Iterator[Drawing]:
     """Yield the distribution of errors, held-out and fitted, of each kind of reading."""
     for evidence in readings:
-        for held in (True, False):
+        for held, rows, use in ((True, "held-out", "not used"), (False, "fitted", "used")):
             if evidence.part(held=held).any():
-                rows = "held-out" if held else "fitted"
                 title = f"Histogram of {evidence.name} errors of {rows} poses before and after calibration"
-                caption = f"{_HISTOGRAM} These poses were {'not used by the fit' if held else 'used by the fit'}."
-                yield plots.histogram_figure(evidence, held=held), title, caption
-        yield plots.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", _CUMULATIVE
+                caption = (
+                    "Share of poses by size of error, on a logarithmic scale: the further left, the better. These poses "
+                    f"were {use} by the fit."
+                )
+                yield errors.histogram_figure(evidence, held=held), title, caption
+        caption = (
+            "Share of poses with a smaller error: solid lines held-out, dotted lines fitted poses. Where both coincide, new "
+            "poses will do as well as these. The dashed curve is what the noise of the instrument alone would leave."
+        )
+        yield errors.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", caption
 
 
 def joint_drawings(evidence: Evidence) -> Iterator[Drawing]:
     """Yield the error against the position of each joint."""
     for i, name in enumerate(evidence.joint_names):
         title = f"Error against the position of {name}, before and after calibration"
-        low, high = plots.median_range(evidence, i)
+        low, high = errors.median_range(evidence, i)
         caption = f"{name}: after calibration the median error varies from {low:.3g} to {high:.3g} {evidence.unit}."
-        yield plots.joint_figure(evidence, i), title, caption
+        yield errors.joint_figure(evidence, i), title, caption
 
 
 def workspace_drawings(evidence: Evidence) -> Iterator[Drawing]:
     """Yield the mean error over the workspace, from above and from the side."""
-    yield plots.workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", _TOP
-    yield plots.workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", _SIDE
+    caption = (
+        "The workspace from above, the robot at the origin; each cell shows the mean error of its poses, brighter is worse, "
+        "on the same scale before and after."
+    )
+    yield errors.workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", caption
+    caption = "The same from the side: distance from the robot's vertical axis, and height."
+    yield errors.workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", caption
 
 
 def order_drawings(evidence: Evidence) -> Iterator[Drawing]:
     """Yield the error and the mean residual in the order of measurement."""
-    yield plots.order_figure(evidence), "Error in the order of measurement", _ORDER
-    yield plots.drift_figure(evidence), "Mean residual in the order of measurement", _DRIFT
+    caption = "Each pose in the order of measurement, with the running median. A step or a slope means that something moved."
+    yield errors.order_figure(evidence), "Error in the order of measurement", caption
+    caption = (
+        "Residuals after calibration, x, y, z in the instrument's frame, averaged over neighbouring poses; bars are two "
+        "standard deviations. If the bars include zero, nothing drifted."
+    )
+    yield errors.drift_figure(evidence), "Mean residual in the order of measurement", caption
 
 
 def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]:
     """Yield the identified corrections, lengths and angles apart."""
+    caption = (
+        "Calibrated minus nominal, largest first, with 95 % intervals. Filled: significantly different from nominal; open: "
+        "no significant correction."
+    )
     for unit, what in (("m", "lengths"), ("rad", "angles")):
         with contextlib.suppress(ValueError):
-            yield plots.correction_figure(parameters, unit), f"Corrections of {what} with their uncertainty", _CORRECTION
+            yield found.correction_figure(parameters, unit), f"Corrections of {what} with their uncertainty", caption
 
 
 def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     """Yield the error step by step, and what each effect explains."""
     gaps = discovery.gaps
-    errors = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
-    figure = plots.shrinking_figure([gap.name for gap in gaps], errors, discovery.findings.noise_floor_mm)
-    yield figure, "Error on held-out rows after each step", _SHRINKING
+    sizes = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
+    caption = (
+        "Error on poses used neither by the fit nor by the search, step by step from top to bottom. The vertical line marks "
+        "the noise of the instrument."
+    )
+    figure = found.shrinking_figure([gap.name for gap in gaps], sizes, discovery.findings.noise_floor_mm)
+    yield figure, "Error on held-out rows after each step", caption
     for trace in discovery.traces:
         title = trace.title
         caption = (
@@ -105,4 +105,4 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
             "(below). Small dots are poses, dots with bars the mean of neighbouring poses, the line the fitted effect. In "
             "the lower panel the bars should include zero."
         )
-        yield plots.effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption
+        yield found.effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption

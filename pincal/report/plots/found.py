@@ -1,4 +1,4 @@
-"""What was found: corrections with their uncertainty, how the error shrinks step by step, what each effect explains."""
+"""What was found: how far models are from the truth, corrections, how the error shrinks, what each effect explains."""
 
 from __future__ import annotations
 
@@ -12,35 +12,66 @@ from matplotlib.figure import Figure
 from pincal.calibration.result import ParameterRow
 from pincal.discover.shrink import PartialResidual
 from pincal.parameters import FRAME_SYMBOLS
-from pincal.report.plots.style import (
-    AFTER,
-    BEFORE,
-    INK,
-    MUTED,
-    SMALL,
-    TEXT,
-    THIRD,
-    canvas,
-    dress,
-    legend,
-    log_axis,
-    plain,
-    thinned,
-)
+from pincal.report.plots import style
+from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, TEXT, dress, legend, log_axis, panel, plain, thinned
 from pincal.units import format_small, readable_unit, small_unit
 
 # Bins of a variable, and rows that a bin needs.
 _BINS, _FEWEST = 30, 4
 # A variable with no more values than this is a category.
 _CATEGORIES = 5
-# Height of one step, and letters of a name that fit beside it.
-_PER_STEP = 0.5  # [in]
-_LONGEST = 58
-# Height of a row of corrections and width of a letter [in].
-_PER_ROW, _LETTER = 0.22, 0.082
-# Parameters that are drawn at most, the largest corrections first, and letters of a name that are.
-_MOST, _LONGEST_PARAMETER = 24, 26
-_TITLES = {"m": "Lengths", "rad": "Angles"}
+# Height of one step, of a row of corrections, and width of a letter [in].
+_PER_STEP, _PER_ROW, _LETTER = 0.5, 0.22, 0.082
+# Parameters that are drawn at most, the largest corrections first.
+_MOST = 24
+# A logarithmic axis has no place for zero: deviations below rounding stand here [m].
+_SMALLEST = 1e-17
+
+
+def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
+    r"""Draw how far each model is from the truth, pose by pose: Fig. 6 of the paper.
+
+    Args:
+        series: name of a model -> shape (N,), distance between its prediction and the truth at each pose [m].
+
+    Returns:
+        One panel per model, side by side on one logarithmic axis [m], titled with name, mean and maximum.
+
+    Raises:
+        ValueError: if there is no series, or one has no poses.
+
+    Example:
+        >>> figure = deviation_figure({"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([1e-9, 2e-9])})
+        >>> [axes.get_title() for axes in figure.axes]
+        ['standard DH\nmean 2.00 mm, max 3.00 mm', 'DH,s,e\nmean 1.50e-09 m, max 2.00e-09 m']
+        >>> deviation_figure({})
+        Traceback (most recent call last):
+            ...
+        ValueError: no deviations to draw; expected at least one series of at least one pose
+    """
+    if not series or any(len(deviations) == 0 for deviations in series.values()):
+        raise ValueError("no deviations to draw; expected at least one series of at least one pose")
+    figure = Figure(figsize=(3.6 * len(series), 3.2), layout="constrained", dpi=150)
+    panels = figure.subplots(1, len(series), sharey=True, squeeze=False)[0]
+    for k, (axes, (name, deviations)) in enumerate(zip(panels, series.items(), strict=True)):
+        sizes = np.asarray(deviations, float)
+        shown, mean = np.maximum(sizes, _SMALLEST), max(float(sizes.mean()), _SMALLEST)
+        colour = style.COLOURS[k % len(style.COLOURS)]
+        axes.plot(range(1, len(sizes) + 1), shown, ".", color=colour, markersize=4, label=name)
+        axes.axhline(mean, color=INK, linewidth=1.0, linestyle="--")
+        axes.set_yscale("log")
+        axes.set_title(f"{plain(name)}\nmean {_length(sizes.mean())}, max {_length(sizes.max())}", fontsize=10)
+        axes.set_xlabel("pose")
+        axes.grid(visible=True, which="major", color=style.GRID, linewidth=0.6)
+    panels[0].set_ylabel("deviation [m]")
+    return figure
+
+
+def _length(metres: float) -> str:
+    """Write a length in the unit that suits it."""
+    if metres >= 1e-4:
+        return f"{metres * 1e3:.2f} mm"
+    return f"{metres * 1e6:.2f} µm" if metres >= 1e-8 else f"{metres:.2e} m"
 
 
 def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
@@ -55,20 +86,17 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
     drawn = [p for p in known if p.name.rsplit(".", 1)[1] not in FRAME_SYMBOLS]
     if not drawn:
         raise ValueError(f"no identified parameter in {unit} to draw")
-    (factor, name), title = readable_unit(unit), _TITLES[unit]
-    drawn.sort(key=lambda p: -abs(p.value - p.nominal))
-    drawn = drawn[:_MOST]
-    names = [plain(p.name, _LONGEST_PARAMETER) for p in reversed(drawn)]
-    figure = canvas(1.1 + _PER_ROW * len(drawn), left=0.3 + _LETTER * max(map(len, names)))
-    axes = figure.subplots()
+    factor, name = readable_unit(unit)
+    drawn = sorted(drawn, key=lambda p: -abs(p.value - p.nominal))[:_MOST][::-1]
+    names = [plain(p.name, 26) for p in drawn]
+    figure, axes = panel(1.1 + _PER_ROW * len(drawn), left=0.3 + _LETTER * max(map(len, names)))
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
-    for i, p in enumerate(reversed(drawn)):
+    for i, p in enumerate(drawn):
         change, half = (p.value - p.nominal) * factor, 1.96 * (p.sigma or 0.0) * factor
-        sure = abs(change) > half
-        axes.errorbar(change, i, xerr=half, fmt="o", color=AFTER if sure else MUTED, mfc=AFTER if sure else "none",
-                      markersize=4.5, elinewidth=1.4)  # fmt: skip
+        colour, face = (AFTER, AFTER) if abs(change) > half else (MUTED, "none")
+        axes.errorbar(change, i, xerr=half, fmt="o", color=colour, mfc=face, markersize=4.5, elinewidth=1.4)
     axes.set_ylim(-0.7, len(drawn) - 0.3)
-    dress(axes, x=f"calibrated minus nominal [{name}]", title=title)
+    dress(axes, x=f"calibrated minus nominal [{name}]", title={"m": "Lengths", "rad": "Angles"}[unit])
     axes.set_yticks(range(len(drawn)), names, fontsize=SMALL, color=INK)
     return figure
 
@@ -95,23 +123,18 @@ def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]]
     """
     if not names or any(len(values) != len(names) for values in errors.values()):
         raise ValueError("no models to draw; expected names and as many errors of each statistic")
-    low = min(floor, *(min(values) for values in errors.values()))
-    high = max(floor, *(max(values) for values in errors.values()))
-    figure = canvas(1.5 + _PER_STEP * len(names), left=0.25, top=0.7)
-    axes = figure.subplots()
-    steps = np.arange(len(names))[::-1]
-    spans = np.array([[min(v[i] for v in errors.values()), max(v[i] for v in errors.values())] for i in range(len(names))])
-    axes.hlines(steps, spans[:, 0], spans[:, 1], color=MUTED, linewidth=1.0)
+    sizes, steps = np.array(list(errors.values())), np.arange(len(names))[::-1]
+    figure, axes = panel(1.5 + _PER_STEP * len(names), left=0.25, top=0.7)
+    axes.hlines(steps, sizes.min(axis=0), sizes.max(axis=0), color=MUTED, linewidth=1.0)
     for k, (statistic, values) in enumerate(errors.items()):
-        axes.plot(values, steps, "osD"[k % 3], color=(AFTER, THIRD, BEFORE)[k % 3], markersize=6, label=statistic)
+        axes.plot(values, steps, "osD"[k % 3], color=(AFTER, style.THIRD, BEFORE)[k % 3], markersize=6, label=statistic)
     # Not through the names above.
     axes.vlines(np.full(len(names), floor), steps - 0.24, steps + 0.14, color=INK, linewidth=1.6, label="noise (rms)")
-    log_axis(axes, "x", 0.6 * low, 1.6 * high)
+    log_axis(axes, "x", 0.6 * min(floor, sizes.min()), 1.6 * max(floor, sizes.max()))
     # Names stand above their own line, where a phone has room for them.
     for step, name in zip(steps, names, strict=True):
-        axes.annotate(
-            plain(name, _LONGEST), (0.01, step + 0.26), xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK
-        )
+        where = (0.01, step + 0.26)
+        axes.annotate(plain(name, 58), where, xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK)
     axes.set_ylim(-0.5, len(names) - 0.25)
     dress(axes, x="held-out error [mm]")
     axes.set_yticks([])
@@ -131,7 +154,7 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
     """
     if len(trace.x) == 0:
         raise ValueError(f"no rows of {title} to draw; expected at least one")
-    figure = canvas(5.4, rows=2, left=0.84, top=0.92)
+    figure = style.canvas(5.4, rows=2, left=0.84, top=0.92)
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     factor, unit = small_unit(trace.error_unit)
     x, label = _axis(trace)
@@ -178,16 +201,11 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
     strength = np.clip(weights / np.quantile(weights, 0.9), 0.05, 1.0)
     for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
         rows = shown[(strength[shown] >= low) & (strength[shown] < high)]
-        dots: dict[str, Any] = {
-            "markersize": 3.6,
-            "markeredgewidth": 0.0,
-            "alpha": 0.25 + 0.25 * k,
-            "label": "one row" if k == 2 else None,
-        }
-        axes.plot((x + jitter)[rows], errors[rows], ".", color=MUTED, **dots)
+        look: dict[str, Any] = {"color": MUTED, "markersize": 3.6, "markeredgewidth": 0.0, "alpha": 0.25 + 0.25 * k}
+        axes.plot((x + jitter)[rows], errors[rows], ".", label="one row" if k == 2 else None, **look)
     centres, means, spreads = _binned(x, errors, weights)
-    style = {"color": INK, "markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9}
-    axes.errorbar(centres, means, spreads, fmt="o", label="mean of neighbouring rows", zorder=3, **style)  # type: ignore[arg-type]
+    look = {"color": INK, "markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9}
+    axes.errorbar(centres, means, spreads, fmt="o", label="mean of neighbouring rows", zorder=3, **look)
     axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=0)
     strong = errors[strength > 0.3] if np.any(strength > 0.3) else errors
     ends = np.concatenate([np.quantile(strong, [0.01, 0.99]), means - spreads, means + spreads])
@@ -202,12 +220,9 @@ def _binned(x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> tuple[np.
     else:
         edges = np.linspace(x.min(), x.max(), min(_BINS, max(len(x) // 8, 1)) + 1)
     place = np.clip(np.digitize(x, edges) - 1, 0, len(edges) - 2)
-    count = np.bincount(place, minlength=len(edges) - 1)
-    total = np.bincount(place, weights, len(edges) - 1)
-    full = (count >= _FEWEST) & (total > 0.0)
-    centres = np.bincount(place, weights * x, len(edges) - 1)[full] / total[full]
-    means = np.bincount(place, weights * errors, len(edges) - 1)[full] / total[full]
-    return centres, means, 1.0 / np.sqrt(total[full])
+    total, along, across = (np.bincount(place, sums) for sums in (weights, weights * x, weights * errors))
+    full = (np.bincount(place) >= _FEWEST) & (total > 0.0)
+    return along[full] / total[full], across[full] / total[full], 1.0 / np.sqrt(total[full])
 
 
 def _draw_effect(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
@@ -218,5 +233,5 @@ def _draw_effect(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
     near = np.diff(x) < 2e-3 * (np.ptp(x) or 1.0)
     is_function = np.quantile(np.abs(np.diff(y))[near], 0.9) < 0.1 * size if near.any() else True
     shown = thinned(len(x))
-    style = "-" if is_function else "."
-    axes.plot(x[shown], y[shown], style, color=AFTER, linewidth=1.8, markersize=2.5, label="fitted", zorder=4)
+    line = "-" if is_function else "."
+    axes.plot(x[shown], y[shown], line, color=AFTER, linewidth=1.8, markersize=2.5, label="fitted", zorder=4)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -38,6 +38,12 @@ def canvas(height: float = HEIGHT, *, rows: int = 1, left: float = _LEFT, top: f
         hspace=0.0 if rows == 1 else 0.28,
     )
     return figure
+
+
+def panel(height: float = HEIGHT, *, left: float = _LEFT, top: float = _TOP) -> tuple[Figure, Axes]:
+    """Return a :func:`canvas` with axes over all of it."""
+    figure = canvas(height, left=left, top=top)
+    return figure, figure.subplots()
 
 
 def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
@@ -77,21 +83,14 @@ def plain(text: str, longest: int = _LONGEST) -> str:
     return short.replace("$", r"\$")
 
 
-def log_axis(axes: Axes, which: str, low: float, high: float) -> None:
+def log_axis(axes: Axes, which: Literal["x", "y"], low: float, high: float) -> None:
     """Make an axis logarithmic from ``low`` to ``high`` with ticks at 1, 2, 5, written as plain numbers."""
     steps = (1.0, 2.0, 5.0) if high < 1500.0 * low else (1.0,)
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     ticks = np.array([step * decade for decade in decades for step in steps])
     ticks = ticks[(ticks >= low * 0.999) & (ticks <= high * 1.001)]
-    axis: Axis
-    if which == "x":
-        axes.set_xscale("log")
-        axes.set_xlim(low, high)
-        axis = axes.xaxis
-    else:
-        axes.set_yscale("log")
-        axes.set_ylim(low, high)
-        axis = axes.yaxis
+    axes.set(**{f"{which}scale": "log", f"{which}lim": (low, high)})
+    axis: Axis = axes.xaxis if which == "x" else axes.yaxis
     axis.set_major_locator(FixedLocator(ticks.tolist()))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(lambda value, _: f"{value:g}")
