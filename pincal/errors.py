@@ -6,7 +6,12 @@ The exit code of the command follows from the class.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from enum import IntEnum
+
+# Likeness of two names, 0 to 1, below which they have nothing to do with each other.
+_ALIKE = 0.5
 
 
 class Exit(IntEnum):
@@ -77,3 +82,19 @@ class AccuracyGateError(PincalError):
 
 class PincalWarning(UserWarning):
     """Something that the user should know but that does not stop the run."""
+
+
+def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Return the known names, those most like one of the wrong ones first, the others as they stand.
+
+    Example:
+        >>> nearest_first(["jont_2"], ["base", "joint_1", "joint_2"])
+        ['joint_2', 'joint_1', 'base']
+    """
+    folded = [name.casefold() for name in wrong]
+
+    def likeness(name: str) -> float:
+        best = max((difflib.SequenceMatcher(None, other, name.casefold()).ratio() for other in folded), default=0.0)
+        return best if best >= _ALIKE else 0.0
+
+    return sorted(dict.fromkeys(known), key=likeness, reverse=True)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
+from pincal.errors import MeasurementError, PincalWarning, nearest_first
 from pincal.measure.checks import check_table
-from pincal.measure.fields import nearest_first
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import sensor_like, sensor_of
 from pincal.measure.sensor import Excluded, Grouped

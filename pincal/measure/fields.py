@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,15 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rule:
-    """Which values are valid.
-
-    Attributes:
-        expected: what a value has to be, for messages.
-        is_met: takes an array, shape (N,) or (N, k), and returns which of its values are valid, in the same shape or (N,).
-    """
+    """Which values are valid."""
 
     expected: str
+    """What a value has to be, for messages."""
     is_met: Callable[[np.ndarray], np.ndarray]
+    """Says of an array, shape (N,) or (N, k), which of its values are valid, in the same shape or (N,)."""
 
 
 FINITE = Rule("a finite number", np.isfinite)
@@ -57,17 +53,8 @@ class Field:
 
 
 POINT = Field("point", ("point",), "name")
-CONDITIONS = {
-    field.name: field
-    for field in (
-        POINT,
-        Field("target", ("target",), "name"),
-        Field("payload", ("payload",), "mass"),
-        Field("temperature", ("temperature",), "temperature"),
-        Field("time", ("time",), "time"),
-        Field("station", ("station",), "name"),
-    )
-}
+_OF_A_POSE = {"target": "name", "payload": "mass", "temperature": "temperature", "time": "time", "station": "name"}
+CONDITIONS = {"point": POINT} | {name: Field(name, (name,), quantity) for name, quantity in _OF_A_POSE.items()}
 """What a table can say of a pose beside the readings."""
 
 SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)
@@ -99,13 +86,3 @@ class Table(Protocol):
 
     def array(self, name: str) -> np.ndarray:
         """Return the values of a field that the table has, shape (N,) or (N, k)."""
-
-
-def nearest_first(wrong: Sequence[str], known: Sequence[str]) -> list[str]:
-    """Return the known names, those most like one of the wrong ones first."""
-
-    def likeness(name: str) -> float:
-        pairs = [(other.casefold(), name.casefold()) for other in wrong]
-        return max(difflib.SequenceMatcher(None, *pair).ratio() for pair in pairs)
-
-    return sorted(known, key=likeness, reverse=True)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import MeasurementError
-from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field, nearest_first
+from pincal.errors import MeasurementError, nearest_first
+from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field
 from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensor import Sensor
 
@@ -22,8 +22,7 @@ _ARRAYS = ("q", "approach", "rows", *CONDITIONS, "sigma")
 class Measurements:
     """Measured poses of one robot, one row per measured pose; absent columns are None and all arrays are read-only.
 
-    What an instrument read is in ``readings``, by the names of the fields that its sensor declares; those of pincal's own
-    sensors are attributes as well.
+    The readings of pincal's own sensors are attributes as well.
 
     Example:
         >>> poses = measurements_from_arrays(["a", "b"], [[0.0, 1.0], [0.5, 1.0]], distance=[1.2, 1.3])
@@ -41,7 +40,7 @@ class Measurements:
     source: str
     """Name of the file, for messages."""
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """What the instrument read, by field: shape (N,) or (N, k) each, lengths in m."""
+    """What the instrument read, by the fields that its sensor declares: shape (N,) or (N, k) each, lengths in m."""
     point: np.ndarray | None = None
     """Name of the point of the calibration object, shape (N,)."""
     payload: np.ndarray | None = None
@@ -74,11 +73,11 @@ class Measurements:
     @property
     def sensor(self) -> type[Sensor] | None:
         """The class of the sensor that reads these columns; None where nothing was measured."""
-        return sensor_class(self._fields())
+        return sensor_class(self.columns())
 
     @property
     def kind(self) -> str:
-        """What was measured: the kind of the sensor, such as "position" or "pose"; "none" where nothing was."""
+        """What was measured, such as "position" or "pose"; "none" where nothing was."""
         return "none" if self.sensor is None else self.sensor.kind
 
     @property
@@ -146,9 +145,6 @@ class Measurements:
     def _present(self) -> dict[str, np.ndarray]:
         return {name: getattr(self, name) for name in _ARRAYS if getattr(self, name) is not None}
 
-    def _fields(self) -> frozenset[str]:
-        return frozenset((*self.readings, *(name for name in CONDITIONS if getattr(self, name) is not None)))
-
 
 def measurements_from_arrays(
     joint_names: Sequence[str],
@@ -162,45 +158,49 @@ def measurements_from_arrays(
     """Build measurements from arrays in SI units, which are checked and copied.
 
     Args:
-        joint_names: Names of the n joints, in the order of the columns of q.
-        q: Joint positions [rad], prismatic [m], shape (N, n).
-        rows: Line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
-        source: Name of the data for messages.
-        units: Units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: target, payload, temperature, time, station, approach, sigma, point and the fields of a sensor (position,
-            quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is absent.
+        joint_names: names of the n joints.
+        q: joint positions [rad], prismatic [m], shape (N, n).
+        rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
+        source: name of the data for messages.
+        units: units that were stated explicitly, by column name; an entry marks a column as intended.
+        **columns: target, payload, temperature, time, station, approach, sigma, point and the fields of a sensor
+            (position, quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is absent.
 
     Returns:
-        The measurements; target is "tool" (of a camera's readings "camera") in each row unless given, quaternions are
-        normalised.
+        The measurements; target is "tool" (of a camera's readings "camera") unless given, quaternions are normalised.
 
     Raises:
-        MeasurementError: Unknown column, wrong shape, value that can't be, or two kinds of measurement.
+        MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of measurement.
     """
     fields = known_fields()
     unknown = [name for name in columns if name != "approach" and name not in fields]
     if unknown:
         known = ", ".join(nearest_first(unknown, ["approach", *fields]))
         raise MeasurementError(f'{source}: unknown column "{unknown[0]}"; known columns: {known}')
-    names, arrays = tuple(joint_names), {}
-    for name, value in {"q": q, "rows": rows, **columns}.items():
-        if value is not None:
-            arrays[name] = _as_array(name, value, fields.get(name), source=source)
-    _check_shapes(names, arrays, fields, source=source)
+    names, given = tuple(joint_names), {"q": q, "rows": rows, **columns}
+    arrays = {
+        name: _as_array(name, value, fields.get(name), source=source) for name, value in given.items() if value is not None
+    }
+    if arrays["q"].ndim != 2 or arrays["q"].shape[1] != len(names):
+        raise MeasurementError(
+            f"{source}: q has shape {arrays['q'].shape}; expected (N, {len(names)}), one column per joint"
+        )
+    for name, array in arrays.items():
+        width = len(fields[name].columns) if name in fields else 1
+        one = arrays["q"].shape[:1] if width == 1 else (len(arrays["q"]), width)
+        expected = arrays["q"].shape if name in ("q", "approach") else one
+        if array.shape != expected:
+            raise MeasurementError(f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q')
     return validated(names, arrays, source=source, units=dict(units or {}))
 
 
 def concatenate(tables: Sequence[Measurements]) -> Measurements:
-    """Join tables of the same joints and columns, one below the other.
+    """Join at least one table of the same joints and columns; each keeps its own line numbers.
 
-    Args:
-        tables: At least one table; each keeps its own line numbers.
-
-    Returns:
-        All rows; the source names all files, units are those that all tables stated.
+    The source names all files, units are those that all tables stated.
 
     Raises:
-        MeasurementError: No table at all, other joints, or a column that only some tables have.
+        MeasurementError: for no table at all, other joints, or a column that only some tables have.
     """
     if not tables:
         raise MeasurementError("no table to join; expected at least one")
@@ -254,21 +254,6 @@ def _as_array(name: str, value: ArrayLike, known: Field | None, *, source: str) 
         return np.array(value, dtype=str if is_name else int if name == "rows" else float)
     except (TypeError, ValueError) as error:
         raise MeasurementError(f'{source}: "{name}" is not an array of {"names" if is_name else "numbers"}') from error
-
-
-def _check_shapes(
-    names: tuple[str, ...], arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field], *, source: str
-) -> None:
-    if arrays["q"].ndim != 2 or arrays["q"].shape[1] != len(names):
-        raise MeasurementError(
-            f"{source}: q has shape {arrays['q'].shape}; expected (N, {len(names)}), one column per joint"
-        )
-    for name, array in arrays.items():
-        width = len(fields[name].columns) if name in fields else 1
-        is_joint = name in ("q", "approach")
-        expected = (len(arrays["q"]), *([len(names)] if is_joint else [width] if width > 1 else []))
-        if array.shape != expected:
-            raise MeasurementError(f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q')
 
 
 def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.ndarray, *, source: str) -> None:

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.errors import MeasurementError
-from pincal.measure.fields import Field, nearest_first
+from pincal.errors import MeasurementError, nearest_first
+from pincal.measure.fields import Field
 from pincal.measure.sheet import Column, Sheet, open_sheet, read_cells
 
 if TYPE_CHECKING:

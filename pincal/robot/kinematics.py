@@ -44,10 +44,7 @@ class Kinematics:
         return cls(robot.frames.T_base_first, np.array(before), np.array(after), robot.joint_types)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
-        """Return the frames of all bodies in the base frame.
-
-        Args:
-            q: shape (N, n), joint positions [rad or m].
+        """Return the frames of all bodies in the base frame at joint positions [rad or m], shape (N, n).
 
         Returns:
             Shape (N, n + 1, 4, 4): the base's own, then the link frame S_i of what moves with joint i.

@@ -6,13 +6,12 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import PincalWarning, RobotFileError
+from pincal.errors import PincalWarning, RobotFileError, nearest_first
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf, plain_text, read_urdf
 
@@ -74,16 +73,15 @@ class Robot:
     ) -> Robot:
         """Load an arm from a URDF.
 
+        Joints off the path from base to tip are locked at their neutral position.
+
         Args:
             source: path of a URDF, the name of a robot of example-robot-data ("ur10"), or the URDF's text as bytes.
-            tip: link at the end of the arm; unless given, the end of the chain of ``joints``, or of the longest
-                moving chain without its gripper.
-            base: link at its start; unless given, the root of the URDF, or the parent of the first of ``joints`` where
-                other moving joints stand before it.
+            tip: link at the end of the arm; default: the end of the chain of ``joints``, or of the longest moving chain
+                without its gripper.
+            base: link at its start; default: the root of the URDF, or the parent of the first of ``joints`` where other
+                moving joints stand before it.
             joints: names of the joints that the arm consists of (the columns of a table of measurements).
-
-        Returns:
-            The arm, joints off the path from base to tip locked at their neutral position.
 
         Raises:
             RobotFileError: if the URDF can't be read, is no tree, lacks a link or has no moving joint on the path.
@@ -113,22 +111,12 @@ class Robot:
     def reach(self) -> float:
         """Length of the arm stretched out [m]: an upper bound on the distance from S_0 to the tip."""
         s = self.frames.parameters
-        travel = [
-            max(abs(lo), abs(hi)) if kind == "prismatic" and np.isfinite([lo, hi]).all() else 0.0
-            for kind, lo, hi in zip(self.joint_types, self.lower, self.upper, strict=True)
-        ]
-        tip = np.linalg.norm(self.frames.T_last_tip[:3, 3])
-        return float(np.hypot(s[:, 3], s[:, 4]).sum() + tip + sum(travel))
+        farthest = np.maximum(np.abs(self.lower), np.abs(self.upper))
+        travel = [far for far, kind in zip(farthest, self.joint_types, strict=True) if kind == "prismatic" and far < np.inf]
+        return float(np.hypot(s[:, 3], s[:, 4]).sum() + np.linalg.norm(self.frames.T_last_tip[:3, 3]) + sum(travel))
 
     def forward_kinematics(self, q: np.ndarray) -> np.ndarray:
-        """Return the nominal tip in the base frame by Pinocchio, pose by pose.
-
-        Args:
-            q: shape (N, n), joint positions [rad or m].
-
-        Returns:
-            Shape (N, 4, 4).
-        """
+        """Return the nominal tip in the base frame by Pinocchio, shape (N, 4, 4), for ``q`` [rad or m], shape (N, n)."""
         import pinocchio as pin
 
         model = self.pinocchio_model()
@@ -157,10 +145,10 @@ class Robot:
         return out
 
     def joint_range(self, span: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """Return least and largest joint positions, shape (n_joints,) each [rad or m]; +-pi where there are no limits.
+        """Return the ends of a part ``span`` of the joints' ranges, about their middles; +-pi where there are no limits.
 
-        Args:
-            span: part of the range, about its middle.
+        Returns:
+            Least and largest positions, shape (n_joints,) each [rad or m].
         """
         lower = np.where(np.isfinite(self.lower), self.lower, -np.pi)
         upper = np.where(np.isfinite(self.upper), self.upper, np.pi)
@@ -187,10 +175,9 @@ def find_file(source: str | os.PathLike[str]) -> Path:
 
     loaders = robots_loader.ROBOTS
     if path.name not in loaders:
-        near = get_close_matches(path.name, loaders, n=5, cutoff=0.4) or sorted(loaders)[:12]
         raise RobotFileError(
             f"{path.name!r} is neither a file nor a robot of example-robot-data; "
-            f"expected a path to a URDF or a name like {', '.join(near)}"
+            f"expected a path to a URDF or a name like {', '.join(nearest_first([path.name], sorted(loaders))[:12])}"
         )
     loader: Any = loaders[path.name]
     if not loader.urdf_filename:
@@ -211,36 +198,28 @@ def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str
 def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
     path = tree.path(base, tip)
     for joint in path:
+        problem = ""
         if joint.mimic is not None:
-            raise RobotFileError(
-                f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r} mimics {joint.mimic!r}; "
-                "an arm needs joints of its own: choose another base or tip"
-            )
-        if joint.kind not in (*MOVING_TYPES, "fixed"):
-            raise RobotFileError(
-                f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r} is {joint.kind}; "
-                "expected revolute, continuous, prismatic or fixed joints: choose another base or tip"
-            )
+            problem = f"mimics {joint.mimic!r}; an arm needs joints of its own"
+        elif joint.kind not in (*MOVING_TYPES, "fixed"):
+            problem = f"is {joint.kind}; expected revolute, continuous, prismatic or fixed joints"
+        if problem:
+            where = f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r}"
+            raise RobotFileError(f"{where} {problem}: choose another base or tip")
     moving = tuple(joint for joint in path if joint.kind in MOVING_TYPES)
     if not moving:
         raise RobotFileError(f"{tree.source}: no moving joint between {base!r} and {tip!r}; choose another tip")
     return moving
 
 
-def _full_model(urdf: bytes, source: str) -> pin.Model:
-    """Build the whole tree from text of any encoding; what Pinocchio can't read is passed on in words."""
+def _reduced_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
+    """Build the model from text of any encoding; what Pinocchio can't do with it is passed on in words."""
     import pinocchio as pin
 
     try:
-        return pin.buildModelFromXML(plain_text(urdf, source))
+        model = pin.buildModelFromXML(plain_text(urdf, source))
     except (ValueError, RuntimeError) as error:
         raise RobotFileError(f"{source}: Pinocchio can't read this URDF: {error}") from None
-
-
-def _reduced_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
-    import pinocchio as pin
-
-    model = _full_model(urdf, source)
     locked = [model.getJointId(name) for name in model.names[1:] if name not in joint_names]
     try:
         return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
@@ -265,25 +244,24 @@ def _build(cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: 
     T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
     levers = np.array([model.inertias[i].lever for i in ids])
     centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
-    limits = [
-        (model.lowerPositionLimit[model.joints[i].idx_q], model.upperPositionLimit[model.joints[i].idx_q]) for i in ids
-    ]
-    bounded = [
-        joint.kind != "continuous" and hi > lo and hi - lo < _NO_LIMIT for joint, (lo, hi) in zip(path, limits, strict=True)
-    ]
+    places = [model.joints[i].idx_q for i in ids]
+    lower, upper = model.lowerPositionLimit[places], model.upperPositionLimit[places]
+    turns = np.array([joint.kind == "continuous" for joint in path])
+    bounded = ~turns & (upper > lower) & (upper - lower < _NO_LIMIT)
+    masses = np.array([model.inertias[i].mass for i in ids])
     return cls(
         name=tree.name,
         joint_names=names,
         joint_types=tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path),
-        lower=np.where(bounded, [lo for lo, _ in limits], -np.inf),
-        upper=np.where(bounded, [hi for _, hi in limits], np.inf),
+        lower=np.where(bounded, lower, -np.inf),
+        upper=np.where(bounded, upper, np.inf),
         base=base,
         tip=tip,
         frames=frames,
         T_link_joint=T_link_joint,
-        masses=np.array([model.inertias[i].mass for i in ids]),
+        masses=masses,
         centres=centres,
-        massless=tuple(joint.child for joint, i in zip(path, ids, strict=True) if model.inertias[i].mass <= 0.0),
+        massless=tuple(joint.child for joint, mass in zip(path, masses, strict=True) if mass <= 0.0),
         gravity=T_base_world.rotation @ model.gravity.linear,
         notes=_locked_notes(tree, names, base, tip),
         urdf=tree.text,

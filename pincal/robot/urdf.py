@@ -6,14 +6,13 @@ import os
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from lxml import etree
 
-from pincal.errors import RobotFileError
+from pincal.errors import RobotFileError, nearest_first
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 _UNSUPPORTED_TYPES = ("planar", "floating")
@@ -87,11 +86,8 @@ class UrdfTree:
         else:
             wanted = self._chain_of(chains, set(joint_names))
         ends = [link for link in chains if chains[link] == wanted]
-        for name in _TIP_NAMES:
-            for link in ends:
-                if link == name or link.endswith("_" + name):
-                    return link
-        return ends[-1]
+        named = (link for name in _TIP_NAMES for link in ends if link == name or link.endswith("_" + name))
+        return next(named, ends[-1])
 
     def _moving_chains(self) -> dict[str, tuple[str, ...]]:
         """Return, for each link that no mimic joint moves, the moving joints from the root to it."""
@@ -105,14 +101,10 @@ class UrdfTree:
     def _without_gripper(self, chains: dict[str, tuple[str, ...]], chain: tuple[str, ...]) -> tuple[str, ...]:
         """Cut the fingers off: at most two joints that hang on a link beside other moving joints."""
         by_name = {joint.name: joint for joint in self.joints}
+        # Behind which joints each moving joint hangs.
+        hangs = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES]
         for cut in range(max(len(chain) - 2, 1), len(chain)):
-            parent = chains[by_name[chain[cut]].parent]
-            beside = [
-                joint
-                for joint in self.joints
-                if joint.kind in MOVING_TYPES and joint.name != chain[cut] and chains.get(joint.parent) == parent
-            ]
-            if beside:
+            if hangs.count(chains[by_name[chain[cut]].parent]) > 1:
                 return chain[:cut]
         return chain
 
@@ -145,14 +137,13 @@ def parse_xml(text: bytes, source: str) -> Any:
     return root
 
 
+def plain_text(text: bytes, source: str) -> str:
+    """Return the XML as text without a declaration of its encoding, for readers that know only one."""
+    return str(etree.tostring(parse_xml(text, source), encoding="unicode"))
+
+
 def read_urdf(path: str | os.PathLike[str]) -> UrdfTree:
     """Read and check a URDF file.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The checked tree.
 
     Raises:
         RobotFileError: if the file can't be read, is not XML, or is not a tree of links with finite numbers.
@@ -170,128 +161,99 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     root = parse_xml(text, source)
     links = tuple(_attribute(link, "name", source) for link in root.iterfind("link"))
     joints = tuple(_read_joint(element, source) for element in root.iterfind("joint"))
-    _check_unique(links, "link", source)
-    _check_unique([joint.name for joint in joints], "joint", source)
-    if _RESERVED in (*links, *(joint.name for joint in joints)):
-        raise RobotFileError(f"{source}: {_RESERVED!r} names a link or joint, but means the world to Pinocchio; rename it")
+    for what, names in (("link", links), ("joint", tuple(joint.name for joint in joints))):
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise RobotFileError(f"{source}: {what} {twice[0]!r} is defined more than once; rename or remove one")
+        if _RESERVED in names:
+            raise RobotFileError(f"{source}: {_RESERVED!r} names a {what}, but means the world to Pinocchio; rename it")
     if not root.get("name"):
-        raise RobotFileError(f'{source}:{root.sourceline}: <robot> has no name; expected <robot name="...">')
-    _check_numbers(root, source)
+        raise _fault(root, source, '<robot> has no name; expected <robot name="...">')
+    for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
+        _numbers(element, "xyz", source)
+        _numbers(element, "rpy", source)
     _check_masses(root, source)
     return UrdfTree(text, root.get("name", "robot"), source, links, joints, _find_root(links, joints, source))
 
 
-def plain_text(text: bytes, source: str) -> str:
-    """Return the XML as text without a declaration of its encoding, for readers that know only one."""
-    return str(etree.tostring(parse_xml(text, source), encoding="unicode"))
+def _fault(element: Any, source: str, text: str) -> RobotFileError:
+    return RobotFileError(f"{source}:{element.sourceline}: {text}")
 
 
 def _read_joint(element: Any, source: str) -> UrdfJoint:
-    name = _attribute(element, "name", source)
-    kind = _attribute(element, "type", source)
+    name, kind = _attribute(element, "name", source), _attribute(element, "type", source)
     if kind not in (*MOVING_TYPES, *_UNSUPPORTED_TYPES, "fixed"):
         expected = ", ".join((*MOVING_TYPES, "fixed"))
-        raise RobotFileError(f"{source}:{element.sourceline}: joint {name!r} has type {kind!r}; expected {expected}")
+        raise _fault(element, source, f"joint {name!r} has type {kind!r}; expected {expected}")
     ends = []
     for role in ("parent", "child"):
         end = element.find(role)
         if end is None or not end.get("link"):
-            raise RobotFileError(f"{source}:{element.sourceline}: joint {name!r} names no {role} link")
+            raise _fault(element, source, f"joint {name!r} names no {role} link")
         ends.append(end.get("link"))
-    _check_axis(element, name, kind, source)
+    axis, mimic = element.find("axis"), element.find("mimic")
+    if kind in MOVING_TYPES and axis is not None:
+        with np.errstate(over="ignore"):
+            length = float(np.linalg.norm(_numbers(axis, "xyz", source)))
+        if not _AXIS_LENGTHS[0] < length < _AXIS_LENGTHS[1]:
+            what = "a zero axis" if length == 0.0 else f"an axis of length {length:.1e}"
+            raise _fault(axis, source, f"joint {name!r} has {what}; expected a direction of length 1")
     _check_limit(element, name, kind, source)
-    mimic = element.find("mimic")
     return UrdfJoint(name, kind, ends[0], ends[1], None if mimic is None else mimic.get("joint", ""))
-
-
-def _check_axis(element: Any, name: str, kind: str, source: str) -> None:
-    axis = element.find("axis")
-    if kind not in MOVING_TYPES or axis is None:
-        return
-    with np.errstate(over="ignore"):
-        length = float(np.linalg.norm(_numbers(axis, "xyz", source)))
-    if not _AXIS_LENGTHS[0] < length < _AXIS_LENGTHS[1]:
-        what = "a zero axis" if length == 0.0 else f"an axis of length {length:.1e}"
-        raise RobotFileError(f"{source}:{axis.sourceline}: joint {name!r} has {what}; expected a direction of length 1")
 
 
 def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
     """URDF asks for limits of revolute and prismatic joints, and readers refuse a file without."""
     limit = element.find("limit")
-    if limit is None:
-        if kind in ("revolute", "prismatic"):
-            raise RobotFileError(
-                f"{source}:{element.sourceline}: joint {name!r} is {kind} and has no <limit>; "
-                "add <limit lower upper effort velocity>, or make it continuous"
-            )
-        return
-    for key, text in limit.items():
-        try:
-            float(text)
-        except ValueError:
-            raise RobotFileError(
-                f"{source}:{limit.sourceline}: joint {name!r} has <limit {key}={text!r}>; expected a number"
-            ) from None
+    if limit is None and kind in ("revolute", "prismatic"):
+        hint = "add <limit lower upper effort velocity>, or make it continuous"
+        raise _fault(element, source, f"joint {name!r} is {kind} and has no <limit>; {hint}")
+    for key, text in () if limit is None else limit.items():
+        if _number(text) is None:
+            raise _fault(limit, source, f"joint {name!r} has <limit {key}={text!r}>; expected a number")
 
 
 def _attribute(element: Any, key: str, source: str) -> str:
     value = element.get(key)
     if not value:
-        raise RobotFileError(f"{source}:{element.sourceline}: <{element.tag}> without {key!r}; expected a text")
+        raise _fault(element, source, f"<{element.tag}> without {key!r}; expected a text")
     return str(value)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _numbers(element: Any, key: str, source: str) -> np.ndarray:
     text = element.get(key)
     if text is None:
         return np.array([1.0, 0.0, 0.0]) if element.tag == "axis" else np.zeros(3)
-    try:
-        values = np.array([float(word) for word in text.split()])
-    except ValueError:
-        values = np.array([np.nan])
+    values = np.array([_number(word) for word in text.split()], float)
     if values.shape != (3,) or not np.isfinite(values).all():
-        raise RobotFileError(f"{source}:{element.sourceline}: <{element.tag} {key}={text!r}>; expected three finite numbers")
+        raise _fault(element, source, f"<{element.tag} {key}={text!r}>; expected three finite numbers")
     return values
-
-
-def _check_unique(names: Iterable[str], what: str, source: str) -> None:
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise RobotFileError(f"{source}: {what} {twice[0]!r} is defined more than once; rename or remove one")
-
-
-def _check_numbers(root: Any, source: str) -> None:
-    for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
-        _numbers(element, "xyz", source)
-        _numbers(element, "rpy", source)
 
 
 def _check_masses(root: Any, source: str) -> None:
     for element in root.iterfind("link/inertial/mass"):
-        link = element.getparent().getparent().get("name")
-        try:
-            mass = float(element.get("value", "nan"))
-        except ValueError:
-            mass = float("nan")
-        if not np.isfinite(mass) or mass < 0.0:
-            raise RobotFileError(
-                f"{source}:{element.sourceline}: link {link!r} has mass {element.get('value')!r}; "
-                "expected a number of kg that is not negative"
-            )
+        link, text = element.getparent().getparent().get("name"), element.get("value")
+        mass = _number(text or "")
+        if mass is None or not 0.0 <= mass < np.inf:
+            raise _fault(element, source, f"link {link!r} has mass {text!r}; expected a number of kg that is not negative")
         if element.getparent().find("inertia") is None:
-            raise RobotFileError(
-                f"{source}:{element.sourceline}: link {link!r} has a mass but no <inertia>, so URDF readers drop the mass; "
-                "add one, of zeros if it is not known"
-            )
+            hint = "so URDF readers drop the mass; add one, of zeros if it is not known"
+            raise _fault(element, source, f"link {link!r} has a mass but no <inertia>, {hint}")
 
 
 def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) -> str:
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
-                raise RobotFileError(
-                    f"{source}: joint {joint.name!r} names the unknown link {link!r}; {_known(link, links)}"
-                )
+                text = f"joint {joint.name!r} names the unknown link {link!r}; {_known(link, links)}"
+                raise RobotFileError(f"{source}: {text}")
     children = Counter(joint.child for joint in joints)
     closed = [link for link, count in children.items() if count > 1]
     if closed:
@@ -310,19 +272,15 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
 
 
 def _in_tree_order(root: str, joints: tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
-    below: dict[str, list[UrdfJoint]] = {}
-    for joint in joints:
-        below.setdefault(joint.parent, []).append(joint)
     order: list[UrdfJoint] = []
     open_links = [root]
     while open_links:
-        for joint in below.get(open_links.pop(), []):
-            order.append(joint)
-            open_links.append(joint.child)
+        link = open_links.pop()
+        below = [joint for joint in joints if joint.parent == link]
+        order += below
+        open_links += [joint.child for joint in below]
     return order
 
 
 def _known(name: str, known: Iterable[str]) -> str:
-    names = list(known)
-    near = get_close_matches(name, names, n=3, cutoff=0.5)
-    return f"known ones: {', '.join(near + [n for n in names if n not in near][:12])}"
+    return f"known ones: {', '.join(nearest_first([name], known)[:12])}"

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from difflib import get_close_matches
-
 import numpy as np
 
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
 from pincal.model.conditions import COLUMN_UNITS, Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Effect, Family
@@ -123,8 +120,8 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
     judged.sort(key=lambda pair: bool(pair[1]))
     likes = [(candidate.effect, reason) for candidate, reason in judged if candidate.effect.name == name]
     if not likes:
-        known = [candidate.effect.name for candidate, _ in judged]
-        raise BadInputError(f"effect {text!r}: unknown; expected one of {_listed(name, known)}")
+        known = nearest_first([name], [candidate.effect.name for candidate, _ in judged])
+        raise BadInputError(f"effect {text!r}: unknown; expected one of {', '.join(known)}")
     likes = _at(text, joint, likes)
     likes = [(effect, reason) for effect, reason in likes if all(_says(effect, k, v) for k, v in keys.items())]
     if not likes:
@@ -159,12 +156,12 @@ def _says(effect: Effect, key: str, value: str) -> bool:
 def _at(text: str, joint: str | None, likes: list[tuple[Effect, str]]) -> list[tuple[Effect, str]]:
     """Return those of some effects that act on a joint, or on the whole arm."""
     everywhere = [effect.locus.joint for effect, _ in likes]
-    joints = list(dict.fromkeys(place for place in everywhere if place is not None))
+    joints = nearest_first([joint or ""], [place for place in everywhere if place is not None])
     if joint is None and joints and None not in everywhere:
         name = likes[0][0].name
-        raise BadInputError(f"effect {text!r}: names no joint; expected {name}:JOINT, one of {_listed('', joints)}")
+        raise BadInputError(f"effect {text!r}: names no joint; expected {name}:JOINT, one of {', '.join(joints)}")
     if joint is not None and joint not in joints:
-        where = f"expected one of {_listed(joint, joints)}" if joints else "it acts on the whole arm, leave out the joint"
+        where = f"expected one of {', '.join(joints)}" if joints else "it acts on the whole arm, leave out the joint"
         raise BadInputError(f"effect {text!r}: not on {joint!r}; {where}")
     return [(effect, reason) for effect, reason in likes if effect.locus.joint == joint]
 
@@ -174,9 +171,3 @@ def _pair(text: str, pair: str) -> tuple[str, str]:
     if not (key and equals and value):
         raise BadInputError(f"effect {text!r}: {pair!r}; expected KEY=VALUE, such as order=2")
     return key, value
-
-
-def _listed(name: str, known: Iterable[str]) -> str:
-    names = list(dict.fromkeys(known))
-    near = get_close_matches(name, names, n=1, cutoff=0.7)
-    return ", ".join([*near, *(other for other in names if other not in near)])

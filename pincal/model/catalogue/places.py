@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 import numpy as np
 
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Term
@@ -33,9 +32,7 @@ def joint_index(chain: Chain, joint: str) -> int:
     """
     names = chain.robot.joint_names
     if joint not in names:
-        near = get_close_matches(joint, names, n=3)
-        listed = ", ".join(near + [name for name in names if name not in near])
-        raise BadInputError(f"joint {joint!r}: not on this arm; expected one of {listed}")
+        raise BadInputError(f"joint {joint!r}: not on this arm; expected one of {', '.join(nearest_first([joint], names))}")
     return names.index(joint)
 
 
