@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -58,9 +58,9 @@ class Conditions:
         return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
 
     def column(self, name: str) -> np.ndarray | None:
-        """Return a recorded column: "approach", shape (N, n), "payload", "temperature" or "time", shape (N,), or None."""
-        columns = {"approach": self.approach, "payload": self.payload, "temperature": self.temperature, "time": self.time}
-        return columns[name]
+        """Return a recorded column of ``COLUMN_UNITS``, shape (N, n) or (N,), or None."""
+        found: np.ndarray | None = getattr(self, name)
+        return found
 
 
 def varies(column: np.ndarray | None) -> bool:
@@ -113,7 +113,7 @@ class Situation:
 
     chain: Chain
     conditions: Conditions
-    compliances: tuple[float, ...] = field(default=())
+    compliances: tuple[float, ...] = ()
 
     @cached_property
     def moments(self) -> np.ndarray:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import ClassVar, NamedTuple
 
@@ -86,18 +86,6 @@ class Locus:
         return self.follows if is_joint and self.follows != self.joint else None
 
 
-class Identity(NamedTuple):
-    """What makes two effects the same, whatever their resolution and their other settings."""
-
-    name: str
-    joint: str | None
-    acts_on: str
-    follows: str | None
-    order: int | None
-    frame: str | None
-    shape: str | None
-
-
 class Effect(ABC):
     """A physical cause of deviations from the nominal robot.
 
@@ -148,10 +136,9 @@ class Effect(ABC):
         return tuple(column for column in self.needs if not varies(conditions.column(column)))
 
     @property
-    def identity(self) -> Identity:
+    def identity(self) -> tuple[str, Locus]:
         """What tells it from other effects: two effects of one identity are variants of each other."""
-        at = self.locus
-        return Identity(self.name, at.joint, at.acts_on, at.follows, at.order, at.frame, at.shape)
+        return self.name, replace(self.locus, place=None, span=None)
 
     @property
     def is_nameless(self) -> bool:

@@ -5,9 +5,10 @@ The catalogue (:mod:`pincal.model.catalogue`) holds what a discovery looks for b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from abc import abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -39,107 +40,93 @@ LENGTH_SIZE = 3e-3
 BENDING_SIZE = 1e-3
 
 
-def _constants(name: str, chain: Chain, joints: Iterable[int], symbols: dict[str, float]) -> tuple[Parameter, ...]:
-    """Parameters that shift one coordinate each by a constant."""
-    return tuple(
-        Parameter(
-            name=f"{chain.robot.joint_names[i]}.{symbol}",
-            unit="m" if symbol in "da" else "rad",
-            effect=name,
-            nominal=float(chain.nominal[chain.joint(i, symbol)]),
-            size=size,
+class _Geometry(Effect):
+    """Constants that are added to coordinates of every joint."""
+
+    family: ClassVar[Family] = Family.GEOMETRY
+
+    @staticmethod
+    @abstractmethod
+    def _symbols(is_prismatic: bool) -> dict[str, float]:
+        """Return the typical size of the constant of each coordinate of a joint [rad or m]."""
+
+    @final
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """The coordinates of each joint that deviate [rad or m]."""
+        return tuple(
+            Parameter(
+                name=f"{chain.robot.joint_names[i]}.{symbol}",
+                unit="m" if symbol in "da" else "rad",
+                effect=self.name,
+                nominal=float(chain.nominal[chain.joint(i, symbol)]),
+                size=size,
+            )
+            for i, symbol, size in self._places(chain)
         )
-        for i in joints
-        for symbol, size in symbols.items()
-    )
 
+    @final
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add constants."""
+        return tuple(Term(p, chain.joint(i, symbol)) for p, (i, symbol, _) in enumerate(self._places(chain)))
 
-def _constant_terms(chain: Chain, joints: Iterable[int], symbols: Iterable[str]) -> tuple[Term, ...]:
-    names = list(symbols)
-    places = [(i, symbol) for i in joints for symbol in names]
-    return tuple(Term(p, chain.joint(i, symbol)) for p, (i, symbol) in enumerate(places))
+    def _places(self, chain: Chain) -> Iterator[tuple[int, str, float]]:
+        for i, kind in enumerate(chain.robot.joint_types):
+            yield from ((i, symbol, size) for symbol, size in self._symbols(kind == "prismatic").items())
 
 
 @dataclass(frozen=True)
-class JointOffset(Effect):
+class JointOffset(_Geometry):
     """The zero of each joint is off by a constant (paper: theta_i; d_i of a prismatic joint)."""
 
     name: ClassVar[str] = "joint_offset"
     meaning: ClassVar[str] = "the zero of a joint's scale is off"
-    family: ClassVar[Family] = Family.GEOMETRY
 
     @property
     def locus(self) -> Locus:
         """The drives of all joints."""
         return Locus(acts_on="drive")
 
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One offset a joint, named theta (d for a prismatic joint)."""
-        found: tuple[Parameter, ...] = ()
-        for i in range(chain.robot.n_joints):
-            prismatic = chain.robot.joint_types[i] == "prismatic"
-            symbols = {"d": LENGTH_SIZE} if prismatic else {"theta": ANGLE_SIZE}
-            found += _constants(self.name, chain, [i], symbols)
-        return found
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add to the coordinate that the joint drives."""
-        return tuple(Term(i, int(k)) for i, k in enumerate(chain.drives))
+    @staticmethod
+    def _symbols(is_prismatic: bool) -> dict[str, float]:
+        return {"d": LENGTH_SIZE} if is_prismatic else {"theta": ANGLE_SIZE}
 
 
 @dataclass(frozen=True)
-class LinkGeometry(Effect):
-    """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1))."""
+class LinkGeometry(_Geometry):
+    """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1)).
+
+    A prismatic joint has theta in place of d, which is its joint offset.
+    """
 
     name: ClassVar[str] = "link_geometry"
     meaning: ClassVar[str] = "lengths and angles of the links differ from the drawing"
-    family: ClassVar[Family] = Family.GEOMETRY
 
     @property
     def locus(self) -> Locus:
         """All links."""
         return Locus(acts_on="link")
 
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """d, a, alpha of each joint; theta in place of d for a prismatic joint, whose d is its joint offset."""
-        found: tuple[Parameter, ...] = ()
-        for i in range(chain.robot.n_joints):
-            found += _constants(self.name, chain, [i], self._symbols(chain, i))
-        return found
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add constants."""
-        places = [(i, symbol) for i in range(chain.robot.n_joints) for symbol in self._symbols(chain, i)]
-        return tuple(Term(p, chain.joint(i, symbol)) for p, (i, symbol) in enumerate(places))
-
     @staticmethod
-    def _symbols(chain: Chain, i: int) -> dict[str, float]:
-        if chain.robot.joint_types[i] == "prismatic":
-            return {"theta": ANGLE_SIZE, "a": LENGTH_SIZE, "alpha": ANGLE_SIZE}
-        return {"d": LENGTH_SIZE, "a": LENGTH_SIZE, "alpha": ANGLE_SIZE}
+    def _symbols(is_prismatic: bool) -> dict[str, float]:
+        first = {"theta": ANGLE_SIZE} if is_prismatic else {"d": LENGTH_SIZE}
+        return first | {"a": LENGTH_SIZE, "alpha": ANGLE_SIZE}
 
 
 @dataclass(frozen=True)
-class AxisDistortion(Effect):
+class AxisDistortion(_Geometry):
     """The axis of motion is tilted by s_x, s_y before the joint turns (paper, Eq. (2))."""
 
     name: ClassVar[str] = "axis_distortion"
     meaning: ClassVar[str] = "joint axes are slightly tilted (the paper's s_x, s_y)"
-    family: ClassVar[Family] = Family.GEOMETRY
-    _symbols: ClassVar[dict[str, float]] = {"s_x": ANGLE_SIZE, "s_y": ANGLE_SIZE}
 
     @property
     def locus(self) -> Locus:
         """The axes of all joints."""
         return Locus(acts_on="tilt")
 
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """s_x, s_y of each joint [rad]."""
-        return _constants(self.name, chain, range(chain.robot.n_joints), self._symbols)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add constants."""
-        return _constant_terms(chain, range(chain.robot.n_joints), self._symbols)
+    @staticmethod
+    def _symbols(is_prismatic: bool) -> dict[str, float]:
+        return {"s_x": ANGLE_SIZE, "s_y": ANGLE_SIZE}
 
 
 @dataclass(frozen=True)
