@@ -91,14 +91,12 @@ def _bent(lens: Lens, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     by_slope[:, 0, 1] = lens.fx * cross
     by_slope[:, 1, 0] = lens.fy * cross
     by_slope[:, 1, 1] = lens.fy * (radial + 2.0 * y * y * change + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x)
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    along_u = [bent_x, zero, one, zero]
-    along_v = [zero, bent_y, zero, one]
-    powers = [r2, r2**2, r2**3]
-    along_u += [lens.fx * x * powers[0], lens.fx * x * powers[1], lens.fx * 2.0 * x * y, lens.fx * (r2 + 2.0 * x * x)]
-    along_v += [lens.fy * y * powers[0], lens.fy * y * powers[1], lens.fy * (r2 + 2.0 * y * y), lens.fy * 2.0 * x * y]
-    along_u.append(lens.fx * x * powers[2])
-    along_v.append(lens.fy * y * powers[2])
-    by_lens = np.stack([np.stack(along_u, axis=1), np.stack(along_v, axis=1)], axis=1)
+    by_lens = np.zeros((len(x), 2, 9))
+    by_lens[:, 0, 0], by_lens[:, 1, 1] = bent_x, bent_y
+    by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
+    for k, power in zip((4, 5, 8), (r2, r2**2, r2**3), strict=True):
+        by_lens[:, 0, k], by_lens[:, 1, k] = lens.fx * x * power, lens.fy * y * power
+    by_lens[:, 0, 6], by_lens[:, 1, 6] = lens.fx * 2.0 * x * y, lens.fy * (r2 + 2.0 * y * y)
+    by_lens[:, 0, 7], by_lens[:, 1, 7] = lens.fx * (r2 + 2.0 * x * x), lens.fy * 2.0 * x * y
     image = np.stack([lens.fx * bent_x + lens.u0, lens.fy * bent_y + lens.v0], axis=1)
     return image, by_slope, by_lens

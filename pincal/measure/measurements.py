@@ -163,8 +163,8 @@ def measurements_from_arrays(
         rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: name of the data for messages.
         units: units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: target, payload, temperature, time, station, approach, sigma, point and the fields of a sensor
-            (position, quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is absent.
+        **columns: target, payload, temperature, time, station, approach, sigma, point and the fields of a sensor (position,
+            quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is absent.
 
     Returns:
         The measurements; target is "tool" (of a camera's readings "camera") unless given, quaternions are normalised.

@@ -29,17 +29,16 @@ class KnownDistance:
     sigma: float = GAP_SIGMA
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.length) and self.length > 0.0):
-            raise MeasurementError(f"distance of {self.first} and {self.second} is {self.length:g} m; expected more than 0")
-        if not (np.isfinite(self.sigma) and self.sigma > 0.0):
-            raise MeasurementError(f"sigma of {self.first} to {self.second} is {self.sigma:g} m; expected more than 0")
+        for what, value in (("distance", self.length), ("sigma", self.sigma)):
+            if not 0.0 < value < np.inf:
+                raise MeasurementError(f"{what} of {self.first} and {self.second} is {value:g} m; expected more than 0")
         if self.first == self.second:
             raise MeasurementError(f"distance of {self.first} to itself; expected two points")
 
 
 @dataclass(frozen=True)
 class NamedPoints:
-    """Points that stand still: sockets, anchors of a distance, points of a calibration object.
+    """Points that stand still.
 
     A point is known in the instrument's frame, or its three coordinates are parameters. Without any known point the
     instrument's frame is the robot's base.
@@ -80,12 +79,8 @@ class NamedPoints:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Coordinates of the unknown points."""
-        return tuple(
-            Parameter(f"{name}.{axis}", "m", "named_point", 0.0, float("inf"))
-            for name, place in self.places.items()
-            if place is None
-            for axis in "xyz"
-        )
+        unknown = [name for name, place in self.places.items() if place is None]
+        return tuple(Parameter(f"{name}.{axis}", "m", "named_point", 0.0, np.inf) for name in unknown for axis in "xyz")
 
     def positions(self, own: np.ndarray) -> np.ndarray:
         """Return the positions of all points [m], shape (K, 3), for values of the parameters."""

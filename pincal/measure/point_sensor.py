@@ -30,17 +30,17 @@ _LISTED = 8
 class PointSensor(Sensor, OwnParameters, Grouped):
     """Readings that each involve one named point.
 
-    A class states, beside what :class:`pincal.measure.sensor.Sensor` asks for, ``thing``, what a point is called, and
-    ``fewest``, the readings of one unknown point from which on some are left over to judge the robot by.
-
     Attributes:
+        thing: what a point is called.
+        fewest: the readings of one unknown point from which on some are left over to judge the robot by.
+        judges_new_points: whether a point that the calibration did not have is judged by the mean of its own rows, of which
+            it then needs two.
         points: the named points.
         index: shape (N,), each row's point.
     """
 
     thing: ClassVar[str]
     fewest: ClassVar[int]
-    # Whether a point that the calibration did not have is judged by the mean of its own rows; it then needs two of them.
     judges_new_points: ClassVar[bool] = False
 
     points: NamedPoints
@@ -70,19 +70,16 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         gaps = self.points.distances
         if not gaps:
             return None
-        names, places = self.points.names, self.points.positions(own)
+        ends = np.array([[self.points.names.index(name) for name in (gap.first, gap.second)] for gap in gaps]).T
+        places = self.points.positions(own)
+        lines = places[ends[0]] - places[ends[1]]
+        lengths = np.maximum(np.linalg.norm(lines, axis=1), 1e-12)
         jacobian = np.zeros((len(own), len(gaps)))
-        residuals = np.empty(len(gaps))
-        for c, gap in enumerate(gaps):
-            ends = names.index(gap.first), names.index(gap.second)
-            line = places[ends[0]] - places[ends[1]]
-            length = max(float(np.linalg.norm(line)), 1e-12)
-            residuals[c] = gap.length - length
-            for end, sign in zip(ends, (1.0, -1.0), strict=True):
-                slot = int(self.points.slot[end])
-                if slot >= 0:
-                    jacobian[3 * slot : 3 * slot + 3, c] += sign * line / length
-        return Constraints(residuals, jacobian, np.array([gap.sigma for gap in gaps]))
+        for slots, sign in zip(self.points.slot[ends], (1.0, -1.0), strict=True):
+            for c in np.flatnonzero(slots >= 0):
+                jacobian[3 * slots[c] : 3 * slots[c] + 3, c] += sign * lines[c] / lengths[c]
+        known = np.array([(gap.length, gap.sigma) for gap in gaps])
+        return Constraints(known[:, 0] - lengths, jacobian, known[:, 1])
 
     @final
     def unobservable(self) -> Iterator[str]:

@@ -20,17 +20,10 @@ from pincal.measure.sensors.socket import ContactSensor
 from pincal.plugins import Registry
 
 
-def _name_of(sensor: type[Sensor]) -> str:
-    """Return the name under which a sensor is known: the fields that it reads; two sensors may share a kind."""
-    return " ".join(field.name for field in sensor.fields)
-
-
 def _check(sensor: type[Sensor]) -> None:
     """Refuse a sensor that leaves something out, or whose columns mean something else already."""
-    missing = [
-        name for name in ("kind", "fields", "blocks", "tool_symbols", "twist_rows", "per_row") if not hasattr(sensor, name)
-    ]
-    missing += sorted(getattr(sensor, "__abstractmethods__", ()))
+    stated = ("kind", "fields", "blocks", "tool_symbols", "twist_rows", "per_row")
+    missing = [name for name in stated if not hasattr(sensor, name)] + sorted(getattr(sensor, "__abstractmethods__", ()))
     if missing:
         raise TypeError(f"sensor {sensor.__name__} lacks {', '.join(missing)}")
     others = [field for other in SENSORS.registered().values() for field in other.fields]
@@ -43,21 +36,16 @@ def _check(sensor: type[Sensor]) -> None:
                 )
 
 
-SENSORS = Registry[Sensor]("sensor", group="pincal.sensors", name_of=_name_of, check=_check)
-"""The sensors by the fields that they read."""
+SENSORS = Registry[Sensor](
+    "sensor", group="pincal.sensors", name_of=lambda sensor: " ".join(field.name for field in sensor.fields), check=_check
+)
+"""The sensors by the fields that they read: two may share a kind."""
 
 register_sensor = SENSORS.register
 """Add a sensor, as a decorator or by a call."""
 
-for _sensor in (
-    PositionSensor,
-    PoseSensor,
-    DistanceSensor,
-    AnchoredDistanceSensor,
-    ContactSensor,
-    CameraPointSensor,
-    CameraPixelSensor,
-):
+_DISTANCES = (DistanceSensor, AnchoredDistanceSensor)
+for _sensor in (PositionSensor, PoseSensor, *_DISTANCES, ContactSensor, CameraPointSensor, CameraPixelSensor):
     register_sensor(_sensor)
 
 
@@ -89,11 +77,7 @@ def sensor_class(fields: Collection[str]) -> type[Sensor] | None:
 
 
 def check_fields(fields: Collection[str], *, source: str) -> None:
-    """Refuse a table that holds two kinds of measurement, or a part of one.
-
-    Args:
-        fields: names of those that the table has.
-        source: its name, for messages.
+    """Refuse a table whose fields are two kinds of measurement, or a part of one.
 
     Raises:
         MeasurementError: naming the columns that don't go together, or the missing ones.

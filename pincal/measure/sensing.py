@@ -16,11 +16,8 @@ from pincal.measure.setup import Setup
 def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
     """Return the sensor that made a table of measurements.
 
-    Args:
-        measurements: the table.
-        setup: what is known of named points and of the camera; points that the setup does not name are refused, but for
-            sockets, which are then judged by the mean of their rows. By default nothing is known, and every point of the
-            table is a parameter.
+    Points that the setup does not name are refused, but for sockets, which are then judged by the mean of their rows. By
+    default nothing is known, and every point of the table is a parameter.
 
     Raises:
         MeasurementError: if no sensor reads such columns, or a point is named that the setup does not have.

@@ -1,9 +1,7 @@
 """Sensors: what an instrument reads of a pose, and how the reading moves with it.
 
-A sensor knows the target's pose in the instrument's frame and nothing of robots. It states which columns of a table it
-reads, which coordinates of base and tool its readings depend on, where an instrument and a tool could stand to explain them,
-and what they cannot determine. Whatever is asked of measurements elsewhere goes through :class:`Sensor`, so that a sensor
-needs no other place than its own file.
+A sensor knows the target's pose in the instrument's frame and nothing of robots. Whatever is asked of measurements elsewhere
+goes through :class:`Sensor`, so that a sensor needs no other place than its own file.
 
 What only some sensors have is a class of its own to inherit from: :class:`OwnParameters`, :class:`KnownParameters`,
 :class:`Grouped`, :class:`Foreseeable`, :class:`Plausible`.
@@ -122,11 +120,7 @@ class Sensor(ABC):
     @classmethod
     @abstractmethod
     def of(cls, table: Table, setup: Setup) -> Self:
-        """Return the readings of a table that has all of ``fields``.
-
-        Args:
-            table: the table.
-            setup: what is known of named points and of a camera.
+        """Return the readings of a table that has all of ``fields``, with what is known of named points and of a camera.
 
         Raises:
             MeasurementError: for a point that the setup does not have and that can't be judged without.
@@ -168,7 +162,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return in which direction and how far the target is off its prediction, as far as the reading tells.
+        """Return by how much the target is off its prediction, as far as the reading tells.
 
         Where no better formula is at hand, :meth:`least_displacement` serves.
 

@@ -35,18 +35,18 @@ def read_measurements(
     """Read a table of measured poses from CSV (separator and decimal comma are recognised) or Parquet.
 
     Args:
-        path: The file; ``.parquet`` is read as Parquet, everything else as CSV.
-        joint_names: The n joints whose columns are needed.
-        ignore: Columns to leave out; ``"*"`` leaves out all that are unknown.
-        require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a
-            condition (target, point, payload, temperature, time, station, approach).
-        joint_types: "revolute" (the default) or "prismatic" for each joint: decides which units it may have.
+        path: the file; ``.parquet`` is read as Parquet, everything else as CSV.
+        joint_names: the n joints whose columns are needed.
+        ignore: columns to leave out; ``"*"`` leaves out all that are unknown.
+        require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
+            point, payload, temperature, time, station, approach).
+        joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
 
     Returns:
         The rows in SI units, each with its line in the file (in Parquet: counted as if there were a header).
 
     Raises:
-        MeasurementError: A file that can't be read, or a column, unit or value that can't be right.
+        MeasurementError: for a file that can't be read, or a column, unit or value that is invalid.
     """
     source, names = Path(path).name, tuple(joint_names)
     only_joints = require == "joints"
@@ -67,11 +67,11 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray])
     """Write columns as CSV (or Parquet, by the name's ending): the whole file or nothing, in full precision.
 
     Args:
-        path: The file to write; an existing one is replaced only when the new one is complete.
-        columns: Header -> values, each shape (N,).
+        path: the file to write; an existing one is replaced only when the new one is complete.
+        columns: values by header, shape (N,) each.
 
     Raises:
-        OutputError: Columns of unequal length, or a place that can't be written to.
+        OutputError: for columns of unequal length, or a place that can't be written to.
     """
     import polars as pl
 

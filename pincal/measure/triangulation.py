@@ -42,8 +42,32 @@ class Views:
     pixel: np.ndarray
 
     def sight(self, lens: Lens, turn: np.ndarray) -> _Sight:
-        """Return how well the lines of sight meet for a camera that is turned on the tool by ``turn``, shape (3, 3)."""
-        return _triangulated(self.index, self.n_points, self.tips, _rays(lens, self.pixel) @ turn.T, lens.fx)
+        """Return the camera's place and the points nearest to their lines of sight, for a camera turned on the tool.
+
+        Args:
+            lens: the camera.
+            turn: shape (3, 3), camera to tip frame.
+        """
+        index, R, p = self.index, self.tips[:, :, :3], self.tips[:, :, 3]
+        sight = np.einsum("nab,nb->na", R, _rays(lens, self.pixel) @ turn.T)
+        across = np.eye(3) - sight[:, :, None] * sight[:, None, :]
+        push = np.einsum("nab,nb->na", across, p)
+        turned = across @ R
+        S, b, B = np.zeros((self.n_points, 3, 3)), np.zeros((self.n_points, 3)), np.zeros((self.n_points, 3, 3))
+        np.add.at(S, index, across)
+        np.add.at(b, index, push)
+        np.add.at(B, index, turned)
+        inverse = np.linalg.pinv(S, rcond=RANK, hermitian=True)
+        H = np.einsum("nba,nbc->ac", R, turned) - np.einsum("kba,kbc,kcd->ad", B, inverse, B)
+        h = np.einsum("kba,kbc,kc->a", B, inverse, b) - np.einsum("nba,nb->a", R, push)
+        t = np.linalg.lstsq(H, h, rcond=RANK)[0]
+        places = np.einsum("kab,kb->ka", inverse, b + B @ t)
+        away = places[index] - p - R @ t
+        depth = np.einsum("na,na->n", away, sight)
+        missed = np.einsum("nab,nb->na", across, away)
+        angle = np.arctan2(np.linalg.norm(missed, axis=1), depth)
+        image = lens.fx * missed / np.maximum(depth, _NEAR)[:, None]
+        return _Sight(lens.fx * float(np.mean(angle)), image.ravel(), t, places)
 
 
 @dataclass(frozen=True)
@@ -132,35 +156,3 @@ class _Sight:
     image: np.ndarray
     camera: np.ndarray
     points: np.ndarray
-
-
-def _triangulated(index: np.ndarray, n_points: int, tips: np.ndarray, rays: np.ndarray, focal: float) -> _Sight:
-    """Return the camera's place and the points that lie nearest to their lines of sight.
-
-    Args:
-        index: shape (N,), the points that are seen.
-        n_points: how many there are.
-        tips: shape (N, 3, 4).
-        rays: shape (N, 3), lines of sight in the tip frame.
-        focal: focal length [px].
-    """
-    R, p = tips[:, :, :3], tips[:, :, 3]
-    sight = np.einsum("nab,nb->na", R, rays)
-    across = np.eye(3) - sight[:, :, None] * sight[:, None, :]
-    push = np.einsum("nab,nb->na", across, p)
-    turned = across @ R
-    S, b, B = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3)), np.zeros((n_points, 3, 3))
-    np.add.at(S, index, across)
-    np.add.at(b, index, push)
-    np.add.at(B, index, turned)
-    inverse = np.linalg.pinv(S, rcond=RANK, hermitian=True)
-    H = np.einsum("nba,nbc->ac", R, turned) - np.einsum("kba,kbc,kcd->ad", B, inverse, B)
-    h = np.einsum("kba,kbc,kc->a", B, inverse, b) - np.einsum("nba,nb->a", R, push)
-    t = np.linalg.lstsq(H, h, rcond=RANK)[0]
-    places = np.einsum("kab,kb->ka", inverse, b + B @ t)
-    away = places[index] - p - R @ t
-    depth = np.einsum("na,na->n", away, sight)
-    missed = np.einsum("nab,nb->na", across, away)
-    angle = np.arctan2(np.linalg.norm(missed, axis=1), depth)
-    image = focal * missed / np.maximum(depth, _NEAR)[:, None]
-    return _Sight(focal * float(np.mean(angle)), image.ravel(), t, places)
