@@ -12,7 +12,8 @@ from discovery_cases import SIGMA, Case, draw_case
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.calibrated import CalibratedModel, estimate_of, load_model, save_model
 from pincal.cli import main
-from pincal.discover.locate import _window, levers, locate
+from pincal.discover.levers import levers
+from pincal.discover.locate import _window, locate
 from pincal.discover.policy import ALPHA
 from pincal.discover.power import critical_gain, detectable_noncentrality, minimum_detectable, power_of
 from pincal.discover.precheck import precheck
@@ -242,8 +243,8 @@ def test_survey_tells_what_could_be_found(case: Case) -> None:
     # The hidden effect, which is not in the model, makes the noise seem larger.
     assert estimated.source == "estimated" and SIGMA * 0.9 < estimated.sigma_m < SIGMA * 1.5
     assert all((sight.size is None) == bool(sight.reason) for sight in declared.effects)
-    assert {"backlash", "gear_eccentricity", "transmission_error"} <= {s.effect for s in declared.effects if s.size}
-    assert any(s.effect == "measurement_scale" and "rank zero" in s.reason for s in declared.effects)
+    assert {"backlash", "gear_eccentricity", "transmission_error"} <= {s.effect.name for s in declared.effects if s.size}
+    assert any(s.effect.name == "measurement_scale" and "rank zero" in s.reason for s in declared.effects)
 
 
 def test_survey_assumes_noise_where_rows_are_too_few_to_tell(case: Case) -> None:
@@ -260,7 +261,7 @@ def test_survey_assumes_noise_where_rows_are_too_few_to_tell(case: Case) -> None
 def _trace(y: np.ndarray, x: np.ndarray, sigma: float) -> PartialResidual:
     noise = sigma * np.random.default_rng(0).standard_normal(len(x))
     effect = Unnamed("a", "gamma_x", "b", lower=float(x.min()), upper=float(x.max()))
-    return PartialResidual(effect, "a", "b", "rad", x, y + noise, noise, y, np.full(len(x), sigma**-2.0), "rad")
+    return PartialResidual(effect, "b", "rad", x, y + noise, noise, y, np.full(len(x), sigma**-2.0), "rad")
 
 
 def test_period_is_that_of_a_tone_and_none_of_anything_else() -> None:

@@ -96,11 +96,11 @@ def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: C
     )
     for table in detectability_tables(precheck):
         out.print(table)
-    whole = [(e.effect, smallest_size([e])) for e in found.effects if e.joint is None]
+    whole = [(e.effect.name, smallest_size([e])) for e in found.effects if e.effect.locus.joint is None]
     sizes = [f"{name} {format_small(*size)}" for name, size in whole if isinstance(size, Quantity)]
     if sizes:
         out.print("Whole arm: " + ", ".join(sizes), markup=False)
-    _print_untestable(((e.effect, e.joint, e.reason) for e in found.effects), len(precheck.joints), out)
+    _print_untestable(((e.effect.name, e.effect.locus.joint, e.reason) for e in found.effects), len(precheck.joints), out)
 
 
 def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: int, out: Console) -> None:

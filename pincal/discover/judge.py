@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from pincal.calibration.run import Calibration
 from pincal.discover.history import History, Step
-from pincal.discover.power import deciding_measurement
+from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import Scatter, find_scatter
 from pincal.discover.shrink import PartialResidual, gap_of, period_of
 from pincal.discover.where import noise_floor, sure_compliances, where_of
@@ -17,6 +17,7 @@ from pincal.identify.fit import Fit
 from pincal.io.discovery_file import EffectName, Findings, FoundEffect, FoundParameter, ScatteringJoint, Untestable, Verdict
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect
+from pincal.parameters import Estimate
 
 # Chance of residuals as large as these, if there were only the declared noise, below which something is missing.
 _MISFIT = 1e-3
@@ -56,16 +57,18 @@ def _found(
     """Yield what entered in one step; elasticity joint by joint."""
     before, after = (gap_of(fit, calibration.test).mean_mm for fit in (step.before, step.after))
     if step.is_elastic:
-        found = [(effect, parameters, p_value, "") for effect, parameters, p_value in sure_compliances(trail.final)]
+        found = [(effect, e, e.fitted_sigma, p_value, "") for effect, e, p_value in sure_compliances(trail.final)]
     else:
         rivals = step.equivalent[:1]
         decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
-        found = [(step.effect, _parameters(trail.final, step.effect), step.score.p_value, decide)]
-    for effect, parameters, p_value, decide in found:
+        names = (parameter.name for parameter in step.effect.parameters(trail.final.model.chain))
+        estimate = trail.final.estimate.take(names)
+        found = [(step.effect, estimate, estimate.sigma, step.score.p_value, decide)]
+    for effect, estimate, sigma, p_value, decide in found:
         yield FoundEffect.of(
             effect,
             period=periods.get(effect),
-            parameters=parameters,
+            parameters=_parameters(estimate, sigma),
             p_value=p_value,
             gap_before_mm=before,
             gap_after_mm=after,
@@ -74,11 +77,11 @@ def _found(
         )
 
 
-def _parameters(fit: Fit, effect: Effect) -> dict[str, FoundParameter]:
-    found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
+def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParameter]:
+    """Return parameters by name; nothing is known of those whose standard deviation is infinite."""
     return {
-        parameter.name: FoundParameter(parameter.nominal + float(value), float(sigma), parameter.unit)
-        for parameter, value, sigma in zip(found.parameters, found.values, found.sigma, strict=True)
+        p.name: FoundParameter(p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None, p.unit)
+        for p, value, sigma in zip(estimate.parameters, estimate.values, sigmas, strict=True)
     }
 
 
@@ -97,4 +100,4 @@ def _not_testable(trail: History) -> Iterator[tuple[Effect, str]]:
     yield from untestable(final.model.chain, final.station.conditions)
     for i, effect in enumerate(trail.last.effects):
         if trail.last.gain([i])[1] == 0:
-            yield effect, "the fitted model absorbs all of it in these poses (rank zero)"
+            yield effect, ABSORBED

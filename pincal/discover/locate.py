@@ -6,29 +6,29 @@ a curve of some variable times the lever of that place explains it, once all tha
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
+from pincal.discover.candidate_tests import some_rows
+from pincal.discover.levers import Motions, linearised
 from pincal.discover.nuisance import MassError
+from pincal.discover.regions import regions_of
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
+from pincal.io.discovery_file import Disagreement
 from pincal.model.basis import spline_basis
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation, recorded_variable, varies
-from pincal.model.effect import Effect, Locus, Term
-from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.model.conditions import Situation, recorded_variable, varies
+from pincal.model.effect import Effect
+from pincal.parameters import FRAME_SYMBOLS
 
 # Chance that sound data show a place at all (test_nothing_is_located_where_there_is_only_noise).
 _ALPHA = 0.01
-# Part of the excess below which a further place is not worth a line.
-_SHARE = 0.05
-_MOST_PLACES = 3
+# Part of the excess below which a further place is not worth a line, and places at most.
+_SHARE, _MOST_PLACES = 0.05, 3
 # Part of a column's square that must be left after projection for the data to see it.
 _SEEN = 1e-5
 # Pieces of curves: smooth ones, of a joint's own position also as fine as a gear's waves, of slow variables coarser.
@@ -39,57 +39,6 @@ _ROWS = 6
 _MOST, _NARROW = 0.6, 0.4
 # Rows beyond this number are thinned, for time: a place worth a line shows in fewer.
 _ENOUGH_ROWS = 1000
-# Shuffles by which chance is judged: enough for a level of 0.01, three of them beyond it.
-_SHUFFLES = 300
-
-
-@dataclass(frozen=True)
-class Motions(Effect):
-    """Unit motions of some coordinates of the chain, for their levers."""
-
-    coordinates: tuple[int, ...]
-    name: ClassVar[str] = "motions"
-    meaning: ClassVar[str] = "coordinates of the chain move by themselves"
-
-    @property
-    def locus(self) -> Locus:
-        """Any coordinates."""
-        return Locus()
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One a coordinate."""
-        return tuple(Parameter(f"chain.{k}", "rad", self.name, 0.0, 1.0) for k in self.coordinates)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add constants."""
-        return tuple(Term(p, k) for p, k in enumerate(self.coordinates))
-
-
-def levers(fit: Fit, coordinates: tuple[int, ...]) -> np.ndarray:
-    """Return how the readings move with coordinates of the chain.
-
-    Args:
-        fit: the fit.
-        coordinates: K indices in the chain.
-
-    Returns:
-        Shape (K, m, N), in units of the readings per rad or m.
-    """
-    _, jacobian = _linearised(fit, [Motions(coordinates)], np.zeros(len(fit.values), bool))
-    return jacobian
-
-
-def _linearised(fit: Fit, extra: list[Effect], free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals, shape (m, N), and the Jacobian by free parameters and all of the extra effects."""
-    problem, known = fit.problem.extended(extra)
-    values, mask = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
-    values[known], mask[known] = fit.values, free
-    pieces = list(problem.station.linearise(values, mask))
-    residuals = np.concatenate([r for _, r, _ in pieces], axis=1)
-    jacobian = np.concatenate([J for _, _, J in pieces], axis=2)
-    column = np.cumsum(mask) - 1
-    present = column[known[free]]
-    return residuals, jacobian[np.concatenate([present, np.setdiff1d(np.arange(len(jacobian)), present)])]
 
 
 @dataclass(frozen=True)
@@ -109,30 +58,10 @@ class Place:
     joint: str | None
     acts_on: str
     depends_on: str
-    share: float
-    size: float
-    window: tuple[float, float] | None
-    inside: float
-
-
-@dataclass(frozen=True)
-class Region:
-    """A part of the workspace, or a direction, in which the excess is concentrated.
-
-    Attributes:
-        variable: "reach" (from the origin of joint 1) or "height" (above it) [m], or "direction".
-        lower, upper: the range; for a direction both 0.
-        direction: "vertical", "radial" or "tangential" (horizontal, away from and around axis 1); empty otherwise.
-        share: part of the excess there.
-        rows: part of the rows there; for a direction a third.
-    """
-
-    variable: str
-    lower: float
-    upper: float
-    direction: str
-    share: float
-    rows: float
+    share: float = 0.0
+    size: float = 0.0
+    window: tuple[float, float] | None = None
+    inside: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -140,16 +69,14 @@ class Location:
     """What is known of a disagreement before it has a name.
 
     Attributes:
-        excess: squared residuals beyond what the noise makes, in units of its variance.
         p_value: chance of the residuals if there were only noise.
         places: where it acts, the largest first.
         regions: where in the workspace it shows, if somewhere more than elsewhere.
     """
 
-    excess: float
     p_value: float
     places: tuple[Place, ...]
-    regions: tuple[Region, ...]
+    regions: tuple[Disagreement, ...]
 
 
 def locate(fit: Fit, sigma: np.ndarray) -> Location:
@@ -159,25 +86,42 @@ def locate(fit: Fit, sigma: np.ndarray) -> Location:
         fit: the fit; best with elasticity, so that what is left is what nobody has named yet.
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
     """
-    first = rest = _Rest.of(_thinned(fit), sigma)
+    rows = np.flatnonzero(fit.solution.weights > 0.0)
+    fit = some_rows(fit, rows[np.unique(np.linspace(0, len(rows) - 1, _ENOUGH_ROWS).astype(int))])
+    first = rest = _rest_of(fit, sigma)
     p_value = float(chdtrc(first.dof, first.squares))
     places: list[Place] = []
-    while len(places) < _MOST_PLACES and (i := rest.best()) is not None:
-        place = rest.described(i, first.excess)
+    while len(places) < _MOST_PLACES and (best := rest.best()) is not None:
+        place = rest.described(best, first.squares - first.dof)
         if place.share < _SHARE:
             break
         places.append(place)
-        rest = rest.without(i)
-    regions = _regions(first) if places or p_value < _ALPHA else ()
-    return Location(first.excess, p_value, tuple(places), regions)
+        rest = rest.without(best)
+    regions: tuple[Disagreement, ...] = ()
+    if fit.station.sensor.blocks[0].size == 3 and (places or p_value < _ALPHA):
+        regions = tuple(regions_of(fit, first.by_row(first.left)[:3], 3.0 * first.dof / first.readings))
+    return Location(p_value, tuple(places), regions)
 
 
-def _thinned(fit: Fit) -> Fit:
-    """Return the fit of the sound rows, at most so many of them."""
-    rows = np.flatnonzero(fit.solution.weights > 0.0)
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, _ENOUGH_ROWS).astype(int))]
-    solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=fit.problem.select(rows), solution=solution)
+@dataclass(frozen=True)
+class _Candidate:
+    """A place where a disagreement may act.
+
+    Attributes:
+        place: the place, its share and size not known yet.
+        lever: root of the summed squares of all readings' motion with it.
+        columns: shape (k, m N + priors), curves times lever, whitened; what is taken up already projected out.
+        whole: shape (k,), the squares of the columns before projection.
+    """
+
+    place: Place
+    lever: float
+    columns: np.ndarray
+    whole: np.ndarray
+
+    def projected(self, Q: np.ndarray) -> _Candidate:
+        """Return it with what orthonormal columns take up projected out."""
+        return replace(self, columns=self.columns - (self.columns @ Q) @ Q.T)
 
 
 @dataclass(frozen=True)
@@ -187,141 +131,107 @@ class _Rest:
     Attributes:
         fit: the fit.
         left: shape (m N + priors,), the residuals, priors among them, projected.
-        Q: shape (m N + priors, P), orthonormal, what the model and found places take up.
-        places: C candidates, their shares and sizes not known yet.
-        columns: shape (K, m N), curves times levers of all candidates, whitened.
-        spans: where each candidate stands in ``columns``.
-        taken: shape (K, P), columns times Q.
+        candidates: where it may come from.
         spent: parameters spent.
     """
 
     fit: Fit
     left: np.ndarray
-    Q: np.ndarray
-    places: tuple[Place, ...]
-    columns: np.ndarray
-    spans: tuple[slice, ...]
-    taken: np.ndarray
+    candidates: Sequence[_Candidate]
     spent: float
-
-    @classmethod
-    def of(cls, fit: Fit, sigma: np.ndarray) -> _Rest:
-        free = fit.solution.free
-        masses = MassError.of(fit.model, fit.values)
-        extra: list[Effect] = [masses] if masses else []
-        spots = _spots(fit.model.chain)
-        residuals, jacobian = _linearised(fit, [*extra, Motions(tuple(spots.values()))], free)
-        weights = np.empty(residuals.shape)
-        for rows, s in zip(block_rows(fit.station), sigma, strict=True):
-            weights[rows] = fit.station.weights * fit.solution.weights / s
-        jacobian *= weights
-        own = len(jacobian) - len(spots)
-        sizes = np.concatenate([fit.priors.sizes[free], *(_sizes(fit, effect) for effect in extra)])
-        values = np.append(fit.values[free], np.zeros(own - int(free.sum())))
-        r = np.append((residuals * weights).ravel(), -values / sizes)
-        Q = _orthonormal(np.vstack([jacobian[:own].reshape(own, -1).T, np.diag(1.0 / sizes)]))
-        places, found = zip(*_candidates(fit, dict(zip(spots, jacobian[own:], strict=True))), strict=True)
-        ends = np.cumsum([0, *map(len, found)])
-        spans = tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
-        columns = np.concatenate(found)
-        taken = columns @ Q[: columns.shape[1]]
-        return cls(fit, r - Q @ (Q.T @ r), Q, places, columns, spans, taken, fit.solution.posterior.effective)
-
-    @property
-    def components(self) -> int:
-        """Components of one row's readings."""
-        return sum(block.size for block in self.fit.station.sensor.blocks)
 
     @property
     def readings(self) -> int:
         """Number of readings."""
-        return self.components * len(self.fit.station)
+        return len(self.fit.station) * sum(block.size for block in self.fit.station.sensor.blocks)
 
     @property
     def dof(self) -> float:
         """Degrees of freedom that are left."""
         return max(self.readings - self.spent, 1.0)
 
-    @cached_property
+    @property
     def squares(self) -> float:
         """Sum of squares that is left."""
         return float(self.left @ self.left)
 
-    @property
-    def excess(self) -> float:
-        """What the noise does not make of it."""
-        return self.squares - self.dof
+    def by_row(self, vector: np.ndarray) -> np.ndarray:
+        """Return the readings of a vector like ``left``, shape (m, N)."""
+        return vector[: self.readings].reshape(-1, len(self.fit.station))
 
-    def best(self) -> int | None:
+    def best(self) -> _Candidate | None:
         """Return the candidate that explains most for its freedom; None if none is sure."""
-        slopes = self.columns @ self.left[: self.columns.shape[1]]
-        found = [self._judged(span, slopes[span]) for span in self.spans]
+        squares = self.squares
+        found = [self._judged(candidate, squares) for candidate in self.candidates]
         i = min(range(len(found)), key=lambda k: found[k][0])
         ebic, p_value = found[i]
-        return i if p_value < _ALPHA / len(found) and ebic < 0.0 else None
+        return self.candidates[i] if p_value < _ALPHA / len(found) and ebic < 0.0 else None
 
-    def _judged(self, span: slice, slope: np.ndarray) -> tuple[float, float]:
+    def _judged(self, candidate: _Candidate, squares: float) -> tuple[float, float]:
         """Return information criterion and p-value of a candidate."""
-        values, along = self._spectrum(span, slope)
-        rank, rest = len(values), max(self.dof - len(values), 1.0)
+        Z = candidate.columns
+        scale = 1.0 / np.sqrt(np.maximum(candidate.whole, 1e-300))
+        values, vectors = np.linalg.eigh((Z @ Z.T) * np.outer(scale, scale))
+        seen = values > _SEEN
+        rank = int(seen.sum())
         if rank == 0 or rank >= 0.5 * self.dof:
             return np.inf, 1.0
-        gain = min(float(np.sum(along**2 / values)), 0.999999 * self.squares)
-        p_value = float(fdtrc(rank, rest, gain / rank / ((self.squares - gain) / rest)))
-        return self.readings * float(np.log1p(-gain / self.squares)) + rank * float(np.log(self.readings)), p_value
+        along = vectors[:, seen].T @ (scale * (Z @ self.left))
+        gain = min(float(np.sum(along**2 / values[seen])), 0.999999 * squares)
+        rest = max(self.dof - rank, 1.0)
+        p_value = float(fdtrc(rank, rest, gain / rank / ((squares - gain) / rest)))
+        return self.readings * float(np.log1p(-gain / squares)) + rank * float(np.log(self.readings)), p_value
 
-    def _spectrum(self, span: slice, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the strengths of the directions of a candidate that are seen, and the slopes along them."""
-        Z, W = self.columns[span], self.taken[span]
-        whole = Z @ Z.T
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
-        values, vectors = np.linalg.eigh((whole - W @ W.T) * np.outer(scale, scale))
-        seen = values > _SEEN
-        return values[seen], vectors[:, seen].T @ (scale * slope)
-
-    def without(self, i: int) -> _Rest:
+    def without(self, taken: _Candidate) -> _Rest:
         """Return what is left once a candidate is taken up as well."""
-        more = _orthonormal(self._projected(i))
-        more -= self.Q @ (self.Q.T @ more)
-        taken = np.hstack([self.taken, self.columns @ more[: self.columns.shape[1]]])
-        left = self.left - more @ (more.T @ self.left)
-        spent = self.spent + more.shape[1]
-        return replace(self, left=left, Q=np.hstack([self.Q, more]), taken=taken, spent=spent)
+        Q = _orthonormal(taken.columns.T)
+        candidates = [candidate.projected(Q) for candidate in self.candidates]
+        return _Rest(self.fit, self.left - Q @ (Q.T @ self.left), candidates, self.spent + Q.shape[1])
 
-    def _projected(self, i: int) -> np.ndarray:
-        """Return the columns of a candidate, what the model takes up left out, shape (m N + priors, k)."""
-        Z = self.columns[self.spans[i]]
-        out = -self.Q @ self.taken[self.spans[i]].T
-        out[: Z.shape[1]] += Z.T
-        return np.asarray(out)
-
-    def described(self, i: int, excess: float) -> Place:
+    def described(self, candidate: _Candidate, excess: float) -> Place:
         """Return a candidate with its share of the whole excess, its size and the range in which it sits."""
-        place, columns = self.places[i], self._projected(i)
+        place, columns = candidate.place, candidate.columns.T
         height, _, rank, _ = np.linalg.lstsq(columns, self.left, rcond=np.sqrt(_SEEN))
         fitted = columns @ height
         gain = float(fitted @ fitted) - rank
-        change = fitted[: self.columns.shape[1]].reshape(self.components, -1)
-        # Of a candidate the size is still that of its lever.
-        size = float(np.linalg.norm(change)) / place.size
+        change = self.by_row(fitted)
         window, inside = None, 0.0
         if place.depends_on in self.fit.model.chain.robot.joint_names:
             x = _variable(self.fit, place.joint, place.depends_on)
             window, inside = _window(x, np.sum(change**2, axis=0))
-        return replace(
-            place, share=float(np.clip(gain / max(excess, gain), 0.0, 1.0)), size=size, window=window, inside=inside
-        )
+        share = float(np.clip(gain / max(excess, gain), 0.0, 1.0))
+        size = float(np.linalg.norm(change)) / candidate.lever
+        return replace(place, share=share, size=size, window=window, inside=inside)
+
+
+def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
+    """Return what a fit leaves, with its parameters and uncertain masses taken up."""
+    free = fit.solution.free
+    masses = MassError.of(fit.model, fit.values)
+    extra: list[Effect] = [masses] if masses else []
+    spots = _spots(fit.model.chain)
+    residuals, jacobian = linearised(fit, [*extra, Motions(tuple(spots.values()))], free)
+    weights = np.empty(residuals.shape)
+    for rows, s in zip(block_rows(fit.station), sigma, strict=True):
+        weights[rows] = fit.station.weights * fit.solution.weights / s
+    jacobian *= weights
+    own = len(jacobian) - len(spots)
+    # Masses are known as they are, whatever they move.
+    sizes = np.concatenate([fit.priors.sizes[free], *([p.size for p in e.parameters(fit.model.chain)] for e in extra)])
+    values = np.append(fit.values[free], np.zeros(own - int(free.sum())))
+    r = np.append((residuals * weights).ravel(), -values / sizes)
+    Q = _orthonormal(np.vstack([jacobian[:own].reshape(own, -1).T, np.diag(1.0 / sizes)]))
+    candidates = [
+        _Candidate(place, lever, np.pad(columns, ((0, 0), (0, own))), np.sum(columns**2, axis=1)).projected(Q)
+        for place, lever, columns in _candidates(fit, dict(zip(spots, jacobian[own:], strict=True)))
+    ]
+    return _Rest(fit, r - Q @ (Q.T @ r), candidates, fit.solution.posterior.effective)
 
 
 def _orthonormal(A: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis of what the columns of a matrix span."""
     Q, R = np.linalg.qr(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300))
     return np.asarray(Q[:, np.abs(np.diag(R)) > 1e-7])
-
-
-def _sizes(fit: Fit, effect: Effect) -> np.ndarray:
-    """Return the priors of nuisance parameters, which are as they are, whatever they move."""
-    return np.array([p.size for p in effect.parameters(fit.model.chain)])
 
 
 # A coordinate by (joint or None, acts_on, number).
@@ -339,24 +249,28 @@ def _spots(chain: Chain) -> dict[Spot, int]:
     return found | {(None, "lengths", k): c for k, c in enumerate(lengths) if chain.nominal[c]}
 
 
-def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place, np.ndarray]]:
-    """Yield places and their whitened columns, shape (k, m N), from how the readings move with each coordinate."""
+def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place, float, np.ndarray]]:
+    """Yield places, their levers and whitened columns, shape (k, m N); ``moved`` tells how the readings move."""
     names, conditions = fit.model.chain.robot.joint_names, fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
     bases = {v: _basis(_variable(fit, None, v), _SLOW_SIZE) for v in slow}
     bases |= {name: _basis(_variable(fit, name, name), _SIZE) for name in names}
-    for joint in names:
-        for acts_on in ("drive", "gamma_x", "gamma_y"):
-            for variable, basis in bases.items():
-                yield from _at(joint, acts_on, variable, [moved[joint, acts_on, 0]], basis)
-        for variable, basis in _of_own_drive(fit, joint):
-            yield from _at(joint, "drive", variable, [moved[joint, "drive", 0]], basis)
+    followed: list[tuple[str | None, str, str, np.ndarray, np.ndarray]] = [
+        (joint, acts_on, variable, basis, moved[joint, acts_on, 0][None])
+        for joint in names
+        for acts_on in ("drive", "gamma_x", "gamma_y")
+        for variable, basis in (*bases.items(), *(_of_own_drive(fit, joint) if acts_on == "drive" else ()))
+    ]
+    of = {at: np.array([m for (_, acts_on, _), m in moved.items() if acts_on == at]) for at in ("base", "lengths")}
     # All lengths grow alike.
     lengths = [fit.model.chain.nominal[c] for (_, at, _), c in _spots(fit.model.chain).items() if at == "lengths"]
-    grown = np.tensordot(np.array(lengths), np.array([m for (_, at, _), m in moved.items() if at == "lengths"]), axes=1)
-    for variable in slow:
-        yield from _at(None, "base", variable, [m for (_, at, _), m in moved.items() if at == "base"], bases[variable])
-        yield from _at(None, "lengths", variable, [grown], bases[variable])
+    of["lengths"] = np.tensordot(np.array(lengths), of["lengths"], axes=1)[None]
+    followed += [(None, at, variable, bases[variable], lever) for variable in slow for at, lever in of.items()]
+    for joint, acts_on, variable, basis, lever in followed:
+        # A variable that does not vary has no curves.
+        if len(basis):
+            columns = (lever[:, None] * basis[:, None, :]).reshape(len(lever) * len(basis), -1)
+            yield Place(joint, acts_on, variable), float(np.linalg.norm(lever)), columns
 
 
 def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
@@ -372,20 +286,9 @@ def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
         yield "load", _basis(_variable(fit, joint, "load"), _SIZE)
 
 
-def _at(
-    joint: str | None, acts_on: str, variable: str, moved: list[np.ndarray], basis: np.ndarray
-) -> Iterator[tuple[Place, np.ndarray]]:
-    """Yield a place with its columns, nothing where the variable does not vary."""
-    if len(basis):
-        columns = np.array(moved)[:, None] * basis[:, None, :]
-        motion = float(np.sqrt(np.sum(np.array(moved) ** 2)))
-        yield Place(joint, acts_on, variable, 0.0, motion, None, 0.0), columns.reshape(len(moved) * len(basis), -1)
-
-
 def _variable(fit: Fit, joint: str | None, name: str) -> np.ndarray:
     """Return a variable at the rows of a fit, shape (N,)."""
-    if name == "load":
-        assert joint is not None
+    if name == "load" and joint is not None:
         return Situation(fit.model.chain, fit.station.conditions).moment(joint)
     return recorded_variable(fit.model.chain, fit.station.conditions, name, joint=joint)
 
@@ -407,72 +310,10 @@ def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | No
     x, total = x[order], np.concatenate([[0.0], np.cumsum(energy[order])])
     if not total[-1] > 0.0 or len(np.unique(x)) < 10:
         return None, 0.0
-    first = np.arange(len(x))
-    last = np.searchsorted(total, total[first] + _MOST * total[-1] * (1.0 - 1e-12), side="left") - 1
-    fits = last < len(x)
-    width = np.where(fits, x[np.minimum(last, len(x) - 1)] - x, np.inf)
+    last = np.searchsorted(total, total[:-1] + _MOST * total[-1] * (1.0 - 1e-12), side="left") - 1
+    width = np.where(last < len(x), x[np.minimum(last, len(x) - 1)] - x, np.inf)
     i = int(np.argmin(width))
     j = int(last[i])
     if width[i] > _NARROW * (x[-1] - x[0]) or j + 1 - i > _NARROW * len(x):
         return None, 0.0
     return (float(x[i]), float(x[j])), float((total[j + 1] - total[i]) / total[-1])
-
-
-def _regions(rest: _Rest) -> tuple[Region, ...]:
-    """Return where in the workspace, and along which direction, the excess shows more than elsewhere."""
-    fit = rest.fit
-    if fit.station.sensor.blocks[0].size != 3:
-        return ()
-    n = len(fit.station)
-    left = rest.left[: n * rest.components].reshape(rest.components, n)[:3]
-    # A row's part of the excess: its squares less what the noise makes of them.
-    expected = 3.0 * rest.dof / rest.readings
-    energy = np.sum(left**2, axis=0) - expected
-    if energy.sum() <= 0.0:
-        return ()
-    tip = fit.model.chain.robot.forward_kinematics(fit.station.conditions.q)[:, :3, 3]
-    up = -fit.model.chain.gravity / np.linalg.norm(fit.model.chain.gravity)
-    away = tip - fit.model.chain.robot.frames.T_base_first[:3, 3]
-    height = away @ up
-    found = [_thickest(name, x, energy) for name, x in (("reach", np.linalg.norm(away, axis=1)), ("height", height))]
-    sure = sorted((region for region in found if region), key=lambda region: -region.share / region.rows)
-    return (*sure[:1], *_direction(fit, left, away, up, expected))
-
-
-def _thickest(name: str, x: np.ndarray, energy: np.ndarray) -> Region | None:
-    """Return the third of the rows, neighbours in x, with most of the excess, if chance does not make as much."""
-    order = np.argsort(x, kind="stable")
-    third = max(len(x) // 3, 1)
-    rng = np.random.default_rng(0)
-
-    def most(rows: np.ndarray) -> np.ndarray:
-        total = np.cumsum(np.concatenate([np.zeros((*rows.shape[:-1], 1)), rows], axis=-1), axis=-1)
-        return np.asarray(total[..., third:] - total[..., :-third])
-
-    sums = most(energy[order])
-    by_chance = most(rng.permuted(np.tile(energy, (_SHUFFLES, 1)), axis=1)).max(axis=1)
-    if np.mean(by_chance >= sums.max()) > _ALPHA:
-        return None
-    start = int(np.argmax(sums))
-    inside = order[start : start + third]
-    share = float(energy[inside].sum() / energy.sum())
-    return Region(name, float(x[inside].min()), float(x[inside].max()), "", min(share, 1.0), third / len(x))
-
-
-def _direction(fit: Fit, left: np.ndarray, away: np.ndarray, up: np.ndarray, expected: float) -> tuple[Region, ...]:
-    """Return the direction in which more than half of the excess points, if there is one."""
-    local = fit.model.chain.base_rotation.T @ left
-    outward = away - np.outer(away @ up, up)
-    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
-    parts = {
-        "vertical": up @ local,
-        "radial": np.sum(outward.T * local, axis=0),
-        "tangential": np.sum(np.cross(up, outward).T * local, axis=0),
-    }
-    excess = {name: float(np.sum(part**2) - len(part) * expected / 3.0) for name, part in parts.items()}
-    name = max(excess, key=lambda key: excess[key])
-    whole = sum(max(value, 0.0) for value in excess.values())
-    # Twice the noise of a sum of squares of N numbers.
-    if excess[name] < 0.55 * whole or excess[name] < 4.0 * np.sqrt(2.0 * left.shape[1]):
-        return ()
-    return (Region("direction", 0.0, 0.0, name, excess[name] / whole, 1.0 / 3.0),)

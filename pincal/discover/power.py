@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
-from pincal.discover.nuisance import MassError, situation_of
+from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import ALPHA, POLICY
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit
@@ -21,7 +22,9 @@ from pincal.model.model import Model
 # Chance with which an effect of the size that is called detectable is found (test_discovery_report.py counts it).
 POWER = 0.9
 # Below this many degrees of freedom nothing is left to judge an effect by: the noise is known to 22 % then.
-_FEWEST = 10.0
+FEWEST = 10.0
+# Why an effect of rank zero can't be tested.
+ABSORBED = "the fitted model absorbs all of it in these poses (rank zero)"
 # Non-centrality beyond which a test is given up: the readings are too few for it.
 _HOPELESS = 1e7
 # Random shapes of an effect of several parameters over which its power is averaged: to 1.5 % at a power of 0.9.
@@ -51,12 +54,18 @@ class Detectable:
     """
 
     effect: Effect
-    measure: str
-    unit: str
-    size: float | None
-    best: float | None
-    absorbed: float | None
-    reason: str
+    measure: str = ""
+    unit: str = ""
+    size: float | None = None
+    best: float | None = None
+    absorbed: float | None = None
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, the effect by name, joint, source, order and frame."""
+        at = self.effect.locus
+        which = zip(("effect", "joint", "source", "order", "frame"), (*self.effect.heading, at.order, at.frame), strict=True)
+        return dict(which) | {key: value for key, value in vars(self).items() if key != "effect"}
 
 
 def minimum_detectable(
@@ -79,10 +88,9 @@ def minimum_detectable(
     tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
-    masses = MassError.of(fit.model, fit.values)
-    found = score_test(quiet, tested, [masses] if masses else [], np.zeros(len(fit.station), int))
-    if found.dof < _FEWEST:
-        return [Detectable(e, "", "", None, None, None, _too_few(found)) for e in effects]
+    found = score_test_beside_masses(quiet, np.zeros(len(fit.station), int), tested)
+    if found.dof < FEWEST:
+        return [Detectable(effect, reason=_too_few(found)) for effect in effects]
     groups = len({effect.identity for effect in effects})
     return [row for i in range(len(tested)) for row in _sizes(fit, found, i, alpha, groups)]
 
@@ -95,27 +103,23 @@ def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> It
     """Yield the detectable size of an effect, one a unit of its parameters."""
     effect = found.effects[i]
     parameters = effect.parameters(fit.model.chain)
-    left, _ = found._projected
-    j = found.columns_of([i])
     rank = found.gain([i])[1]
+    test = (round(found.dof, 3), rank, groups, alpha)
     for unit in dict.fromkeys(p.unit for p in parameters):
         own = np.array([k for k, p in enumerate(parameters) if p.unit == unit])
         measure, shown, scale = _measure(effect, fit, own, unit)
         if rank == 0:
-            reason = "the fitted model absorbs all of it in these poses (rank zero)"
-            yield Detectable(effect, measure, shown, None, None, 1.0, reason)
+            yield Detectable(effect, measure, shown, absorbed=1.0, reason=ABSORBED)
             continue
-        test = (round(found.dof, 3), rank, groups, alpha)
         if not np.isfinite(detectable_noncentrality(test)):
-            yield Detectable(effect, measure, shown, None, None, None, _too_few(found))
+            yield Detectable(effect, measure, shown, reason=_too_few(found))
             continue
-        at = j[own]
+        at = found.columns[i][own]
         whole = found.S[np.ix_(found.n_model + at, found.n_model + at)]
-        signal = scale.T @ left[np.ix_(at, at)] @ scale
-        strengths = np.maximum(np.linalg.eigvalsh(signal), 0.0)
-        size, best = _size_at(strengths, test)
-        absorbed = 1.0 - float(np.trace(signal) / np.trace(scale.T @ whole @ scale))
-        yield Detectable(effect, measure, shown, size, best, min(max(absorbed, 0.0), 1.0), "")
+        signal = scale.T @ found.projected[0][np.ix_(at, at)] @ scale
+        size, best = _size_at(np.maximum(np.linalg.eigvalsh(signal), 0.0), test)
+        absorbed = float(np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0))
+        yield Detectable(effect, measure, shown, size, best, absorbed)
 
 
 def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str, str, np.ndarray]:
@@ -209,34 +213,34 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
         value: its parameters, shape (K,).
         rival: the other one.
     """
-    pair = [effect, rival]
-    here = score_test(fit, pair, [], np.zeros(len(fit.station), int))
-    again = _separation(replace(here, S=2.0 * here.S), value)
+
+    def tests_at(conditions: Conditions) -> ScoreTests:
+        problem = Problem((replace(fit.station, conditions=conditions),))
+        return score_test(replace(fit, problem=problem), [effect, rival], [], np.zeros(len(problem), int))
+
+    here = tests_at(fit.station.conditions)
+    again = _separation(here, 2.0 * here.blocks_S, value)
     for words, conditions in _designs(fit):
         try:
-            more = _criticised_at(fit, pair, conditions, here)
+            there = tests_at(conditions)
         except (ValueError, KeyError):
             continue
-        if _separation(more, value) > max(TOLD_APART, _TELLING * again):
+        if _separation(here, here.blocks_S + there.blocks_S, value) > max(TOLD_APART, _TELLING * again):
             return words
-    many = TOLD_APART / max(_separation(here, value), 1e-9)
+    many = TOLD_APART / max(_separation(here, here.blocks_S, value), 1e-9)
     if many < 50:
         return f"about {int(np.ceil(many)) * len(fit.station)} poses of this kind"
     return "no further run of this kind tells them apart; look at the joint itself, or at its drive's own encoder"
 
 
-def _separation(found: ScoreTests, value: np.ndarray) -> float:
+def _separation(found: ScoreTests, blocks_S: np.ndarray, value: np.ndarray) -> float:
     """Return the signal of the first effect that the second can't take over, squared, in units of the noise."""
-    S, _ = found._projected
-    c, g = found.columns_of([0]), found.columns_of([1])
+    S, _ = replace(found, blocks_S=blocks_S).projected
+    c, g = found.columns
     G = S[np.ix_(g, g)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
-    left = (
-        S[np.ix_(c, c)]
-        - S[np.ix_(c, g)]
-        @ (scale[:, None] * np.linalg.pinv(G * np.outer(scale, scale), rcond=1e-6, hermitian=True) * scale)
-        @ S[np.ix_(g, c)]
-    )
+    taken = scale[:, None] * np.linalg.pinv(G * np.outer(scale, scale), rcond=1e-6, hermitian=True) * scale
+    left = S[np.ix_(c, c)] - S[np.ix_(c, g)] @ taken @ S[np.ix_(g, c)]
     return float(max(value @ left @ value, 0.0))
 
 
@@ -257,10 +261,3 @@ def _designs(fit: Fit) -> Iterator[tuple[str, Conditions]]:
     if np.ptp(temperature) < _WARMER:
         yield "the same poses warm and cold, with the column temperature", replace(c, temperature=temperature + _WARMER)
     yield "poses over the whole range of the joints", replace(c, q=robot.random_configurations(len(c), rng))
-
-
-def _criticised_at(fit: Fit, pair: list[Effect], conditions: Conditions, here: ScoreTests) -> ScoreTests:
-    """Return the tests that the present readings and those at further conditions would allow together."""
-    problem = Problem((replace(fit.station, conditions=conditions),))
-    there = score_test(replace(fit, problem=problem), pair, [], np.zeros(len(problem), int))
-    return replace(here, S=here.S + there.S)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pincal.discover.policy import ALPHA
-from pincal.discover.power import POWER, minimum_detectable
+from pincal.discover.power import FEWEST, POWER, Detectable, minimum_detectable
 from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
@@ -17,13 +18,10 @@ from pincal.identify.reasons import Reason, Status
 from pincal.measure.admit import admit, unobservable_notes
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
-from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
+from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_table
 from pincal.validate.agreement import check_agreement
-
-# Degrees of freedom below which residuals say nothing of the noise.
-_FEWEST = 10.0
 
 
 @dataclass(frozen=True)
@@ -50,34 +48,6 @@ class Expectation:
 
 
 @dataclass(frozen=True)
-class Detectability:
-    """How large an effect would have to be to be found.
-
-    Attributes:
-        effect: its name.
-        joint, source, order, frame: which of its likes; None where it has none.
-        measure: what the size is the size of (see :class:`pincal.discover.power.Detectable`).
-        unit: unit of the sizes.
-        size: found nine times of ten, whatever the directions of its parameters; None if no size is.
-        best: the same in the direction that shows best.
-        absorbed: part of the squared signal that the refitted model takes up.
-        reason: why it can't be tested, empty if it can.
-    """
-
-    effect: str
-    joint: str | None
-    source: str | None
-    order: int | None
-    frame: str | None
-    measure: str
-    unit: str
-    size: float | None
-    best: float | None
-    absorbed: float | None
-    reason: str
-
-
-@dataclass(frozen=True)
 class DetectabilityTable:
     """What a discovery could find with these poses and this noise.
 
@@ -95,7 +65,7 @@ class DetectabilityTable:
     source: str
     alpha: float
     power: float
-    effects: tuple[Detectability, ...]
+    effects: tuple[Detectable, ...]
 
 
 @dataclass(frozen=True)
@@ -130,7 +100,11 @@ class DataReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the precheck as plain data."""
-        return asdict(self) | {"parameters": [asdict(p) | {"reason": str(p.reason)} for p in self.parameters]}
+        return vars(self) | {
+            "joints": [vars(joint) for joint in self.joints],
+            "parameters": [vars(p) | {"reason": str(p.reason)} for p in self.parameters],
+            "detectable": vars(self.detectable) | {"effects": [found.to_dict() for found in self.detectable.effects]},
+        }
 
 
 def precheck(robot: Robot, measurements: Measurements, options: Options) -> DataReport:
@@ -154,13 +128,13 @@ def precheck(robot: Robot, measurements: Measurements, options: Options) -> Data
     return DataReport(
         kind=measurements.kind,
         rows=len(measurements),
-        joints=_ranges(robot, measurements),
+        joints=tuple(_ranges(robot, measurements)),
         nominal=error_table(fit.station, fit.nominal.values),
         noise={unit: float(fit.solution.sigma[0]), "source": "declared" if sigma else "foreseen by a fit"},
         rank=posterior.identifiable_rank,
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
-        parameters=_expectations(fit),
+        parameters=tuple(_expectations(fit)),
         detectable=_outlook(robot, fit),
         warnings=tuple(dict.fromkeys([*robot.notes, *notes])),
     )
@@ -172,47 +146,27 @@ def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
     declared = fit.noise.declared
     assumed = np.array([block.noise for block in base.station.sensor.blocks])
     degrees = base.solution.degrees
-    estimated = base.solution.estimated if degrees >= _FEWEST else assumed
+    estimated = base.solution.estimated if degrees >= FEWEST else assumed
     sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])
-    source = "declared" if declared[0] is not None else ("estimated" if degrees >= _FEWEST else "assumed")
+    source = "declared" if declared[0] is not None else ("estimated" if degrees >= FEWEST else "assumed")
     conditions = fit.station.conditions
     tested = candidates(base.model.chain, conditions)
     if robot.massless:
         tested = tuple(effect for effect in tested if not effect.uses_moments)
-    sights = [
-        Detectability(*_which(d.effect), d.measure, d.unit, d.size, d.best, d.absorbed, d.reason)
-        for d in minimum_detectable(base, tested, sigma=sigma)
-    ]
-    sights += [
-        Detectability(*_which(effect), "", "", None, None, None, reason)
-        for effect, reason in untestable(base.model.chain, conditions)
-    ]
+    sights = minimum_detectable(base, tested, sigma=sigma)
+    sights += [Detectable(effect, reason=reason) for effect, reason in untestable(base.model.chain, conditions)]
     sigma_m = float(sigma[0]) * fit.station.metres_per_reading(fit.nominal.values)
     return DetectabilityTable("geometric" if robot.massless else "elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
 
 
-def _which(effect: Effect) -> tuple[str, str | None, str | None, int | None, str | None]:
-    """Return name, joint, source, order and frame of an effect."""
-    at = effect.locus
-    return *effect.heading, at.order, at.frame
+def _ranges(robot: Robot, measurements: Measurements) -> Iterator[JointRange]:
+    """Yield the coverage of each joint; an endless range has no limits."""
+    for name, q, *limits in zip(robot.joint_names, measurements.q.T, robot.lower, robot.upper, strict=True):
+        lower, upper = (float(limit) if np.isfinite(limit) else None for limit in limits)
+        yield JointRange(name, float(q.min()), float(q.max()), lower, upper)
 
 
-def _ranges(robot: Robot, measurements: Measurements) -> tuple[JointRange, ...]:
-    return tuple(
-        JointRange(
-            name,
-            float(measurements.q[:, i].min()),
-            float(measurements.q[:, i].max()),
-            float(robot.lower[i]) if np.isfinite(robot.lower[i]) else None,
-            float(robot.upper[i]) if np.isfinite(robot.upper[i]) else None,
-        )
-        for i, name in enumerate(robot.joint_names)
-    )
-
-
-def _expectations(fit: Fit) -> tuple[Expectation, ...]:
-    sigma = np.where(np.isfinite(fit.estimate.sigma), fit.estimate.sigma, 0.0)
-    return tuple(
-        Expectation(p.name, p.unit, float(s), f.status, f.reason, p.effect)
-        for p, s, f in zip(fit.station.parameters, sigma, explain(fit), strict=True)
-    )
+def _expectations(fit: Fit) -> Iterator[Expectation]:
+    for p, sigma, finding in zip(fit.station.parameters, fit.estimate.sigma, explain(fit), strict=True):
+        known = float(sigma) if np.isfinite(sigma) else 0.0
+        yield Expectation(p.name, p.unit, known, finding.status, finding.reason, p.effect)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.discover.locate import levers
+from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.identify.station import Station

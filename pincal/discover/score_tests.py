@@ -51,37 +51,47 @@ class Score:
     ebic: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScoreTests:
-    """Gram matrices of a fitted model and of all candidates.
+    """Gram matrices of a fitted model and of all candidates, whitened by the noise that the model leaves.
 
     Attributes:
         effects: the candidates.
-        columns: for each candidate, its columns in ``S``.
-        n_model: the first columns, those of the model and of nuisance effects.
-        S: shape (P, P), whitened by the noise that the model leaves.
-        b: shape (P,).
-        precision: shape (n_model, n_model), inverse covariance of what was known of the model's parameters before.
-        pull: shape (n_model,), slope of the sum of squares by it at the present values.
-        blocks_S, blocks_b: shape (B, P, P), (B, P), by block of poses, for cross-validation.
+        columns: for each candidate, its columns, counted from the first column of all candidates.
+        n_model: the columns before, those of the model and of nuisance effects.
+        sizes: shape (P,), standard deviations of the priors.
+        pull: shape (n_model,), present deviations of the model's parameters over their priors' variances.
+        blocks_S, blocks_b: shape (B, P, P), (B, P), S and b by block of poses.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
     """
 
     effects: tuple[Effect, ...]
-    columns: tuple[slice, ...]
+    columns: tuple[np.ndarray, ...]
     n_model: int
-    S: np.ndarray
-    b: np.ndarray
-    precision: np.ndarray
-    pull: np.ndarray
     sizes: np.ndarray
+    pull: np.ndarray
     blocks_S: np.ndarray
     blocks_b: np.ndarray
     squares: float
     readings: int
     spent: float
+
+    @cached_property
+    def S(self) -> np.ndarray:
+        """Gram matrix of all blocks, shape (P, P)."""
+        return np.asarray(self.blocks_S.sum(axis=0))
+
+    @cached_property
+    def b(self) -> np.ndarray:
+        """Products with the residuals of all blocks, shape (P,)."""
+        return np.asarray(self.blocks_b.sum(axis=0))
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Inverse variances of the priors, shape (P,)."""
+        return np.asarray(self.sizes**-2.0)
 
     @property
     def dof(self) -> float:
@@ -89,62 +99,46 @@ class ScoreTests:
         return max(self.readings - self.spent, 1.0)
 
     @cached_property
-    def _projected(self) -> tuple[np.ndarray, np.ndarray]:
+    def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """S' and b' of all candidate columns."""
-        N = slice(0, self.n_model)
-        C = slice(self.n_model, len(self.b))
-        scale, L = _scaled_factor(self.S[N, N] + self.precision)
+        N, C = slice(0, self.n_model), slice(self.n_model, None)
+        scale, L = _scaled_factor(self.S[N, N] + np.diag(self.precision[N]))
         left = solve_triangular(L, scale[:, None] * self.S[N, C], lower=True, check_finite=False)
         slope = solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
         return self.S[C, C] - left.T @ left, self.b[C] - left.T @ slope
 
-    @cached_property
-    def _gains(self) -> dict[tuple[int, ...], tuple[float, int]]:
-        return {}
-
     def columns_of(self, which: Sequence[int]) -> np.ndarray:
         """Return the columns of some candidates, counted from the first candidate column."""
-        spans = [np.arange(self.columns[i].start, self.columns[i].stop) for i in which]
-        return np.concatenate(spans) - self.n_model if spans else np.zeros(0, int)
+        return np.concatenate([self.columns[i] for i in which])
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together."""
-        key = tuple(sorted(which))
-        if key not in self._gains:
-            self._gains[key] = self._gain(key)
-        return self._gains[key]
-
-    def _gain(self, which: Sequence[int]) -> tuple[float, int]:
-        S, b = self._projected
+        S, b = self.projected
         j = self.columns_of(which)
-        whole = np.diag(self.S)[self.n_model + j]
-        scale = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.S)[self.n_model + j], 1e-300))
         values, vectors = np.linalg.eigh(S[np.ix_(j, j)] * np.outer(scale, scale))
         seen = values > _SEEN
         along = (vectors[:, seen].T @ (scale * b[j])) ** 2
         return float(np.sum(along / values[seen])), int(seen.sum())
 
     def score(self, which: Sequence[int], groups: int) -> Score:
-        """Return the test of some candidates taken as one."""
-        gain, rank = self.gain(which)
-        return self.judge(gain, rank, groups)
+        """Return the test of some candidates taken as one, of so many groups that are tested."""
+        return self._judged(*self.gain(which), groups)
 
-    def judge(self, gain: float, rank: int, groups: int) -> Score:
-        """Return p-value and EBIC of a gain."""
+    def score_given(self, which: int, given: int) -> Score:
+        """Return the test of what one candidate still explains once another is in the model."""
+        both, rank_both = self.gain([which, given])
+        alone, rank_alone = self.gain([given])
+        return self._judged(both - alone, max(rank_both - rank_alone, 0), 1)
+
+    def _judged(self, gain: float, rank: int, groups: int) -> Score:
         if rank == 0:
             return Score(0.0, 0, 1.0, np.inf)
         gain = min(gain, 0.999999 * self.squares)
-        left = self.squares - gain
-        F = (gain / rank) / (left / max(self.dof - rank, 1.0))
-        p_value = float(fdtrc(rank, max(self.dof - rank, 1.0), F))
+        left, rest = self.squares - gain, max(self.dof - rank, 1.0)
+        p_value = float(fdtrc(rank, rest, (gain / rank) / (left / rest)))
         ebic = self.readings * np.log(left / self.squares) + rank * np.log(self.readings) + 2.0 * np.log(max(groups, 1))
         return Score(gain, rank, p_value, float(ebic))
-
-    def gain_given(self, which: int, given: int) -> Score:
-        """Return what one candidate still explains once another is in the model."""
-        both, rank_both = self.gain([which, given])
-        alone, rank_alone = self.gain([given])
-        return self.judge(both - alone, max(rank_both - rank_alone, 0), 1)
 
     def cross_validated_gain(self, which: Sequence[int]) -> tuple[float, float]:
         """Return the gain in squared prediction error on blocks left out, and its standard error."""
@@ -157,63 +151,38 @@ class ScoreTests:
         Both the model and the model with the candidates are refitted, to first order, without each block.
         """
         j = self.n_model + self.columns_of(which)
-        precision = self.sizes[j] ** -2.0
-        return np.array([block.gain(j, precision) for block in self._blocks])
+        return np.array([self._gain_left_out(k, j) for k in range(len(self.blocks_S))])
+
+    def _gain_left_out(self, k: int, j: np.ndarray) -> float:
+        """Return by how much the columns ``j``, fitted without block k, lower the squared error on it."""
+        S, b, N, own = self.blocks_S[k], self.blocks_b[k], slice(0, self.n_model), np.ix_(j, j)
+        model_scale, model_factor, model_step = self._without_block[k]
+        cross = self.S[N, j] - S[N, j]
+        carried = model_scale[:, None] * cho_solve((model_factor, True), model_scale[:, None] * cross, check_finite=False)
+        scale, factor = _scaled_factor(self.S[own] - S[own] - cross.T @ carried + np.diag(self.precision[j]))
+        slope = scale * (self.b[j] - b[j] - cross.T @ model_step)
+        step = scale * cho_solve((factor, True), slope, check_finite=False)
+        change = -carried @ step
+        along = S[N, N] @ change + S[N, j] @ step
+        beside = S[j, N] @ change + S[own] @ step
+        left = b[N] - S[N, N] @ model_step, b[j] - S[j, N] @ model_step
+        return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
 
     @cached_property
-    def _blocks(self) -> list[_LeftOut]:
-        return [_LeftOut.of(self, k) for k in range(len(self.blocks_S))]
+    def _without_block(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Scale and factor of the model's information without each block, and the step of its parameters."""
+        N, found = slice(0, self.n_model), []
+        for S, b in zip(self.blocks_S, self.blocks_b, strict=True):
+            scale, factor = _scaled_factor(self.S[N, N] - S[N, N] + np.diag(self.precision[N]))
+            slope = scale * (self.b[N] - b[N] - self.pull)
+            found.append((scale, factor, scale * cho_solve((factor, True), slope, check_finite=False)))
+        return found
 
     def estimate(self, which: Sequence[int]) -> np.ndarray:
         """Return some candidates' parameters to first order, priors included."""
-        S, b = self._projected
+        S, b = self.projected
         j = self.columns_of(which)
-        C = np.linalg.inv(S[np.ix_(j, j)] + np.diag(self.sizes[self.n_model + j] ** -2.0))
-        return np.asarray(C @ b[j])
-
-
-@dataclass(frozen=True)
-class _LeftOut:
-    """The model refitted to first order without one block, and what candidates would change on the block.
-
-    Attributes:
-        whole_S, whole_b: of all blocks.
-        S, b: of the block alone.
-        scale, factor: of the others' information about the model, see :func:`_scaled_factor`.
-        step: shape (n_model,), of the model's parameters.
-    """
-
-    whole_S: np.ndarray
-    whole_b: np.ndarray
-    S: np.ndarray
-    b: np.ndarray
-    scale: np.ndarray
-    factor: np.ndarray
-    step: np.ndarray
-
-    @classmethod
-    def of(cls, found: ScoreTests, k: int) -> _LeftOut:
-        """Factor once what all candidates share."""
-        S, b = found.blocks_S[k], found.blocks_b[k]
-        N = slice(0, found.n_model)
-        scale, factor = _scaled_factor(found.S[N, N] - S[N, N] + found.precision)
-        slope = scale * (found.b[N] - b[N] - found.pull)
-        step = scale * cho_solve((factor, True), slope, check_finite=False)
-        return cls(found.S, found.b, S, b, scale, factor, step)
-
-    def gain(self, j: np.ndarray, precision: np.ndarray) -> float:
-        """Return by how much the candidate columns ``j`` lower the squared error on the block."""
-        N, own = slice(0, len(self.step)), np.ix_(j, j)
-        cross = self.whole_S[N, j] - self.S[N, j]
-        carried = self.scale[:, None] * cho_solve((self.factor, True), self.scale[:, None] * cross, check_finite=False)
-        scale, factor = _scaled_factor(self.whole_S[own] - self.S[own] - cross.T @ carried + np.diag(precision))
-        slope = scale * (self.whole_b[j] - self.b[j] - cross.T @ self.step)
-        step = scale * cho_solve((factor, True), slope, check_finite=False)
-        change = -carried @ step
-        along = self.S[N, N] @ change + self.S[N, j] @ step
-        beside = self.S[j, N] @ change + self.S[own] @ step
-        left = self.b[N] - self.S[N, N] @ self.step, self.b[j] - self.S[j, N] @ self.step
-        return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
+        return np.asarray(np.linalg.inv(S[np.ix_(j, j)] + np.diag(self.precision[self.n_model + j])) @ b[j])
 
 
 def _scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -235,30 +204,25 @@ def score_test(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect
     """
     problem, known = fit.problem.extended([*nuisance, *candidates])
     first = len(fit.problem.effects)
+    added = [problem.places_of(first + k) for k in range(len(nuisance) + len(candidates))]
     sizes = priors_of(problem, fit.options).sizes
     # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
-    for k in range(len(nuisance)):
-        places = problem.places_of(first + k)
+    for places in added[: len(nuisance)]:
         sizes[places] = [problem.parameters[i].size for i in places]
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, fit.solution.free
-    tested = [problem.places_of(first + len(nuisance) + k) for k in range(len(candidates))]
+    tested = added[len(nuisance) :]
     blocks_S, blocks_b, squares, kept = _gram(fit, problem, values, free, tested, groups)
-    n_model = len(kept) - sum(len(places) for places in tested)
-    ends = n_model + np.cumsum([0, *(len(places) for places in tested)])
-    priors = sizes[kept]
-    known, slope = problem.beyond_priors(kept[:n_model], values, sizes)
-    precision = priors[:n_model] ** -2.0
+    ends = np.cumsum([0, *map(len, tested)])
+    n_model = len(kept) - int(ends[-1])
+    model = kept[:n_model]
     counts = [int(np.sum(fit.solution.weights[rows] > 0)) for rows in problem.rows]
     return ScoreTests(
         effects=tuple(candidates),
-        columns=tuple(slice(int(a), int(b)) for a, b in pairwise(ends)),
+        columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
         n_model=n_model,
-        S=blocks_S.sum(axis=0),
-        b=blocks_b.sum(axis=0),
-        precision=np.diag(precision) + known,
-        pull=values[kept[:n_model]] * precision - slope,
-        sizes=priors,
+        sizes=sizes[kept],
+        pull=values[model] * np.where(np.isfinite(sizes[model]), sizes[model] ** -2.0, 0.0),
         blocks_S=blocks_S,
         blocks_b=blocks_b,
         squares=squares,

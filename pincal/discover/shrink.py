@@ -8,9 +8,8 @@ import numpy as np
 from msgspec.structs import asdict
 
 from pincal.discover.history import History
-from pincal.discover.locate import levers
+from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
-from pincal.identify.normal import block_rows
 from pincal.io.discovery_file import Gap
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
@@ -41,7 +40,7 @@ def gap_of(fit: Fit, held: Measurements) -> Gap:
 def stages_of(trail: History, held: Measurements) -> tuple[Stage, ...]:
     """Return the errors at the start, after each step, and with everything fitted together."""
     fits = [("at the start", trail.first)]
-    fits += [("+ " + ", ".join(_title(e, e.locus.joint) for e in step.effects), step.after) for step in trail.steps]
+    fits += [("+ " + ", ".join(_title(e) for e in step.effects), step.after) for step in trail.steps]
     if fits[-1][1] is not trail.final:
         fits.append(("all together", trail.final))
     return tuple(Stage(name=name, **asdict(gap_of(fit, held))) for name, fit in fits)
@@ -52,8 +51,7 @@ class PartialResidual:
     """What one effect explains at each of N rows.
 
     Attributes:
-        effect: the effect.
-        joint: where it acts; of elasticity the joint that it shows most at; None for the whole arm.
+        effect: the effect; of elasticity that of the joint that is surest to bend.
         variable: what explains it: a joint's name, "approach", "moment", "payload", "temperature" or "time".
         unit: of the variable: "rad", "m", "N m", "kg", "deg C", "s" or "".
         x: shape (N,), the variable.
@@ -66,7 +64,6 @@ class PartialResidual:
     """
 
     effect: Effect
-    joint: str | None
     variable: str
     unit: str
     x: np.ndarray
@@ -77,19 +74,21 @@ class PartialResidual:
     error_unit: str
 
     @property
+    def joint(self) -> str | None:
+        """Where it acts; None for the whole arm."""
+        return self.effect.locus.joint
+
+    @property
     def title(self) -> str:
         """The name of the effect and where it acts."""
-        return _title(self.effect, self.joint)
+        return _title(self.effect)
 
 
 def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
     """Return what each step's effect explains in the final model."""
-    found = []
-    for step in trail.steps:
-        effect = next((e for e in step.effects if e in trail.final.model.effects), None)
-        if effect is not None:
-            found.append(partial_residual(trail.final, effect))
-    return tuple(found)
+    left = set(trail.final.model.effects)
+    kept = [[effect for effect in step.effects if effect in left] for step in trail.steps]
+    return tuple(partial_residual(trail.final, effects[0]) for effects in kept if effects)
 
 
 def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
@@ -98,45 +97,32 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
     An effect on one coordinate of the chain is seen through this coordinate's lever, any other along the way by which it
     moves the target.
     """
-    shown = replace(effect, joints=(_stiffest(fit, effect),)) if isinstance(effect, Compliance) else effect
-    joint = shown.locus.joint
-    names = [parameter.name for parameter in shown.parameters(fit.model.chain)]
+    if isinstance(effect, Compliance):
+        # Of elasticity the joint that is surest to bend.
+        found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
+        surest = found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))]
+        effect = replace(effect, joints=(surest.rsplit(".", 1)[0],))
+    joint, station = effect.locus.joint, fit.station
     idle = fit.values.copy()
-    idle[[fit.model.index(name) for name in names]] = 0.0
+    idle[[fit.model.index(parameter.name) for parameter in effect.parameters(fit.model.chain)]] = 0.0
     rows = fit.solution.weights > 0.0
-    scale = _scale(fit)[:, rows]
-    without, left = (fit.station.residuals(values)[:, rows] * scale for values in (idle, fit.values))
-    change = without - left
-    coordinate = _coordinate(fit, shown)
+    sizes = [block.size for block in station.sensor.blocks]
+    scale = station.weights[rows] / np.repeat(fit.solution.estimated, sizes)[:, None]
+    without, left = (station.residuals(values)[:, rows] * scale for values in (idle, fit.values))
+    coordinate = _coordinate(fit, effect)
     if coordinate is None:
-        length = np.linalg.norm(change, axis=0)
-        direction = change / np.maximum(length, 1e-300)
-        sigma = float(fit.solution.estimated[0])
-        sigma *= fit.station.metres_per_reading(fit.values)
-        parts = [np.sum(direction * r, axis=0) * sigma for r in (without, left)]
-        fitted, weights, unit = length * sigma, np.full(int(rows.sum()), sigma**-2.0), "m"
+        change = without - left
+        along = change / np.maximum(np.linalg.norm(change, axis=0), 1e-300)
+        sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
+        unit_errors, weights, unit = along * sigma, np.full(int(rows.sum()), sigma**-2.0), "m"
     else:
         lever = levers(fit, (coordinate,))[0][:, rows] * scale
         weights = np.sum(lever**2, axis=0)
-        parts = [np.sum(lever * r, axis=0) / np.maximum(weights, 1e-300) for r in (without, left)]
-        fitted = np.sum(lever * change, axis=0) / np.maximum(weights, 1e-300)
+        unit_errors = lever / np.maximum(weights, 1e-300)
         unit = "m" if joint is not None and _is_prismatic(fit, joint) else "rad"
-    variable, x_unit, x = _explaining(fit, shown)
-    return PartialResidual(effect, joint, variable, x_unit, x[rows], parts[0], parts[1], fitted, weights, unit)
-
-
-def _scale(fit: Fit) -> np.ndarray:
-    """Return 1 / standard deviation of each component of each reading, shape (m, N)."""
-    out = np.empty((sum(block.size for block in fit.station.sensor.blocks), len(fit.station)))
-    for rows, sigma in zip(block_rows(fit.station), fit.solution.estimated, strict=True):
-        out[rows] = fit.station.weights / sigma
-    return out
-
-
-def _stiffest(fit: Fit, effect: Compliance) -> str:
-    """Return the joint whose compliance is furthest from zero, in units of its standard deviation."""
-    found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
-    return found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))].rsplit(".", 1)[0]
+    before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, left, without - left))
+    variable, x_unit, x = _explaining(fit, effect)
+    return PartialResidual(effect, variable, x_unit, x[rows], before, after, fitted, weights, unit)
 
 
 def _is_prismatic(fit: Fit, joint: str) -> bool:
@@ -182,12 +168,13 @@ def period_of(trace: PartialResidual) -> float | None:
         period = 2.0 * np.pi / order
         return float(period) if width >= _PERIODS * period else None
     y = y - np.sum(w * y) / np.sum(w)
+    squares = float(np.sum(w * y**2))
     cycles = np.arange(_PERIODS, _FINEST * len(x), 1.0 / _OVERSAMPLED)
-    gains = np.array([_tone_gain(2.0 * np.pi * c * (x - x.min()) / width, y, w) for c in cycles])
-    if not len(gains):
+    if not len(cycles):
         return None
+    gains = np.array([_tone_gain(2.0 * np.pi * c * (x - x.min()) / width, y, w) for c in cycles])
     # Whitened, each row of noise adds 1 to the weighted squares, a tone of noise alone 2.
-    excess = float(np.sum(w * y**2)) - len(y)
+    excess = squares - len(y)
     best = int(np.argmax(gains))
     sure = gains[best] > 2.0 * np.log(len(cycles) / _CHANCE)
     return width / float(cycles[best]) if sure and gains[best] - 2.0 > _TONE * max(excess, 1e-9) else None
@@ -201,7 +188,9 @@ def _tone_gain(phase: np.ndarray, y: np.ndarray, w: np.ndarray) -> float:
     return float(b @ np.linalg.pinv(G, rcond=1e-9, hermitian=True) @ b)
 
 
-def _title(effect: Effect, joint: str | None) -> str:
+def _title(effect: Effect) -> str:
+    """Return the name of an effect, where it acts and what drives it."""
+    joint = effect.locus.joint
     of = "" if joint is None else f" of {joint}"
     source = effect.locus.follows if effect.is_nameless else effect.locus.source
     by = f" by {source}" if source and source != joint else ""

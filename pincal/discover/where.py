@@ -8,14 +8,16 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.discover.history import History
-from pincal.discover.locate import levers, locate
+from pincal.discover.levers import levers
+from pincal.discover.locate import Place, locate
 from pincal.discover.scatter import Scatter
-from pincal.discover.words import location_words, region_words
 from pincal.identify.fit import Fit
-from pincal.io.discovery_file import Disagreement, FoundParameter
+from pincal.io.discovery_file import Disagreement
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
 from pincal.parameters import Estimate
+from pincal.robot.robot import Robot
+from pincal.units import format_small
 
 # Standard deviations that a compliance has to be away from zero to be named by itself.
 _SIGNIFICANT = 4.0
@@ -48,11 +50,8 @@ def where_of(trail: History, scatter: Scatter | None, *, is_misfit: bool) -> tup
     location = locate(fit, sigma)
     for place in location.places:
         region = None if place.joint else "whole arm"
-        statement = location_words(place, robot)
-        found.append(Disagreement(statement, place.share, place.joint, region, place.acts_on, place.depends_on))
-    for part in location.regions:
-        name, statement = region_words(part, robot)
-        found.append(Disagreement(statement, part.share, region=name))
+        found.append(Disagreement(_words(place, robot), place.share, place.joint, region, place.acts_on, place.depends_on))
+    found += location.regions
     if scatter:
         found.append(_scattered(trail.final, scatter, sigma))
     elif is_misfit and not location.places:
@@ -90,7 +89,7 @@ def _scattered(fit: Fit, scatter: Scatter, sigma: np.ndarray) -> Disagreement:
     return Disagreement(statement, share, scatter.joint)
 
 
-def sure_compliances(fit: Fit) -> list[tuple[Effect, dict[str, FoundParameter], float]]:
+def sure_compliances(fit: Fit) -> list[tuple[Effect, Estimate, float]]:
     """Return the compliances of single joints and bearings that are far from zero, the surest first.
 
     Returns:
@@ -107,11 +106,38 @@ def sure_compliances(fit: Fit) -> list[tuple[Effect, dict[str, FoundParameter], 
             found.append((z2, single, estimate))
     found.sort(key=lambda item: -item[0])
     sure = [item for item in found if item[0] > _SIGNIFICANT**2 * len(item[2])] or found[:1]
-    return [(effect, _compliances(estimate), float(chdtrc(len(estimate), z2))) for z2, effect, estimate in sure]
+    return [(effect, estimate, float(chdtrc(len(estimate), z2))) for z2, effect, estimate in sure]
 
 
-def _compliances(estimate: Estimate) -> dict[str, FoundParameter]:
-    return {
-        p.name: FoundParameter(float(value), float(sigma) if np.isfinite(sigma) else None, p.unit)
-        for p, value, sigma in zip(estimate.parameters, estimate.values, estimate.fitted_sigma, strict=True)
-    }
+_FOLLOWED = {
+    "approach": "depending on the direction from which it arrives",
+    "load": "following the load on its axis",
+    "payload": "following the payload",
+    "temperature": "following the temperature",
+    "time": "as time goes by",
+}
+
+
+def _words(place: Place, robot: Robot) -> str:
+    """Return where a disagreement acts, what it follows, and the range in which most of it sits."""
+    if place.acts_on == "base":
+        moves = "the whole arm moves on its base"
+    elif place.acts_on == "lengths":
+        moves = f"all lengths grow by {format_small(place.size, '1')} rms"
+    elif place.acts_on != "drive":
+        moves = f"the axis of {place.joint} tilts by {format_small(place.size, 'rad')} rms"
+    elif _slides(robot, place.joint):
+        moves = f"{place.joint} is off along its axis by {format_small(place.size, 'm')} rms"
+    else:
+        moves = f"{place.joint} is off about its own axis by {format_small(place.size, 'rad')} rms"
+    whose = "its own position" if place.depends_on == place.joint else f"the position of {place.depends_on}"
+    text = f"{moves}, {_FOLLOWED.get(place.depends_on, f'following {whose}')}"
+    if place.window is None:
+        return text
+    slides = _slides(robot, place.depends_on)
+    low, high = (f"{x:.3f}" if slides else f"{np.degrees(x):.0f}" for x in place.window)
+    return f"{text}; {100 * place.inside:.0f} % of it between {low} and {high} {'m' if slides else 'deg'}"
+
+
+def _slides(robot: Robot, joint: str | None) -> bool:
+    return joint is not None and robot.joint_types[robot.joint_names.index(joint)] == "prismatic"

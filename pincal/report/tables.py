@@ -9,7 +9,8 @@ from dataclasses import replace
 from pincal.calibration.result import ParameterRow
 from pincal.calibration.tables import parameter_table
 from pincal.design.design import Design
-from pincal.discover.precheck import DataReport, Detectability
+from pincal.discover.power import Detectable
+from pincal.discover.precheck import DataReport
 from pincal.discover.shrink import Stage
 from pincal.io.discovery_file import Disagreement, FoundEffect
 from pincal.report.words import effect_words
@@ -135,19 +136,20 @@ def expectation_table(report: DataReport) -> Table:
 def detectability_tables(report: DataReport) -> Iterator[Table]:
     """Yield the smallest effect of each kind that a discovery would find at each joint, a few joints per table."""
     joints = [joint.joint for joint in report.joints]
-    entries = [entry for entry in report.detectable.effects if entry.joint is not None]
+    entries = [entry for entry in report.detectable.effects if entry.effect.locus.joint is not None]
     for i in range(0, len(joints), _JOINTS_ABREAST):
         yield _detectability_table(entries, joints[i : i + _JOINTS_ABREAST])
 
 
-def _detectability_table(entries: list[Detectability], joints: list[str]) -> Table:
-    found: dict[tuple[str, str], dict[str, list[Detectability]]] = {}
-    units = {entry.effect: entry.unit for entry in entries if entry.unit}
+def _detectability_table(entries: list[Detectable], joints: list[str]) -> Table:
+    found: dict[tuple[str, str], dict[str, list[Detectable]]] = {}
+    units = {entry.effect.name: entry.unit for entry in entries if entry.unit}
     for entry in entries:
-        name = entry.effect + (f" order {entry.order}" if entry.order else "")
-        unit = entry.unit or units.get(entry.effect, "")
-        if unit and entry.joint in joints:
-            found.setdefault((name, unit), {}).setdefault(entry.joint, []).append(entry)
+        at = entry.effect.locus
+        name = entry.effect.name + (f" order {at.order}" if at.order else "")
+        unit = entry.unit or units.get(entry.effect.name, "")
+        if unit and at.joint in joints:
+            found.setdefault((name, unit), {}).setdefault(at.joint, []).append(entry)
     columns = (
         Column("effect"),
         Column("unit", kind=Kind.LABEL, show=lambda unit: small_unit(unit).name),
@@ -160,9 +162,9 @@ def _detectability_table(entries: list[Detectability], joints: list[str]) -> Tab
     return Table("Smallest effects that would be found", columns, rows)
 
 
-def smallest_size(entries: Sequence[Detectability]) -> Quantity | str | None:
+def smallest_size(entries: Sequence[Detectable]) -> Quantity | str | None:
     """Return the size to be found; of several sources the range in the small unit, of several frames the larger."""
-    unit, source = entries[0].unit, entries[0].source
+    unit, source = entries[0].unit, entries[0].effect.heading[2]
     sizes = [entry.size for entry in entries if entry.size is not None]
     if not sizes:
         return None
