@@ -390,5 +390,5 @@ def test_the_command_marks_a_second_table_as_held_out(files: tuple[Path, Path], 
 
     import base64
 
-    held = np.frombuffer(base64.b64decode(content(out.read_text())["poses"][0]["held"]), "<u4")
+    held = np.frombuffer(base64.b64decode(content(out.read_text())["fields"]["poses"][0]["held_out"]), "<u4")
     assert held.tolist() == [0] * 40 + [1] * 40

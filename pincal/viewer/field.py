@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,6 +85,13 @@ class Fields:
     layers: tuple[Layer, ...]
     poses: tuple[Poses, ...]
     notes: tuple[str, ...]
+
+    def seen_from(self, T: np.ndarray) -> Fields:
+        """Return the fields in the frame that ``T``, shape (4, 4), takes their coordinates to."""
+        R, t = T[:3, :3].T, T[:3, 3]
+        layers = (replace(layer, points=layer.points @ R + t, vectors=layer.vectors @ R) for layer in self.layers)
+        poses = (p if p.position is None else replace(p, position=p.position @ R + t) for p in self.poses)
+        return replace(self, layers=tuple(layers), poses=tuple(poses))
 
 
 def deviation_fields(

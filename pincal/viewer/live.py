@@ -49,8 +49,8 @@ class LiveView:
             BadInputError: if they are not one finite number per joint.
         """
         values = np.asarray(q, float)
-        if values.shape != (len(self._scene.joint_names),) or not np.isfinite(values).all():
-            raise BadInputError(f"a pose of shape {values.shape}; expected {len(self._scene.joint_names)} finite numbers")
+        if values.shape != self._scene.q.shape or not np.isfinite(values).all():
+            raise BadInputError(f"a pose of shape {values.shape}; expected {len(self._scene.q)} finite numbers")
         self._tell({"q": values.tolist()})
 
     def replace(self, scene: Scene) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 import os
+from dataclasses import fields
 from functools import cache
 from importlib.resources import files
 from importlib.util import find_spec
@@ -19,10 +19,6 @@ from pincal.atomic import write_whole
 from pincal.errors import OutputError
 from pincal.viewer.scene import Scene
 
-# Viridis without its dark end, which would not be told from the background: steps of equal lightness, for every eye.
-_COLOURS = ("#375a8c", "#2d718e", "#24868e", "#1e9c89", "#2cb17e", "#52c569", "#86d549", "#c2df23", "#fde725")
-# Part of the arrows of a layer that the colour scale covers; the few largest share its last colour.
-_COVERED_PERCENT = 99.0
 # Nothing may be loaded from anywhere: what the page shows is in it. The viewer's library evaluates code of its own.
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
@@ -55,7 +51,7 @@ def page(scene: Scene, *, live: bool = False) -> str:
         "@POLICY@": html.escape(_POLICY),
         "@STYLE@": _resource("view.css"),
         "@VIEWER@": _viewer(),
-        "@SCENE@": _json({**scene_to_json(scene), "live": live}),
+        "@SCENE@": _json({"live": live} | {field.name: getattr(scene, field.name) for field in fields(scene)}),
         "@SCRIPT@": _resource("view.js"),
     }
     text = _resource("view.html")
@@ -67,89 +63,18 @@ def page(scene: Scene, *, live: bool = False) -> str:
     return "".join(parts.values()) + text
 
 
-def scene_to_json(scene: Scene) -> dict[str, Any]:
-    """Return a scene in types that JSON knows, arrays as little-endian numbers of 32 bits in base 64."""
-    base = scene.T_scene_base
-    steps = scene.kinematics
-    return {
-        "title": scene.title,
-        "joints": list(scene.joint_names),
-        "prismatic": [kind == "prismatic" for kind in steps.types],
-        "lower": scene.lower.tolist(),
-        "upper": scene.upper.tolist(),
-        "q": scene.q.tolist(),
-        "base": _matrix(base),
-        "first": _matrix(base @ steps.first),
-        "before": [_matrix(T) for T in steps.before],
-        "after": [_matrix(T) for T in steps.after],
-        "shapes": [
-            {
-                "link": shape.link,
-                "body": shape.body,
-                "vertices": _floats(shape.vertices),
-                "faces": _packed(shape.faces, "<u4"),
-                "colour": [round(c, 3) for c in shape.colour],
-            }
-            for shape in scene.shapes
-        ],
-        "axes": msgspec.to_builtins(scene.axes, enc_hook=np.ndarray.tolist),
-        "axisScale": scene.axis_scale,
-        "frames": [{"name": f.name, "body": f.body, "placement": _matrix(f.placement)} for f in scene.frames],
-        "poses": [_poses(scene, part) for part in scene.fields.poses],
-        "layers": [_layer(scene, layer) for layer in scene.fields.layers],
-        "scale": scene.scale,
-        "reach": scene.reach,
-        "colours": list(_COLOURS),
-        "notes": list(scene.notes),
-    }
-
-
-def _poses(scene: Scene, part: Any) -> dict[str, Any]:
-    found: dict[str, Any] = {"name": part.name, "q": _floats(part.q)}
-    if part.lines is not None:
-        found["lines"] = _packed(part.lines, "<u4")
-    if part.held_out is not None:
-        found["held"] = _packed(part.held_out, "<u4")
-    if part.position is not None:
-        found["points"] = _floats(_moved(scene.T_scene_instrument, part.position))
-    return found
-
-
-def _layer(scene: Scene, layer: Any) -> dict[str, Any]:
-    sizes = layer.sizes
-    return {
-        "name": layer.name,
-        "poses": layer.poses,
-        "words": layer.words,
-        "points": _floats(_moved(scene.T_scene_instrument, layer.points)),
-        "vectors": _floats(layer.vectors @ scene.T_scene_instrument[:3, :3].T),
-        "mean": float(np.mean(sizes)),
-        "largest": float(np.max(sizes)),
-        "covered": float(np.percentile(sizes, _COVERED_PERCENT)),
-    }
-
-
-def _moved(T: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
-
-
-def _matrix(T: np.ndarray) -> list[float]:
-    """Return a placement column by column, as three.js takes it."""
-    return [float(value) for value in T.T.ravel()]
-
-
-def _floats(values: np.ndarray) -> str:
-    return _packed(values, "<f4")
-
-
-def _packed(values: np.ndarray, kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode("ascii")
-
-
 def _json(content: dict[str, Any]) -> str:
     """Return JSON that stays text inside of a script element, whatever names are in it."""
-    text = json.dumps(content, allow_nan=False)
+    text = msgspec.json.encode(content, enc_hook=_encoded).decode()
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _encoded(value: np.ndarray | np.generic) -> Any:
+    """Return an array, row by row, as little-endian numbers of 32 bits in base 64."""
+    if isinstance(value, np.generic):
+        return value.item()
+    kind = "<f4" if value.dtype.kind == "f" else "<u4"
+    return base64.b64encode(np.ascontiguousarray(value, kind).tobytes()).decode("ascii")
 
 
 @cache

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pincal.errors import MeasurementError
 from pincal.measure.measurements import Measurements
 
 
@@ -26,31 +25,22 @@ def held_out_rows(
     Returns:
         Shape (N,), True for rows that the fit did not see, or None if unknown; and the reason.
     """
+    import polars as pl
+
     inputs = provenance.get("inputs")
     known = list(inputs.values()) if isinstance(inputs, dict) else []
     if not known:
         return None, f"the model names no input files, so nobody knows which rows of {data.name} it was fitted to"
-    digest = hashlib.sha256(data.read_bytes()).hexdigest()
+    digest, unseen = hashlib.sha256(data.read_bytes()).hexdigest(), np.ones(len(measurements), bool)
     if digest not in known:
-        return np.ones(
-            len(measurements), bool
-        ), f"{data.name} is none of the model's input files: all rows count as held out"
+        return unseen, f"{data.name} is none of the model's input files: all rows count as held out"
     if digest != known[0]:
-        return np.ones(len(measurements), bool), f"{data.name} was held out of the fit as a whole"
-    fitted = _fitted_lines(residuals)
-    if fitted is None:
+        return unseen, f"{data.name} was held out of the fit as a whole"
+    try:
+        table = pl.read_csv(residuals, columns=["line", "rows"])
+        fitted = table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
+    except (OSError, pl.exceptions.PolarsError):
         return None, f"which rows were held out stands in {residuals.name}, which is not beside the model: none is marked"
     held = ~np.isin(measurements.rows, fitted)
     words = f"{held.sum()} of {len(held)} rows were held out of the fit" if held.any() else "no row was held out of the fit"
     return held, words
-
-
-def _fitted_lines(path: Path) -> np.ndarray | None:
-    """Return the lines that ``residuals.csv`` marks as fitted; None if it can't tell."""
-    import polars as pl
-
-    try:
-        table = pl.read_csv(path, columns=["line", "rows"])
-        return table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
-    except (OSError, pl.exceptions.PolarsError, MeasurementError):
-        return None

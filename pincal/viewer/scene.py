@@ -44,30 +44,28 @@ class Scene:
 
     Attributes:
         title: the robot's name.
-        joint_names: the joints.
+        joints: their names.
         lower: shape (n,), ends of the joints' sliders [rad or m].
         upper: shape (n,), likewise.
         q: shape (n,), the pose to begin with.
         T_scene_base: shape (4, 4), the robot's base in the scene: upright, whichever way it is mounted.
-        T_scene_instrument: shape (4, 4), the instrument in the scene; what :class:`Fields` are relative to.
         kinematics: how the arm moves.
         shapes: what it looks like.
         axes: its joint axes, with distortions times ``axis_scale``.
         axis_scale: that factor.
         frames: base, tools, instrument.
-        fields: the deviations.
+        fields: the deviations, in the scene.
         scale: factor of the arrows' lengths to begin with.
         reach: how far the arm reaches [m].
         notes: what is missing, and what the page rests on, in words.
     """
 
     title: str
-    joint_names: tuple[str, ...]
+    joints: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
     q: np.ndarray
     T_scene_base: np.ndarray
-    T_scene_instrument: np.ndarray
     kinematics: Kinematics
     shapes: tuple[Shape, ...]
     axes: tuple[Axis, ...]
@@ -117,23 +115,23 @@ def build_scene(
     fields = deviation_fields(calibrated, measurements, held_out=held_out, grid=grid)
     shapes, missing = shapes_of(chain.robot, mesh_folders)
     axes, axis_scale = axes_of(calibrated, axis_scale)
-    upright, coordinates = _upright(chain.gravity), _coordinates(calibrated)
-    seen = upright @ np.linalg.inv(_base_in_instrument(chain, coordinates))
+    upright, coordinates = _upright(chain.gravity), calibrated.model.rigid_coordinates(calibrated.model_values)
+    base = placed(chain.base_rotation, coordinates[[chain.base(symbol) for symbol in FRAME_SYMBOLS]])
+    seen = upright @ np.linalg.inv(base)
     lower, upper = _slider_ends(calibrated, fields.poses)
     return Scene(
         title=chain.robot.name,
-        joint_names=chain.robot.joint_names,
+        joints=chain.robot.joint_names,
         lower=lower,
         upper=upper,
         q=_first_pose(chain, fields.poses, q),
         T_scene_base=upright,
-        T_scene_instrument=seen,
         kinematics=Kinematics.of(chain.robot),
         shapes=shapes,
         axes=axes,
         axis_scale=axis_scale,
         frames=_frames(calibrated, upright, seen, coordinates),
-        fields=fields,
+        fields=fields.seen_from(seen),
         scale=_visible(fields.layers[0], chain.robot.reach) if scale is None else scale,
         reach=chain.robot.reach,
         notes=(*notes, *_row_notes(fields.poses), *missing, *fields.notes),
@@ -186,16 +184,7 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
     size = float(np.linalg.norm(gravity))
     if size == 0.0:
         return np.eye(4)
-    up = -np.asarray(gravity) / size
-    return shortest_turn(up, np.array([0.0, 0.0, 1.0]))
-
-
-def _coordinates(calibrated: CalibratedModel) -> np.ndarray:
-    return np.asarray(calibrated.model.rigid_coordinates(calibrated.model_values))
-
-
-def _base_in_instrument(chain: Chain, coordinates: np.ndarray) -> np.ndarray:
-    return placed(chain.base_rotation, coordinates[[chain.base(symbol) for symbol in FRAME_SYMBOLS]])
+    return shortest_turn(-gravity / size, np.array([0.0, 0.0, 1.0]))
 
 
 def _frames(

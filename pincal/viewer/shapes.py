@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,20 +56,15 @@ def shapes_of(robot: Robot, folders: Sequence[str | os.PathLike[str]] = ()) -> t
         The shapes, and notes on meshes that are missing and links without a look.
     """
     drawn: list[Shape] = []
-    missing: list[str] = []
+    notes: list[str] = []
     if robot.urdf:
         try:
-            for shape in _visuals(robot, [Path(folder) for folder in folders]):
-                if isinstance(shape, Shape):
-                    drawn.append(shape)
-                else:
-                    missing.append(shape)
+            drawn, notes = _visuals(robot, [Path(folder) for folder in folders])
         except (RobotFileError, ValueError, RuntimeError) as error:
-            missing.append(f"the look of the robot can't be read from its URDF ({error})")
-    notes = list(dict.fromkeys(missing))
+            notes = [f"the look of the robot can't be read from its URDF ({error})"]
     bare = sorted(set(range(1, robot.n_joints + 1)) - {shape.body for shape in drawn})
     if not drawn:
-        why = "the URDF shows no link" if not missing else "none of the URDF's meshes can be shown"
+        why = "the URDF shows no link" if not notes else "none of the URDF's meshes can be shown"
         notes.append(f"{why if robot.urdf else 'the model holds no URDF'}: the arm is drawn in simple shapes")
         bare = list(range(robot.n_joints + 1))
     elif bare:
@@ -77,26 +72,31 @@ def shapes_of(robot: Robot, folders: Sequence[str | os.PathLike[str]] = ()) -> t
     return (*_thinned(drawn), *_simple(robot, bare)), tuple(notes)
 
 
-def _visuals(robot: Robot, folders: list[Path]) -> Iterator[Shape | str]:
-    """Yield the shapes of the URDF's visuals, or in words why one can't be shown."""
+class _NotShown(Exception):
+    """A visual that can't be drawn; the message says why."""
+
+
+def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[Shape], list[str]]:
+    """Return the shapes of the URDF's visuals, and in words why others can't be shown."""
     root = parse_xml(robot.urdf, robot.source)
     colours = {m.get("name"): _colour(m) for m in root.iterfind("material")}
     places = _link_places(robot)
+    drawn: list[Shape] = []
+    notes: dict[str, None] = {}
     for link in root.iterfind("link"):
-        name = link.get("name")
-        if name not in places:
+        if (name := link.get("name")) not in places:
             continue
         body, placement = places[name]
         for visual in link.iterfind("visual"):
             material = visual.find("material")
             colour = None if material is None else _colour(material) or colours.get(material.get("name"))
             at = placement @ _origin(visual)
-            for part in _geometry(visual, robot, folders):
-                if isinstance(part, str):
-                    yield f"{name}: {part}"
-                else:
-                    vertices, faces, own = part
-                    yield Shape(name, body, _moved(at, vertices), faces, colour or own or _GREY)
+            try:
+                for vertices, faces, own in _geometry(visual, robot, folders):
+                    drawn.append(Shape(name, body, _moved(at, vertices), faces, colour or own or _GREY))
+            except _NotShown as why:
+                notes[f"{name}: {why}"] = None
+    return drawn, list(notes)
 
 
 def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
@@ -123,58 +123,53 @@ def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
 _Mesh = tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None]
 
 
-def _geometry(visual: Any, robot: Robot, folders: list[Path]) -> list[_Mesh | str]:
-    """Return the meshes of a visual, shape (V, 3) and (F, 3) with a colour of their own, or why there are none."""
+def _geometry(visual: Any, robot: Robot, folders: list[Path]) -> list[_Mesh]:
+    """Return the meshes of a visual, shape (V, 3) and (F, 3) with a colour of their own.
+
+    Raises:
+        _NotShown: if it has none, or they are not here.
+    """
     geometry = visual.find("geometry")
     shape = None if geometry is None else next((e for e in geometry if isinstance(e.tag, str)), None)
     if shape is None:
-        return ["a visual without geometry is not shown"]
+        raise _NotShown("a visual without geometry is not shown")
     if shape.tag == "box":
-        return [(*_box(_numbers(shape, "size", 3)), None)]
+        corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        return [(*_hull(corners * _numbers(shape, "size", 3)), None)]
     if shape.tag in ("cylinder", "capsule"):
-        radius, length = _numbers(shape, "radius", 1)[0], _numbers(shape, "length", 1)[0]
-        return [(*_cylinder(np.array([0, 0, -length / 2]), np.array([0, 0, length / 2]), radius), None)]
+        radius, half = _numbers(shape, "radius", 1)[0], np.array([0.0, 0.0, _numbers(shape, "length", 1)[0] / 2])
+        return [(*_cylinder(-half, half, radius), None)]
     if shape.tag == "sphere":
-        return [(*_sphere(_numbers(shape, "radius", 1)[0]), None)]
+        up, around = np.meshgrid(np.linspace(0, np.pi, 13), 2 * np.pi * np.arange(_SIDES) / _SIDES)
+        points = np.stack([np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)], axis=-1)
+        return [(*_hull(_numbers(shape, "radius", 1)[0] * points.reshape(-1, 3)), None)]
     if shape.tag != "mesh":
-        return [f"a visual of kind {shape.tag} is not shown"]
+        raise _NotShown(f"a visual of kind {shape.tag} is not shown")
     name = shape.get("filename", "")
     known = Path(name).suffix.lower() in _SUFFIXES
     path = find_mesh(name, robot.source, folders) if known else None
     if path is None or path.stat().st_size > _LARGEST:
-        return [f"mesh {name} is not here"]
+        raise _NotShown(f"mesh {name} is not here")
     try:
-        return [*_read_mesh(path, _numbers(shape, "scale", 3) if shape.get("scale") else np.ones(3))]
+        return _read_mesh(path, _numbers(shape, "scale", 3) if shape.get("scale") else np.ones(3))
     except Exception as error:  # Readers of meshes fail in every way there is; the page is worth more than one of them.
-        return [f"mesh {name} can't be read ({type(error).__name__}: {str(error)[:120]})"]
+        raise _NotShown(f"mesh {name} can't be read ({type(error).__name__}: {str(error)[:120]})") from None
 
 
 def _read_mesh(path: Path, scale: np.ndarray) -> list[_Mesh]:
     import trimesh
 
-    scene = trimesh.load_scene(path)
-    found: list[_Mesh] = []
-    for node in scene.graph.nodes_geometry:
-        T, name = scene.graph[node]
-        mesh = scene.geometry[name]
-        faces = getattr(mesh, "faces", None)
-        if faces is None or len(faces) == 0:
-            continue
-        vertices = _moved(np.asarray(T), np.asarray(mesh.vertices, float)) * scale
-        if not np.isfinite(vertices).all():
-            raise ValueError("vertices that are not finite")
-        found.append((vertices, np.asarray(faces), _mesh_colour(mesh)))
-    if not found:
+    meshes = [mesh for mesh in trimesh.load_scene(path).dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
         raise ValueError("no triangles")
-    return found
+    if not all(np.isfinite(mesh.vertices).all() for mesh in meshes):
+        raise ValueError("vertices that are not finite")
+    return [(np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces), _mesh_colour(mesh)) for mesh in meshes]
 
 
 def _mesh_colour(mesh: Any) -> tuple[float, float, float] | None:
-    visual = getattr(mesh, "visual", None)
-    if visual is None or not getattr(visual, "defined", False):
-        return None
-    material = getattr(visual, "material", None)
-    rgba = getattr(material, "main_color", None) if material is not None else getattr(visual, "main_color", None)
+    look = mesh.visual
+    rgba = getattr(getattr(look, "material", look), "main_color", None) if look.defined else None
     return None if rgba is None else (rgba[0] / 255, rgba[1] / 255, rgba[2] / 255)
 
 
@@ -199,7 +194,7 @@ def _thin(shape: Shape, most: int) -> Shape:
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         faces = np.unique(faces, axis=0)
         cell *= 1.3
-    return Shape(shape.link, shape.body, vertices, faces, shape.colour)
+    return replace(shape, vertices=vertices, faces=faces)
 
 
 def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[Shape]:
@@ -222,12 +217,6 @@ def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[Shape]:
             yield Shape(name, body, _moved(inverses[body], vertices), faces, _GREY)
 
 
-def _box(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size / 2
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
-
-
 def _cylinder(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a closed cylinder from one point to another."""
     along = (end - start) / np.linalg.norm(end - start)
@@ -235,20 +224,14 @@ def _cylinder(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.nda
     side /= np.linalg.norm(side)
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     ring = radius * (np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(along, side)))
-    i = np.arange(_SIDES)
-    j = (i + 1) % _SIDES
-    low, high = np.full(_SIDES, 2 * _SIDES), np.full(_SIDES, 2 * _SIDES + 1)
-    faces = [(i, j, j + _SIDES), (i, j + _SIDES, i + _SIDES), (low, j, i), (high, i + _SIDES, j + _SIDES)]
-    return np.vstack([start + ring, end + ring, start, end]), np.concatenate([np.column_stack(f) for f in faces])
+    return _hull(np.vstack([start + ring, end + ring]))
 
 
-def _sphere(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    up, around = np.meshgrid(np.linspace(0, np.pi, 13), 2 * np.pi * np.arange(_SIDES) / _SIDES, indexing="ij")
-    points = np.stack([np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)], axis=-1)
-    k, i = (a.ravel() for a in np.meshgrid(np.arange(12), np.arange(_SIDES), indexing="ij"))
-    j = (i + 1) % _SIDES
-    a, b, c, d = k * _SIDES + i, k * _SIDES + j, (k + 1) * _SIDES + i, (k + 1) * _SIDES + j
-    return radius * points.reshape(-1, 3), np.concatenate([np.column_stack([a, c, d]), np.column_stack([a, d, b])])
+def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the convex body with these corners as triangles, flat ones as well."""
+    from scipy.spatial import ConvexHull
+
+    return points, np.asarray(ConvexHull(points, qhull_options="QJ").simplices)
 
 
 def _moved(T: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -270,8 +253,7 @@ def _origin(visual: Any) -> np.ndarray:
     origin = visual.find("origin")
     if origin is not None:
         T[:3, 3] = _numbers(origin, "xyz", 3) if origin.get("xyz") else 0.0
-        rpy = _numbers(origin, "rpy", 3) if origin.get("rpy") else np.zeros(3)
-        T[:3, :3] = rotation_of_rpy(rpy)
+        T[:3, :3] = rotation_of_rpy(_numbers(origin, "rpy", 3)) if origin.get("rpy") else np.eye(3)
     return T
 
 

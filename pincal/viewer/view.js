@@ -8,15 +8,22 @@
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
   const floats = (text) => new Float32Array(bytes(text));
   const integers = (text) => new Uint32Array(bytes(text));
-  const matrix = (columns) => new THREE.Matrix4().fromArray(columns);
+  // Matrices stand row by row, one or many in one text.
+  const matrices = (text) => {
+    const all = floats(text);
+    return Array.from({ length: all.length / 16 }, (_, i) => new THREE.Matrix4().set(...all.subarray(16 * i, 16 * i + 16)));
+  };
+  const matrix = (text) => matrices(text)[0];
+  const lower = floats(scene.lower), upper = floats(scene.upper), start = floats(scene.q);
+  const prismatic = scene.kinematics.types.map((kind) => kind === "prismatic");
 
   const poses = new Map(
-    scene.poses.map((part) => {
+    scene.fields.poses.map((part) => {
       const q = floats(part.q);
       const unpacked = { name: part.name, q, count: q.length / scene.joints.length };
       if (part.lines) unpacked.lines = integers(part.lines);
-      if (part.held) unpacked.held = integers(part.held);
-      if (part.points) unpacked.points = floats(part.points);
+      if (part.held_out) unpacked.held = integers(part.held_out);
+      if (part.position) unpacked.points = floats(part.position);
       return [part.name, unpacked];
     }),
   );
@@ -90,21 +97,21 @@
     }
   }
 
-  const first = matrix(scene.first), base = matrix(scene.base);
-  const before = scene.before.map(matrix), after = scene.after.map(matrix);
+  const base = matrix(scene.T_scene_base), first = base.clone().multiply(matrix(scene.kinematics.first));
+  const before = matrices(scene.kinematics.before), after = matrices(scene.kinematics.after);
   function linkFrames(q) {
     // frames[0] is where the first axis stands, frames[i] moves with joint i.
     const frames = [first.clone()];
     q.forEach((value, i) => {
       const moved = new THREE.Matrix4();
-      if (scene.prismatic[i]) moved.makeTranslation(0, 0, value);
+      if (prismatic[i]) moved.makeTranslation(0, 0, value);
       else moved.makeRotationZ(value);
       frames.push(frames[i].clone().multiply(before[i]).multiply(moved).multiply(after[i]));
     });
     return frames;
   }
 
-  let pose = scene.q.slice();
+  let pose = Array.from(start);
   function setPose(q) {
     pose = Array.from(q);
     const frames = linkFrames(pose);
@@ -168,8 +175,9 @@
       title.position.setScalar(-0.1 * size);
       group.add(title);
       viewer.set_object(path, group);
-      if (frame.body === 0) viewer.set_transform(path, frame.placement);
-      else moving.push({ path, body: frame.body, placement: matrix(frame.placement) });
+      const placement = matrix(frame.placement);
+      if (frame.body === 0) viewer.set_transform(path, placement.elements);
+      else moving.push({ path, body: frame.body, placement });
     }
   }
 
@@ -179,7 +187,7 @@
     scene.axes.forEach((axis, i) => {
       const path = place("axes", axis.joint);
       const group = new THREE.Group();
-      const ends = (pair) => pair.map((point) => new THREE.Vector3(...point));
+      const ends = (pair) => [0, 3].map((k) => new THREE.Vector3().fromArray(floats(pair), k));
       group.add(rod(...ends(axis.nominal), radius, NOMINAL));
       group.add(rod(...ends(axis.actual), 1.25 * radius, ACTUAL));
       const name = label(axis.joint, ACTUAL, 0.016);
@@ -210,7 +218,9 @@
     return geometry;
   }
 
-  const stops = scene.colours.map((code) => new THREE.Color(code));
+  // Viridis without its dark end, which would not be told from the background: steps of equal lightness, for every eye.
+  const COLOURS = ["#375a8c", "#2d718e", "#24868e", "#1e9c89", "#2cb17e", "#52c569", "#86d549", "#c2df23", "#fde725"];
+  const stops = COLOURS.map((code) => new THREE.Color(code));
   function colourOf(part, out) {
     const at = Math.min(Math.max(part, 0), 1) * (stops.length - 1);
     const low = Math.min(Math.floor(at), stops.length - 2);
@@ -226,10 +236,16 @@
     const step = 10 ** (Math.floor(Math.log10(layer.covered)) - 1);
     return Math.ceil(layer.covered / step - 1e-9) * step;
   }
-  let factor = scene.scale, top = scaleEnd(scene.layers[0]);
+  // Part of the arrows of a layer that the colour scale covers; the few largest share its last colour.
+  const COVERED = 0.99;
+  function quantile(sizes, part) {
+    const sorted = sizes.slice().sort(), at = part * (sorted.length - 1), low = Math.floor(at);
+    return sorted[low] + (at - low) * (sorted[Math.ceil(at)] - sorted[low]);
+  }
+  let factor = scene.scale, top = 1e-9;
   function buildLayers() {
     const geometry = arrowGeometry();
-    scene.layers.forEach((given, index) => {
+    scene.fields.layers.forEach((given, index) => {
       const cut = given.name.indexOf("/");
       const path = place(given.name.slice(0, cut), given.name.slice(cut + 1));
       const points = floats(given.points), vectors = floats(given.vectors);
@@ -240,12 +256,17 @@
       mesh.frustumCulled = false;
       const sizes = new Float32Array(count);
       for (let i = 0; i < count; i++) sizes[i] = Math.hypot(vectors[3 * i], vectors[3 * i + 1], vectors[3 * i + 2]);
-      const layer = { ...given, path, points, vectors, sizes, mesh, count, drawn: false };
+      const mean = sizes.reduce((sum, size) => sum + size, 0) / count;
+      const layer = {
+        ...given, path, points, vectors, sizes, mesh, count, mean,
+        largest: quantile(sizes, 1), covered: quantile(sizes, COVERED), drawn: false,
+      };
       mesh.userData.layer = layer;
       viewer.set_object(path, mesh);
       viewer.set_property(path, "visible", index === 0);
       layers.push(layer);
     });
+    top = scaleEnd(layers[0]);
   }
 
   function fill(layer) {
@@ -341,7 +362,7 @@
   let showLegend = () => {};
   function buildLegend() {
     const bar = element("div", { id: "bar" });
-    bar.style.background = `linear-gradient(to right, ${scene.colours.join(", ")})`;
+    bar.style.background = `linear-gradient(to right, ${COLOURS.join(", ")})`;
     const ticks = element("div", { id: "ticks" });
     const shown = element("output", { id: "factor" });
     const slider = element("input", { type: "range", min: -2, max: 2, step: 0.01, value: 0 });
@@ -403,11 +424,11 @@
       panel.append(toggle(one.path, `${one.name} points`, { number: String(one.count), swatch: swatch(one.colour, one.kind) }));
     }
     panel.append(toggle(["robot"], "robot"), toggle(["frames"], "frames: base, instrument, tool"));
-    panel.append(toggle(["axes"], "axes of the joints", { number: factorWords(scene.axisScale) }));
+    panel.append(toggle(["axes"], "axes of the joints", { number: factorWords(scene.axis_scale) }));
     panel.append(
       element("p", { className: "quiet" },
         swatch(NOMINAL, ""), ` nominal axis, `, swatch(ACTUAL, ""),
-        ` actual axis, its tilt and offset ${factorWords(scene.axisScale)}`),
+        ` actual axis, its tilt and offset ${factorWords(scene.axis_scale)}`),
     );
   }
 
@@ -484,11 +505,11 @@
     scene.joints.forEach((name, i) => joints.append(jointRow(name, i, stop, shown)));
     panel.append(joints);
     panel.append(element("p", { className: "quiet", textContent: "Click an arrow or a point to see the robot there." }));
-    use(scene.poses[0].name);
+    use(scene.fields.poses[0].name);
     // The pose to begin with is mostly one of the rows.
     const near = (value, i, row) => Math.abs(value - current.q[scene.joints.length * row + i]) < 1e-5;
     let row = 0;
-    while (row < current.count && !scene.q.every((value, i) => near(value, i, row))) row++;
+    while (row < current.count && !start.every((value, i) => near(value, i, row))) row++;
     if (row < current.count) {
       slider.value = row;
       sayRow(row);
@@ -498,7 +519,7 @@
 
   function jointRow(name, i, stop, shown) {
     const value = element("output");
-    const slider = element("input", { type: "range", min: scene.lower[i], max: scene.upper[i], step: "any" });
+    const slider = element("input", { type: "range", min: lower[i], max: upper[i], step: "any" });
     slider.setAttribute("aria-label", name);
     slider.addEventListener("input", () => {
       stop();
@@ -507,7 +528,7 @@
     });
     const show = (angle) => {
       slider.value = angle;
-      value.textContent = scene.prismatic[i] ? `${(1e3 * angle).toFixed(1)} mm` : `${((180 / Math.PI) * angle).toFixed(1)}\u00b0`;
+      value.textContent = prismatic[i] ? `${(1e3 * angle).toFixed(1)} mm` : `${((180 / Math.PI) * angle).toFixed(1)}\u00b0`;
     };
     sliders.push({ show });
     return element("div", {}, element("div", { className: "line" }, element("span", { textContent: name }), value), slider);
@@ -558,7 +579,7 @@
     viewer.camera.near = far / 300;
     viewer.camera.far = far * 200;
     const box = new THREE.Box3().expandByPoint(new THREE.Vector3().setFromMatrixPosition(base));
-    const points = floats(scene.layers[0].points), point = new THREE.Vector3();
+    const points = floats(scene.fields.layers[0].points), point = new THREE.Vector3();
     for (let k = 0; k < points.length; k += 3) box.expandByPoint(point.fromArray(points, k));
     const middle = box.getCenter(new THREE.Vector3()), radius = 0.5 * box.getSize(point).length();
     // The viewer's own axes: y is up.
@@ -581,7 +602,7 @@
   buildLayerRows();
   const control = buildPoseRows();
   buildNotes();
-  setPose(scene.q);
+  setPose(start);
   redraw();
   pickWith((name, row) => { control.stop(); control.go(name, row); });
   setInterval(follow, 300);
