@@ -14,13 +14,12 @@ from test_examples import run as run_example
 from pincal import GEOMETRIC, Limits, Options, Robot, SensorSetup, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.design.bodies import Bodies, Boxes
-from pincal.design.bound import lower_bound
-from pincal.design.design_model import DesignModel
-from pincal.design.exchange import State, choose_greedily, covariance, exchange, gains, information, value
+from pincal.design.design_model import DesignModel, noncentrality
+from pincal.design.exchange import State, choose_greedily, covariance, exchange, gains, information, lower_bound, value
 from pincal.design.observability import SOURCES, Observed
 from pincal.design.reach import Reach
-from pincal.design.rivals import find_rival, noncentrality
 from pincal.design.route import length, short_route, travel
+from pincal.design.study import find_rival
 from pincal.errors import BadInputError
 from pincal.measure.table import read_measurements
 from pincal.model.chain import Chain

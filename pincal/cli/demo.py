@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,13 +18,12 @@ from pincal.cli.outputs import output_folder, print_json, provenance
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
+    from pincal.calibration.run import Calibration
     from pincal.discover.run import Discovery
     from pincal.measure.measurements import Measurements
-    from pincal.model.effects import Conditions
     from pincal.robot.robot import Robot
-    from pincal.simulate.campaign import Campaign
+    from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PaperMachine
-    from pincal.simulate.setup import SensorSetup
 
 # As in the paper's section V: a tool point off the flange, and a tracker that knows nothing of the robot's base.
 _TOOL = (0.05, 0.03, 0.12)
@@ -32,7 +31,7 @@ _NOISE = 5e-5
 _ROWS = 300
 # The second act: the amplitude of a gear's error [rad], some forty arcseconds, and where it is.
 _SIZE = 2e-4
-_HIDDEN = {"joint": "joint_1", "order": 2, "size": _SIZE}
+_JOINT = "joint_1"
 _HIDDEN_FOLDER = "hidden_effect"
 # The third act: poses of a program.
 _PROGRAM = 200
@@ -56,34 +55,30 @@ def demo(arguments: DemoArguments) -> Exit:
     from pincal.discover.run import run_discovery
     from pincal.identify.options import Options
     from pincal.io.strict_json import write_json
-    from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions
+    from pincal.model.effects import ELASTIC, GEOMETRIC
     from pincal.report.plots.found import deviation_figure
     from pincal.robot.robot import Robot
     from pincal.simulate.hidden import hidden_effect
-    from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS, PaperMachine
+    from pincal.simulate.paper_machine import PAYLOAD_COM, PaperMachine
 
     robot, out, seed = Robot.from_urdf(kuka_urdf_path()), arguments.out, arguments.seed
-    sound, bad = PaperMachine(), PaperMachine(effects=(hidden_effect("gear_eccentricity", **_HIDDEN),))
+    bad = PaperMachine(effects=(hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE),))
     with output_folder(out) as draft, output_folder(out / _HIDDEN_FOLDER) as second:
-        (draft / "kuka_kr125_2.urdf").write_bytes(kuka_urdf_path().read_bytes())
-        rng = np.random.default_rng(seed)
-        table = _measure(draft / "measurements.csv", sound, _campaign(robot, rng), rng=rng)
+        urdf, data, again = draft / "kuka_kr125_2.urdf", draft / "measurements.csv", second / "measurements.csv"
+        urdf.write_bytes(kuka_urdf_path().read_bytes())
+        table, _ = _measure(data, PaperMachine(), robot, rng=np.random.default_rng(seed))
         runs = {}
         for name, effects in (("DH,s", GEOMETRIC), ("DH,s,e", ELASTIC)):
             options = Options(effects=effects, payload_centre=PAYLOAD_COM, sigma=_NOISE)
             runs[name] = run_calibration(robot, table, options, seed=seed)
-        origin = provenance([draft / "measurements.csv", draft / "kuka_kr125_2.urdf"], seed=seed)
-        write_results(draft, runs["DH,s,e"], origin, view=True)
+        write_results(draft, runs["DH,s,e"], provenance([data, urdf], seed=seed), view=True)
         deviation_figure(_deviations(runs)).savefig(draft / "deviations.png", dpi=120)
-        rng = np.random.default_rng([seed, 2])
-        campaign = _campaign(robot, rng)
-        table = _measure(second / "measurements.csv", bad, campaign, rng=rng)
+        table, tracker = _measure(again, bad, robot, rng=np.random.default_rng([seed, 2]))
         found = run_discovery(robot, table, options, seed=seed)
-        write_results(second, found.calibration, provenance([second / "measurements.csv"], seed=seed), found, view=True)
+        write_results(second, found.calibration, provenance([again], seed=seed), found, view=True)
         write_json(second / "discovery.json", found.report)
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
-        program = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
-        missed = _compensate(second, found, machine=bad, setup=campaign.setup, program=program)
+        missed = _compensate(second, found, q, machine=bad, tracker=tracker)
     if arguments.general.as_json:
         results = {name: run.result.to_dict() for name, run in runs.items()}
         print_json(results | {"discovery": found.report, "program_error_mm": missed})
@@ -94,109 +89,103 @@ def demo(arguments: DemoArguments) -> Exit:
     return Exit.DONE
 
 
-def _campaign(robot: Robot, rng: np.random.Generator) -> Campaign:
-    """Return random poses and a tracker that stands anywhere in the hall."""
+def _measure(
+    path: Path, machine: PaperMachine, robot: Robot, *, rng: np.random.Generator
+) -> tuple[Measurements, Instrument]:
+    """Write what a tracker that stands anywhere in the hall reads of a machine in random poses; return it as read again."""
     from scipy.spatial.transform import Rotation
 
-    from pincal.simulate.campaign import Campaign
+    from pincal.measure.table import read_measurements, write_table
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PAYLOAD_MASS
 
     q, pose = robot.random_configurations(_ROWS, rng), np.eye(4)
     pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
     tracker = Instrument(pose=pose, targets=_TOOL, sigma=_NOISE)
-    return Campaign(q=q, conditions={"payload": PAYLOAD_MASS}, setup=tracker)
-
-
-def _measure(path: Path, machine: PaperMachine, campaign: Campaign, *, rng: np.random.Generator) -> Measurements:
-    """Write what the tracker reads of the paper's true machine (Table I), with noise, and read it again."""
-    from pincal.measure.table import read_measurements, write_table
-
-    write_table(path, campaign.measure(machine, rng))
-    return read_measurements(path, machine.nominal.names)
+    write_table(path, tracker.measure(machine, q, rng=rng, payload=PAYLOAD_MASS))
+    return read_measurements(path, robot.joint_names), tracker
 
 
 def _compensate(
-    folder: Path, found: Discovery, *, machine: PaperMachine, setup: SensorSetup, program: Conditions
+    folder: Path, found: Discovery, q: np.ndarray, *, machine: PaperMachine, tracker: Instrument
 ) -> dict[str, dict[str, float]]:
     """Correct a program made with the nominal robot, run both on the machine, and return by how far they miss [mm]."""
     from pincal.calibration.calibrated import load_model
     from pincal.compensate.compensation import compensate_poses
     from pincal.measure.table import write_table
+    from pincal.model.effects import Conditions
+    from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
     # The program was made with the nominal robot, its base and tool measured in.
-    fit = found.calibration.fit
+    fit, program = found.calibration.fit, Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
     wanted = fit.model.predict(fit.model.own(fit.nominal.values), program)
     corrected = compensate_poses(load_model(folder / "model.json"), wanted, program)
-    exact, position = replace(setup, sigma=0.0), dict(zip("xyz", wanted[:, :, 3].T, strict=True))
+    exact, position = replace(tracker, sigma=0.0), dict(zip("xyz", wanted[:, :, 3].T, strict=True))
     misses: dict[str, dict[str, float]] = {}
-    for name, file, q in (("as programmed", "program.csv", program.q), ("corrected", "corrected.csv", corrected.q)):
-        joints = dict(zip(machine.nominal.names, q.T, strict=True))
-        write_table(folder / file, joints | position | {"payload": program.payload})
-        reached = exact.measure(machine, q, payload=program.payload)
+    for name, file, joints in (("as programmed", "program.csv", q), ("corrected", "corrected.csv", corrected.q)):
+        columns = dict(zip(fit.model.chain.robot.joint_names, joints.T, strict=True))
+        write_table(folder / file, columns | position | {"payload": program.payload})
+        reached = exact.measure(machine, joints, payload=program.payload)
         missed = 1e3 * np.linalg.norm([reached[axis] - position[axis] for axis in "xyz"], axis=0)
         misses[name] = {"mean": float(missed.mean()), "max": float(missed.max())}
     misses["corrected"]["out_of_reach"] = int(np.sum(corrected.status != "ok"))
     return misses
 
 
-def _deviations(runs: dict[str, Any]) -> dict[str, np.ndarray]:
+def _deviations(runs: dict[str, Calibration]) -> dict[str, np.ndarray]:
     """Return the held-out deviations [m] of the standard DH model and of each calibrated one (paper, Fig. 6)."""
-    first = next(iter(runs.values()))
+    first = runs["DH,s"]
     models = {"standard DH": (first, first.fit.nominal.values)} | {name: (run, run.fit.values) for name, run in runs.items()}
-    return {name: np.linalg.norm(run.test_problem().residuals(values), axis=0) for name, (run, values) in models.items()}
+    problems = ((name, run.test_problem(), values) for name, (run, values) in models.items())
+    return {name: np.linalg.norm(problem.residuals(values), axis=0) for name, problem, values in problems if problem}
 
 
-def _tell(runs: dict[str, Any]) -> None:
+def _tell(runs: dict[str, Calibration]) -> None:
     from pincal.calibration.tables import parameter_table
     from pincal.cli.progress import console
 
-    screen = console()
-    full = runs["DH,s,e"]
+    screen, result = console(), runs["DH,s,e"].result
     screen.print(
         f"The KUKA KR 125/2 of the paper (Table I), {_ROWS} poses measured by a simulated tracker,\n"
-        f"{_NOISE * 1e3:g} mm of noise per coordinate, {full.result.rows['test']} poses held out of every fit:\n"
+        f"{_NOISE * 1e3:g} mm of noise per coordinate, {result.rows['test']} poses held out of every fit:\n"
     )
     for name, deviations in _deviations(runs).items():
         screen.print(f"  {name:12s} mean {deviations.mean() * 1e3:8.4f} mm   max {deviations.max() * 1e3:8.4f} mm")
     screen.print("\n(standard DH: base and tool fitted; DH,s: geometry and axis distortions; DH,s,e: with elasticity)\n")
-    screen.print(parameter_table(full.result.parameters))
-    for note in full.result.warnings:
+    screen.print(parameter_table(result.parameters))
+    for note in result.warnings:
         screen.print(f"note: {note}")
 
 
-def _tell_hidden(found: Any) -> None:
+def _tell_hidden(found: Discovery) -> None:
     from pincal.cli.progress import console
     from pincal.cli.tables import print_discovery
 
-    screen = console()
+    screen, size = console(), f"{_SIZE * 1e3:g} mrad"
     screen.rule("A hidden effect")
-    joint, size = _HIDDEN["joint"], f"{_SIZE * 1e3:g} mrad"
     screen.print(
-        f"\nThe same robot, but a gear wheel of {joint} is elliptical: the joint errs by {size}, twice a turn.\n"
+        f"\nThe same robot, but a gear wheel of {_JOINT} is elliptical: the joint errs by {size}, twice a turn.\n"
         f"{_ROWS} poses are measured again and calibrated with all of the above. Nobody tells the calibration\n"
         "of the wheel, and the held-out error stays above the noise. What is missing, and where?\n"
     )
     print_discovery(found, screen)
     for entry in found.report["effects"]:
-        if entry["effect"] == "gear_eccentricity" and entry["joint"] == joint:
-            waves = [parameter["value"] for parameter in entry["parameters"].values()]
-            amplitude = 1e3 * float(np.hypot(*waves))
-            screen.print(f"\nPut in: {size} at {joint}, twice a turn. Found: {amplitude:.4f} mrad.")
+        if (entry["effect"], entry["joint"]) == ("gear_eccentricity", _JOINT):
+            amplitude = 1e3 * np.hypot(*(parameter["value"] for parameter in entry["parameters"].values()))
+            screen.print(f"\nPut in: {size} at {_JOINT}, twice a turn. Found: {amplitude:.4f} mrad.")
 
 
 def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
     from pincal.cli.fitting import VIEW
     from pincal.cli.progress import console
 
-    screen, folder = console(), out / _HIDDEN_FOLDER
+    screen, folder, urdf = console(), out / _HIDDEN_FOLDER, out / "kuka_kr125_2.urdf"
     screen.rule("Go where it was meant")
     screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, runs on this machine:\n")
     for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by what was found")):
         mean, largest = missed[name]["mean"], missed[name]["max"]
         screen.print(f"  {words:28s} misses by {mean:8.4f} mm in the mean, {largest:8.4f} mm at most")
-    short = int(missed["corrected"]["out_of_reach"])
-    if short:
+    if short := int(missed["corrected"]["out_of_reach"]):
         screen.print(f"\n{short} of the poses lie at a singularity or beyond the robot's reach, and are only approached.")
     screen.print("\nOpen", style="bold")
     for path, words in (
@@ -209,7 +198,6 @@ def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
     ):
         screen.print(f"  {path!s:40s} {words}", soft_wrap=True)
     screen.print("\nThen try your own robot, or one that you make up:", style="bold")
-    urdf = out / "kuka_kr125_2.urdf"
     for line in (
         f"pincal compensate {folder / 'model.json'} {folder / 'program.csv'} --out again.csv",
         f"pincal check     {urdf} {out / 'measurements.csv'} --payload-com .08 -.05 .22",

@@ -13,9 +13,9 @@ import numpy as np
 from pincal.design.design_model import DesignModel
 from pincal.design.observability import Observed
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
-from pincal.design.refine import Refinement
+from pincal.design.refine import refine as refined
 from pincal.design.request import Criterion, DesignRequest
-from pincal.design.route import length, short_route, travel
+from pincal.design.route import order_by_load
 from pincal.design.study import CurvePoint, Quality, Study, total
 from pincal.errors import PincalWarning
 from pincal.identify.options import Options
@@ -155,13 +155,14 @@ def design_poses(
             taken as unknown.
         rig: sensor, and from where it measures.
         limits: where the arm may go.
-        criterion: "task" or "determinant"; this and the following as in :class:`pincal.design.request.DesignRequest`.
-        tell_apart: two rival effects to be told apart instead.
+        criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the priors of the fit),
+            "determinant" for the smallest volume of the parameters' uncertainty (D-optimal, with priors).
+        tell_apart: two rival effects, as in :func:`pincal.design.study.find_rival`, to be told apart instead.
         accuracy: predicted error over the task to reach [m].
-        task: joint positions that the user cares for.
-        measured: poses measured already.
-        payloads: masses at the tip [kg] to choose from.
-        candidates: number of random poses to choose from.
+        task: joint positions that the user cares for, with payloads where they matter; default: the whole reach.
+        measured: poses measured already, with their payloads; their information counts.
+        payloads: masses at the tip [kg] to choose from, pose by pose; default: no payload.
+        candidates: number of random poses to choose from; default: 1500, or twice ``poses`` if that is more.
         refine: whether to move the chosen poses joint by joint to where they tell more.
         curve: whether to design for other numbers of poses, too, and to bound what any choice can reach.
         seed: seed of all random numbers.
@@ -195,7 +196,6 @@ def design_poses(
 
 
 def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: bool, curve: bool) -> Design:
-    """Return the design that is asked for."""
     begun = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -205,23 +205,23 @@ def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: b
         _check_count(study, n)
     picked = study.candidates.select(np.array(study.design(n)))
     if refine:
-        picked = Refinement(study.design_model, reach, study.W, study.H).improve(picked)
+        picked = refined(picked, study.design_model, reach=reach, W=study.W, H=study.H)
     H, at_random = study.H + total(study.design_model.readings(picked)), study.random(n)
     found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
-    order, unordered, ordered = _order(picked, reach)
+    order, unordered, ordered = order_by_load(picked.q, picked.payload, reach.range)
     observability, observability_random = _observability(study, n, H, at_random)
-    is_bounded = curve and request.criterion == "task" and not request.tell_apart
+    criterion: str = "tell apart" if request.tell_apart else request.criterion
     return Design(
         robot=reach.robot,
         conditions=picked.select(order),
         rig=reach.rig,
-        criterion="tell apart" if request.tell_apart else request.criterion,
+        criterion=criterion,
         rivals=tuple(request.tell_apart or ()),
         design_model=study.design_model,
         drawn=study.drawn,
         found=found,
         before=study.quality(study.H) if study.n_measured else None,
-        bound=study.bound(n) if is_bounded else None,
+        bound=study.bound(n) if curve and criterion == "task" else None,
         curve=study.curve(found) if curve else (),
         needed=needed,
         observability=observability,
@@ -246,20 +246,6 @@ def _check_count(study: Study, n: int) -> None:
             PincalWarning,
             stacklevel=3,
         )
-
-
-def _order(design: Conditions, reach: Reach) -> tuple[np.ndarray, float, float]:
-    """Return an order of short ways, load by load, and the length of the way before and after."""
-    lower, upper = reach.range
-    distances = travel(design.q, upper - lower)
-    from_middle = np.abs((design.q - 0.5 * (lower + upper)) / (upper - lower)).max(axis=1)
-    order: list[int] = []
-    for load in np.unique(design.payload):
-        rows = np.flatnonzero(design.payload == load)
-        start = distances[order[-1], rows] if order else from_middle[rows]
-        order += rows[short_route(distances[np.ix_(rows, rows)], int(np.argmin(start)))].tolist()
-    found = np.array(order)
-    return found, length(distances, np.arange(len(found))), length(distances, found)
 
 
 def _observability(

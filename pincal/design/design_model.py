@@ -199,3 +199,33 @@ def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:
             f"{robot.source}: no mass for the links {', '.join(robot.massless)}, so elasticity can't be part of the model; "
             "add <inertial> to these links or design for the geometric model"
         )
+
+
+def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:
+    """Return W of the criterion tr(W C) that tells rivals apart, shape (F, F).
+
+    It is the sum of the variances of both rivals' parameters, in units of their typical sizes, with everything refitted:
+    the A-criterion for a subset (A_s; Atkinson, Donev and Tobias 2007, sec. 10.3). Of an effect with one parameter the
+    variance is the inverse of the non-centrality that T-optimality maximises (Atkinson and Fedorov 1975); of several it
+    makes up for the worst direction first.
+    """
+    W = np.zeros((n_free, n_free))
+    for columns in rivals:
+        W[columns, columns] = RIVAL**2
+    return W
+
+
+def noncentrality(C: np.ndarray, rivals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
+    """Return, for each rival of typical size, its squared signal in units of the noise that no refit takes up.
+
+    The rest, the other rival among it, is refitted; it is the mean over the directions of its parameters.
+
+    Args:
+        C: shape (F, F), posterior covariance in units of the priors.
+        rivals: places of their parameters.
+    """
+    found = []
+    for columns in rivals:
+        left = np.linalg.inv(C[np.ix_(columns, columns)]) - np.eye(len(columns))
+        found.append(max(float(np.trace(left)) / len(columns) / RIVAL**2, 0.0))
+    return tuple(found)

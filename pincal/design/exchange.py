@@ -1,4 +1,4 @@
-r"""Which of many candidates to take: greedy choice and Fedorov's exchange by updates of low rank.
+r"""Which of many candidates to take, by greedy choice and Fedorov's exchange, and what no choice among them can beat.
 
 A candidate j is a pose with its m readings; A_j, shape (m, F), is their Jacobian in units of the noise and of the priors,
 so that a design has the posterior covariance
@@ -28,6 +28,8 @@ PASSES = 10
 _ALONE = 1e-5
 # Relative gain below which a swap is rounding.
 _WORTH = 1e-9
+# Rounds of the algorithm behind the lower bound.
+ROUNDS = 100
 
 
 def covariance(H: np.ndarray) -> np.ndarray:
@@ -189,3 +191,27 @@ def exchange(
         if not n_swaps:
             break
     return design
+
+
+def lower_bound(A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, *, rounds: int = ROUNDS) -> float:
+    r"""Return a value that the criterion of no n candidates, repeated ones among them, falls below.
+
+    A design of n candidates is a point w in the simplex, n w_j saying how often candidate j is taken. Over the whole simplex
+    the criteria are convex, so that at any w, with d_j minus the derivative by n w_j,
+
+    .. math:: f(w^*) \ge f(w) - n \, (\max_j d_j - \sum_j w_j d_j),
+
+    which closes at the optimum (the equivalence theorem; Kiefer and Wolfowitz 1960, Fedorov 1972). The weights come from the
+    multiplicative algorithm of Silvey, Titterington and Torsney (1978), of which more rounds make the bound tighter.
+    Arguments as in :func:`choose_greedily`.
+    """
+    M, m, F = A.shape
+    rows, weights, best = A.reshape(M * m, F), np.full(M, 1.0 / M), -np.inf
+    for _ in range(rounds):
+        C = covariance(H + n * (rows * np.repeat(weights, m)[:, None]).T @ rows)
+        inner = C if W is None else C @ W @ C
+        descent = np.einsum("rf,rf->r", rows @ inner, rows).reshape(M, m).sum(axis=1)
+        best = max(best, value(C, W) - n * float(descent.max() - weights @ descent))
+        weights = weights * np.sqrt(descent)
+        weights /= weights.sum()
+    return best

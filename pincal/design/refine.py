@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,60 +21,47 @@ _WINDOWS = (1.0, 0.4, 0.15)
 _WORTH = 1e-6
 
 
-@dataclass(frozen=True)
-class Refinement:
-    """A coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995) within the constraints.
+def refine(
+    design: Conditions, design_model: DesignModel, *, reach: Reach, W: np.ndarray | None, H: np.ndarray
+) -> Conditions:
+    """Improve a design by coordinate exchange within the constraints (Meyer and Nachtsheim, Technometrics 37, 1995).
 
-    Each pose in turn is taken out of the design, and the best of its likes that differ in one joint is taken in.
+    Each pose in turn is taken out, and the best of its likes that differ in one joint is taken in; what else belongs to a
+    pose, its payload say, stays as it is.
 
-    Attributes:
+    Args:
+        design: its poses.
         design_model: what readings tell.
         reach: which poses are allowed.
-        W: shape (F, F), or None for the determinant.
+        W: shape (F, F), of the criterion tr(W C); None for the determinant.
         H: shape (F, F), information that is there before.
     """
+    q, A = design.q.copy(), design_model.readings(design)
+    for sweep, window in enumerate(_WINDOWS):
+        log.info("refining the poses, sweep %d", sweep + 1, extra={"done": sweep, "of": len(_WINDOWS)})
+        for place in range(len(q)):
+            rest = np.delete(A, place, axis=0).reshape(-1, A.shape[2])
+            C = covariance(H + rest.T @ rest)
+            trial = _likes(q[place], reach, window)
+            if not len(trial):
+                continue
+            readings = design_model.readings(replace(design.select(np.full(len(trial), place)), q=trial))
+            gain = gains(*weigh(readings, C, W))
+            least = float(gains(*weigh(A[place][None], C, W))[0])
+            better = np.argsort(-gain)[: np.sum(gain > least + _WORTH * abs(least))]
+            k = next((k for k in better if not reach.collides(trial[k : k + 1])[0]), None)
+            if k is not None:
+                q[place], A[place] = trial[k], readings[k]
+    return replace(design, q=q)
 
-    design_model: DesignModel
-    reach: Reach
-    W: np.ndarray | None
-    H: np.ndarray
 
-    def improve(self, design: Conditions) -> Conditions:
-        """Return a design that is better, or the same; what else belongs to a pose, its payload say, stays as it is."""
-        q, A = design.q.copy(), self.design_model.readings(design)
-        for sweep, window in enumerate(_WINDOWS):
-            log.info("refining the poses, sweep %d", sweep + 1, extra={"done": sweep, "of": len(_WINDOWS)})
-            for place in range(len(q)):
-                rest = np.delete(A, place, axis=0).reshape(-1, A.shape[2])
-                C = covariance(self.H + rest.T @ rest)
-                q[place], A[place] = self._best(design, place, q[place], A[place], C, window)
-        return replace(design, q=q)
-
-    def _best(
-        self, design: Conditions, place: int, q: np.ndarray, own: np.ndarray, C: np.ndarray, window: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose that lowers the criterion most beside the others, and its Jacobian, shape (m, F)."""
-        trial = self._likes(q, window)
-        trial = trial[self.reach.allows_apart(trial)]
-        if not len(trial):
-            return q, own
-        A = self.design_model.readings(replace(design.select(np.full(len(trial), place)), q=trial))
-        gain = gains(*weigh(A, C, self.W))
-        least = float(gains(*weigh(own[None], C, self.W))[0])
-        for k in np.argsort(-gain):
-            if gain[k] <= least + _WORTH * abs(least):
-                break
-            if not self.reach.collides(trial[k : k + 1])[0]:
-                return trial[k], A[k]
-        return q, own
-
-    def _likes(self, q: np.ndarray, window: float) -> np.ndarray:
-        """Return poses that differ from ``q`` in one joint, shape (n steps, n)."""
-        lower, upper = self.reach.range
-        n = len(q)
-        trial = np.tile(q, (n * _STEPS, 1))
-        for joint in range(n):
-            half = 0.5 * window * (upper[joint] - lower[joint])
-            low, high = max(lower[joint], q[joint] - half), min(upper[joint], q[joint] + half)
-            trial[joint * _STEPS : (joint + 1) * _STEPS, joint] = np.linspace(low, high, _STEPS)
-        return trial
+def _likes(q: np.ndarray, reach: Reach, window: float) -> np.ndarray:
+    """Return the poses allowed, but for self-collision, that differ from q, shape (n,), in one joint."""
+    lower, upper = reach.range
+    half = 0.5 * window * (upper - lower)
+    steps = np.linspace(np.maximum(lower, q - half), np.minimum(upper, q + half), _STEPS)
+    trial = np.tile(q, (len(q), _STEPS, 1))
+    for joint in range(len(q)):
+        trial[joint, :, joint] = steps[:, joint]
+    trial = trial.reshape(-1, len(q))
+    return np.asarray(trial[reach.allows_apart(trial)])

@@ -1,39 +1,28 @@
-"""What is to be designed: the number of poses or an accuracy, the criterion, and what is known already."""
+"""What is to be designed, and the conditions of its poses: payloads, directions of approach and targets."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue.candidates import needs_column
+from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 
 Criterion = Literal["task", "determinant"]
 
-CANDIDATES = 1500
-"""Default number of random poses to choose from."""
+# Default number of random poses to choose from.
+_CANDIDATES = 1500
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignRequest:
-    """What is to be designed.
-
-    Attributes:
-        poses: Number of poses; None for as many as ``accuracy`` needs.
-        accuracy: Predicted error over the task to reach [m]; None if the number of poses is given.
-        criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the priors of the fit),
-            "determinant" for the smallest volume of the parameters' uncertainty (D-optimal, with priors).
-        tell_apart: Two rival effects, as in :func:`pincal.design.rivals.find_rival`; the criterion is then to tell
-            them apart.
-        task: Joint positions that the user cares for, with payloads where they matter; the whole reach by default.
-        measured: Poses measured already, with their payloads; their information counts.
-        payloads: Masses at the tip [kg] to choose from, pose by pose; None for no payload.
-        candidates: Number of random poses to choose from; by default 1500, or twice ``poses`` if that is more.
-        seed: Seed of all random numbers.
+    """What is to be designed: arguments of :func:`pincal.design.design.design_poses`, checked.
 
     Raises:
         BadInputError: If a value is invalid or two of them exclude each other.
@@ -58,7 +47,7 @@ class DesignRequest:
     @property
     def n_candidates(self) -> int:
         """Number of random poses to choose from."""
-        return max(CANDIDATES, 2 * (self.poses or 0)) if self.candidates is None else self.candidates
+        return max(_CANDIDATES, 2 * (self.poses or 0)) if self.candidates is None else self.candidates
 
     @property
     def fewest(self) -> int:
@@ -95,3 +84,48 @@ class DesignRequest:
         for what, table in (("task", self.task), ("measured poses", self.measured)):
             if table is not None and len(table) == 0:
                 raise BadInputError(f"{what}: {table.source} has no rows; expected joint positions")
+
+
+@dataclass(frozen=True)
+class PoseBuilder:
+    """How joint positions become conditions."""
+
+    robot: Robot
+    options: Options
+    request: DesignRequest
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets: of those measured before, the first is the one that is measured again."""
+        measured = self.request.measured
+        return ("tool",) if measured is None else tuple(str(name) for name in np.unique(measured.target))
+
+    @property
+    def _loads(self) -> np.ndarray:
+        return np.array(self.request.payloads or (0.0,), float)
+
+    def at(self, q: np.ndarray, rng: np.random.Generator) -> Conditions:
+        """Return poses with the loads in turn and, where it matters, random directions of approach."""
+        n, loads = len(q), self._loads
+        approach = rng.choice([-1.0, 1.0], q.shape) if self.request.has_approach(self.robot) else None
+        centre = np.array(self.options.payload_centre, float)
+        return Conditions(q, np.zeros(n, int), loads[np.arange(n) % len(loads)], centre, approach=approach)
+
+    def of(self, table: Measurements) -> Conditions:
+        """Return the poses of a table; rows without a payload carry the first of the loads."""
+        n, targets, approach = len(table), self.targets, table.approach
+        index = np.array([targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int)
+        payload = np.full(n, self._loads[0]) if table.payload is None else np.asarray(table.payload)
+        if approach is None and self.request.has_approach(self.robot):
+            approach = np.zeros(table.q.shape)
+        centre = np.array(self.options.payload_centre, float)
+        return Conditions(table.q, index, payload, centre, table.temperature, table.time, approach)
+
+
+def joined(one: Conditions, other: Conditions) -> Conditions:
+    """Return the poses of both, one after the other; a column that only one of them has is left out."""
+    pairs = {f.name: (getattr(one, f.name), getattr(other, f.name)) for f in fields(Conditions)}
+    columns: dict[str, Any] = {
+        name: None if a is None or b is None else np.concatenate([a, b]) for name, (a, b) in pairs.items()
+    }
+    return Conditions(**columns | {"payload_centre": one.payload_centre})

@@ -22,26 +22,40 @@ def short_route(distances: np.ndarray, first: int = 0) -> np.ndarray:
 
     ``distances`` is symmetric, shape (N, N); the order, shape (N,), begins with ``first``.
     """
-    order = _nearest_first(distances, first)
+    places, left = [first], np.ones(len(distances), bool)
+    left[first] = False
+    while left.any():
+        places.append(int(np.argmin(np.where(left, distances[places[-1]], np.inf))))
+        left[places[-1]] = False
+    order = np.array(places)
     for _ in range(_ROUNDS):
         if not _reverse_stretches(order, distances):
             break
     return order
 
 
+def order_by_load(
+    q: np.ndarray, payload: np.ndarray, joint_range: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, float, float]:
+    """Return an order of short ways through poses, load by load, and the length of the way before and after.
+
+    ``q`` has shape (N, n), ``payload`` (N,); the least and largest joint positions have shape (n,) each.
+    """
+    lower, upper = joint_range
+    distances = travel(q, upper - lower)
+    from_middle = np.abs((q - 0.5 * (lower + upper)) / (upper - lower)).max(axis=1)
+    order: list[int] = []
+    for load in np.unique(payload):
+        rows = np.flatnonzero(payload == load)
+        start = distances[order[-1], rows] if order else from_middle[rows]
+        order += rows[short_route(distances[np.ix_(rows, rows)], int(np.argmin(start)))].tolist()
+    found = np.array(order)
+    return found, length(distances, np.arange(len(found))), length(distances, found)
+
+
 def length(distances: np.ndarray, order: np.ndarray) -> float:
     """Return the length of the way through places in an order."""
     return float(distances[order[:-1], order[1:]].sum())
-
-
-def _nearest_first(distances: np.ndarray, first: int) -> np.ndarray:
-    order = [first]
-    left = np.ones(len(distances), bool)
-    left[first] = False
-    while left.any():
-        order.append(int(np.argmin(np.where(left, distances[order[-1]], np.inf))))
-        left[order[-1]] = False
-    return np.array(order)
 
 
 def _reverse_stretches(order: np.ndarray, d: np.ndarray) -> bool:

@@ -10,17 +10,16 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.design.bound import lower_bound
-from pincal.design.conditions import PoseBuilder, joined
-from pincal.design.design_model import DesignModel
-from pincal.design.exchange import choose_greedily, covariance, exchange, information, value
+from pincal.design.design_model import DesignModel, noncentrality, weights
+from pincal.design.exchange import choose_greedily, covariance, exchange, information, lower_bound, value
 from pincal.design.reach import Draw, Reach
-from pincal.design.request import DesignRequest
-from pincal.design.rivals import find_rival, noncentrality, weights
+from pincal.design.request import DesignRequest, PoseBuilder, joined
 from pincal.errors import BadInputError, PincalWarning
 from pincal.identify.options import Options
+from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Effect, Reducible
 
 log = logging.getLogger(__name__)
 
@@ -119,11 +118,9 @@ class Study:
             cared = replace(poses.of(request.task), target=np.zeros(len(request.task), int))
         E = design_model.errors(cared)
         weight = total(E) / len(E)
-        W = (
-            weights(design_model.rivals, design_model.n_free)
-            if rivals
-            else (weight if request.criterion == "task" else None)
-        )
+        W = weight if request.criterion == "task" else None
+        if rivals:
+            W = weights(design_model.rivals, design_model.n_free)
         count = 0 if known is None else len(known)
         return cls(design_model, drawn, candidates, design_model.readings(candidates), H, count, weight, W, rng[3])
 
@@ -200,15 +197,19 @@ def total(A: np.ndarray) -> np.ndarray:
     return information(A, np.arange(len(A)))
 
 
+def find_rival(text: str, chain: Chain, conditions: Conditions) -> Effect:
+    """Return the effect of a name, as :func:`find_effect`, in the fewest parameters: a drive curve with few pieces."""
+    effect = find_effect(text, chain, conditions)
+    return effect.reduced(Situation(chain, conditions)) if isinstance(effect, Reducible) else effect
+
+
 def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions) -> list[Effect]:
     """Return the effects that are to be told apart."""
-    if request.tell_apart is None:
-        return []
     gravity = None if options.gravity is None else np.array(options.gravity)
     chain = Chain.of(reach.robot, moment_frame=options.moment_frame, gravity=gravity)
-    rivals = [find_rival(text, chain, candidates) for text in request.tell_apart]
-    if rivals[0] == rivals[1]:
-        raise BadInputError(f"effects {' and '.join(request.tell_apart)}: one and the same; expected two")
+    rivals = [find_rival(text, chain, candidates) for text in request.tell_apart or ()]
+    if rivals and rivals[0] == rivals[1]:
+        raise BadInputError(f"effects {' and '.join(request.tell_apart or ())}: one and the same; expected two")
     return rivals
 
 
