@@ -16,7 +16,8 @@ from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextCol
 from rich.text import Text
 
 # Loggers of steps too small to stay on the screen.
-_TRANSIENT = ("pincal.identify", "pincal.report.html")
+_FITS = "pincal.identify"
+_TRANSIENT = (_FITS, "pincal.report.html")
 # Commands that consist of fits; for others a fit is one step of many.
 _OF_FITS = ("calibrate",)
 _LONG = 1.0  # [s]
@@ -58,16 +59,7 @@ def console() -> Console:
     return Console(width=None if sys.stdout.isatty() else _WIDTH, highlight=False)
 
 
-def _is_transient(record: logging.LogRecord) -> bool:
-    return record.name.startswith(_TRANSIENT)
-
-
-def _completed(record: logging.LogRecord) -> tuple[int, int]:
-    """Return the number of steps done and their total; zeros if the record has none."""
-    return getattr(record, "done", 0), getattr(record, "of", 0)
-
-
-def _left(seconds: float, done: int, of: int) -> str:
+def _left(seconds: float, done: float, of: float) -> str:
     """Return the remaining time in words if all steps take equally long; nothing before the first is done.
 
     Example:
@@ -100,34 +92,29 @@ class _Plain(logging.Handler):
         self._last: logging.LogRecord | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write an event, but keep a step of a fit until its stage ends."""
-        if not _is_transient(record):
-            self._tell_stage()
-            self._write(record)
-        elif self._fits and record.name.startswith("pincal.identify"):
+        """Write an event, but keep a step of a fit until its stage, the first of what is logged, ends."""
+        if not record.name.startswith(_TRANSIENT):
+            self._write(self._last, record)
+        elif self._fits and record.name.startswith(_FITS):
             if self._last is not None and _stage(record) != _stage(self._last):
-                self._tell_stage()
+                self._write(self._last)
             self._last = record
 
     def close(self) -> None:
         """Write the last stage."""
-        self._tell_stage()
+        self._write(self._last)
         super().close()
 
-    def _tell_stage(self) -> None:
-        if self._last is not None:
-            self._write(self._last)
+    def _write(self, *records: logging.LogRecord | None) -> None:
         self._last = None
-
-    def _write(self, record: logging.LogRecord) -> None:
         seconds = time.monotonic() - self._begun
-        left = _left(seconds, *_completed(record))
-        times = f" [{_clock(seconds)}{left and ', '}{left}]" if seconds > _LONG else ""
-        click.echo(f"pincal: {record.getMessage()}{times}", err=True)
+        for record in filter(None, records):
+            left = _left(seconds, getattr(record, "done", 0), getattr(record, "of", 0))
+            times = f" [{_clock(seconds)}{left and ', '}{left}]" if seconds > _LONG else ""
+            click.echo(f"pincal: {record.getMessage()}{times}", err=True)
 
 
 def _stage(record: logging.LogRecord) -> object:
-    """Return the name of the stage that a step of a fit belongs to."""
     return record.args[0] if isinstance(record.args, tuple) and record.args else record.msg
 
 
@@ -136,7 +123,7 @@ class _Left(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """Return the remaining time, or nothing."""
-        return Text(_left(task.elapsed or 0.0, int(task.completed), int(task.total or 0)))
+        return Text(_left(task.elapsed or 0.0, task.completed, task.total or 0.0))
 
 
 class _Overwritten(logging.Handler):
@@ -144,24 +131,21 @@ class _Overwritten(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self._console = Console(stderr=True, highlight=False)
+        screen = Console(stderr=True, highlight=False)
         columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(), _Left())
-        self._progress = Progress(
-            *columns, console=self._console, transient=True, redirect_stdout=False, redirect_stderr=False
-        )
+        self._progress = Progress(*columns, console=screen, transient=True, redirect_stdout=False, redirect_stderr=False)
         self._task = self._progress.add_task("", total=None)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a step, or write an event above the line."""
         self._progress.start()
-        text = record.getMessage()
-        if _is_transient(record):
-            self._progress.update(self._task, description=text[: max(self._console.width - 28, 20)])
+        screen, text = self._progress.console, record.getMessage()
+        if record.name.startswith(_TRANSIENT):
+            self._progress.update(self._task, description=text[: max(screen.width - 28, 20)])
         else:
-            self._console.print(f"pincal: {text}", markup=False, soft_wrap=True)
-        done, of = _completed(record)
-        if of > 0:
-            self._progress.update(self._task, completed=done, total=of)
+            screen.print(f"pincal: {text}", markup=False, soft_wrap=True)
+        if of := getattr(record, "of", 0):
+            self._progress.update(self._task, completed=getattr(record, "done", 0), total=of)
 
     def close(self) -> None:
         """Remove the line."""

@@ -8,6 +8,7 @@ without its part along the joint axis (the y axis where x is parallel to the joi
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -67,8 +68,13 @@ class Arm:
         """
         if joint in self.names:
             return self.names.index(joint)
-        ranked = sorted(self.names, key=lambda name: -difflib.SequenceMatcher(None, name, str(joint)).ratio())
-        raise BadInputError(f"joint {joint!r}: not between base and tip; expected one of {', '.join(ranked)}")
+        near = nearest_first(str(joint), self.names)
+        raise BadInputError(f"joint {joint!r}: not between base and tip; expected one of {near}")
+
+
+def nearest_first(wrong: str, known: Iterable[str]) -> str:
+    """Return known names, separated by commas, those first that are most like a wrong one."""
+    return ", ".join(sorted(known, key=lambda name: -difflib.SequenceMatcher(None, name, wrong).ratio()))
 
 
 def read_arm(urdf: str | Path, tip: str, base: str | None = None) -> Arm:

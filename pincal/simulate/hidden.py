@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import fields
 from typing import Any
 
 from pincal.errors import BadInputError
 from pincal.simulate import drive, elastic, surroundings
+from pincal.simulate.arm import nearest_first
 from pincal.simulate.effect import HiddenEffect
 
 HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
@@ -47,8 +47,7 @@ def hidden_effect(name: str, **values: Any) -> HiddenEffect:
         Backlash(joint='joint_2', size=0.0002)
     """
     if name not in HIDDEN_EFFECTS:
-        ranked = sorted(HIDDEN_EFFECTS, key=lambda known: -difflib.SequenceMatcher(None, known, name).ratio())
-        raise BadInputError(f"effect {name!r}: unknown; expected one of {', '.join(ranked)}")
+        raise BadInputError(f"effect {name!r}: unknown; expected one of {nearest_first(name, HIDDEN_EFFECTS)}")
     kind = HIDDEN_EFFECTS[name]
     known = [field.name for field in fields(kind)]
     if unknown := sorted(set(values) - set(known)):
