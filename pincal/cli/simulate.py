@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
+from pincal.atomic import replacing
 from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance
 from pincal.cli.simulate_options import SimulateArguments
-from pincal.cli.simulate_output import point_columns, summary, write_files, write_json
-from pincal.errors import BadInputError, Exit
+from pincal.errors import BadInputError, Exit, OutputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from pincal.robot.robot import Robot
     from pincal.simulate.campaign import Campaign
     from pincal.simulate.machine import TrueMachine
+    from pincal.simulate.setup import SensorSetup
 
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
@@ -62,17 +65,17 @@ def simulate(arguments: SimulateArguments) -> Exit:
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed}
     found = names | seeds | campaign.truth(machine, tip=robot.tip)
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
-    write_files({
+    _write_files({
         "--out": (arguments.out, lambda path: write_table(path, table)),
-        "--truth": (arguments.truth, lambda path: write_json(path, contents=found | origin)),
-        "--points-out": (beside.points_out, lambda path: write_table(path, point_columns(campaign.setup))),
-        "--camera-out": (beside.camera_out, lambda path: write_json(path, contents=found["camera"])),
+        "--truth": (arguments.truth, lambda path: _write_json(path, contents=found | origin)),
+        "--points-out": (beside.points_out, lambda path: write_table(path, _point_columns(campaign.setup))),
+        "--camera-out": (beside.camera_out, lambda path: _write_json(path, contents=found["camera"])),
     })  # fmt: skip
     rows = len(table[machine.names[0]])
     if arguments.general.as_json:
         print_json({"rows": rows, "columns": list(table), "out": str(arguments.out)} | found)
     else:
-        click.echo(summary(arguments, found, setup=campaign.setup, rows=rows))
+        click.echo(_summary(arguments, found, setup=campaign.setup, rows=rows))
     return Exit.DONE
 
 
@@ -134,3 +137,79 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
         payload_com=given.payload_com,
     )
     return Campaign(q=q, conditions=all_conditions, setup=setup, hidden=given.hide)
+
+
+def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: SensorSetup, rows: int) -> str:
+    """Return what was simulated and written, and the next command; ``truth`` is what the truth file holds."""
+    lines = [
+        f"{rows} rows in {truth['poses']} poses of {truth['robot']} ({truth['base']} to {truth['tip']}): "
+        f"{truth['sensor']}, noise {_noise(setup)}"
+    ]
+    for entry in truth["effects"]:
+        place = f" of {entry['joint']}" if entry["joint"] else ""
+        place += f" by {entry['source']}" if "source" in entry else ""
+        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+        moved = f"moves the target by {entry['moves_target_rms_mm']:.3f} mm rms"
+        lines.append(f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}")
+    given = arguments.sensor
+    beside = {"what was put in": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
+    written = "".join(f", {what} to {path}" for what, path in beside.items() if path)
+    lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
+    return "\n".join(lines)
+
+
+def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
+    """Return the command that discovers the effects from the table."""
+    machine, given = arguments.machine, arguments.sensor
+    words = [f"pincal discover {arguments.robot} {arguments.out} --out results"]
+    words += [f"--tip {machine.tip}"] if machine.tip else []
+    words += [f"--base {machine.base}"] if machine.base else []
+    words += [f"--noise {_noise(setup)}"] if setup.sigma else []
+    angle = setup.truth()["noise"]["sigma_rad"]
+    words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []
+    words += [f"--points {given.points_out}"] if given.points_out else []
+    words += [f"--camera {given.camera_out}"] if given.camera_out else []
+    if setup.kind == "socket" and not given.points_out and len(setup.points) > 1:
+        (a, first), (b, second) = list(setup.points.items())[:2]
+        words.append(f"--socket-distance {a} {b} {np.linalg.norm(first - second):g}")
+    for name, vector in (("payload-com", arguments.campaign.payload_com), ("gravity", machine.gravity)):
+        if vector not in (None, (0.0, 0.0, 0.0)):
+            words.append(f"--{name} {' '.join(f'{value:g}' for value in vector)}")
+    return " ".join(words)
+
+
+def _noise(setup: SensorSetup) -> str:
+    """Return the noise as the option ``--noise`` takes it."""
+    return f"{setup.sigma:g}px" if setup.kind == "camera_pixel" else f"{setup.sigma * 1e3:g}mm"
+
+
+def _point_columns(setup: SensorSetup) -> dict[str, np.ndarray]:
+    """Return the named points as a table with columns ``point x y z``."""
+    places = np.array([*setup.points.values()], float)
+    return {"point": np.array(list(setup.points)), **dict(zip("xyz", places.T, strict=True))}
+
+
+def _write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
+    """Write several files, all of them or none, each by its function; they are given by the options that name them."""
+    wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
+    _check_places({option: path for option, (path, _) in wanted.items()})
+    with ExitStack() as drafts:
+        for option, (path, write) in wanted.items():
+            write(drafts.enter_context(replacing(path, advice=f"choose another {option}")))
+
+
+def _check_places(paths: dict[str, Path]) -> None:
+    places = [path.absolute() for path in paths.values()]
+    for (option, path), place in zip(paths.items(), places, strict=True):
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; expected a file to write to")
+        if not path.absolute().parent.is_dir():
+            raise OutputError(f"{path}: can't be written (no such folder); choose another {option}")
+        if places.count(place) > 1:
+            named = " and ".join(other for other, there in paths.items() if there.absolute() == place)
+            raise OutputError(f"{path}: named by {named}; expected {'two' if len(paths) == 2 else 'different'} files")
+
+
+def _write_json(path: Path, *, contents: dict[str, Any]) -> None:
+    """Write contents as JSON."""
+    path.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -117,8 +118,7 @@ class Draw:
         return f"{len(self.q)} of {self.drawn} random poses within the joint limits; {removed}"
 
 
-@dataclass(frozen=True)
-class _Placed:
+class _Placed(NamedTuple):
     """Poses with what constraints ask of them: joint positions, frames of the bodies, tip and target in the base frame."""
 
     q: np.ndarray
@@ -188,7 +188,7 @@ class Reach:
             measured: whether they have to be in the box and in sight, too, or only within the arm's reach.
         """
         lower, upper = self.range
-        found, removed, drawn = np.empty((0, len(lower))), dict.fromkeys(self._names(measured), 0), 0
+        found, removed, drawn = np.empty((0, len(lower))), dict[str, int](), 0
         while len(found) < n and drawn < _TRIES * n + _BATCH:
             # About as many as are still needed, by what has come out so far.
             wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
@@ -196,7 +196,7 @@ class Reach:
             drawn += len(placed.q)
             left = np.ones(len(placed.q), bool)
             for name, at_fault in self._faults(placed, measured=measured, colliding=True):
-                removed[name] += int(np.sum(left & at_fault))
+                removed[name] = removed.get(name, 0) + int(np.sum(left & at_fault))
                 left &= ~at_fault
             found = np.vstack([found, placed.q[left]])
         return Draw(found[:n], drawn, removed)
@@ -206,22 +206,16 @@ class Reach:
         tips = frames[:, -1] @ self.robot.frames.T_last_tip
         return _Placed(q, frames, tips, tips[:, :3, :3] @ self.target + tips[:, :3, 3])
 
-    def _names(self, measured: bool) -> list[str]:
-        """Return the constraints that there are, in words and in order."""
-        nowhere = self._place(np.empty((0, self.robot.n_joints)))
-        return [name for name, _ in self._faults(nowhere, measured=measured, colliding=True)]
-
     def _faults(self, placed: _Placed, *, measured: bool, colliding: bool) -> Iterator[tuple[str, np.ndarray]]:
         """Yield each constraint and the poses that it forbids, shape (N,); those already forbidden may be left out."""
-        rig, limits = self.rig, self.limits
-        left = np.ones(len(placed.q), bool)
+        limits, left = self.limits, np.ones(len(placed.q), bool)
         if limits.floor is not None:
             # What comes before may stand on it, as the shoulder of a small arm does.
             height = np.minimum(placed.targets[:, 2], self.bodies.boxes.lowest(placed.frames, _OFF_THE_FLOOR))
             yield f"floor at {limits.floor:g} m", height < limits.floor
             left &= height >= limits.floor
         if measured:
-            for name, at_fault in self._unseen(placed, rig, limits):
+            for name, at_fault in self._unseen(placed):
                 yield name, at_fault
                 left &= ~at_fault
         if colliding and self.bodies.collisions is not None:
@@ -229,10 +223,11 @@ class Reach:
             at_fault[left] = self.collides(placed.q[left])
             yield "self-collision", at_fault
 
-    def _unseen(self, placed: _Placed, rig: SensorSetup, limits: Limits) -> Iterator[tuple[str, np.ndarray]]:
+    def _unseen(self, placed: _Placed) -> Iterator[tuple[str, np.ndarray]]:
         """Yield what keeps a target from being measured."""
-        if limits.box is not None:
-            low, high = np.array(limits.box[:3]), np.array(limits.box[3:])
+        rig, box = self.rig, self.limits.box
+        if box is not None:
+            low, high = np.array(box[:3]), np.array(box[3:])
             yield "box", np.any((placed.targets < low) | (placed.targets > high), axis=1)
         if rig.instrument is None:
             return

@@ -1,8 +1,7 @@
 """The arm of the true machine as Pinocchio reads it from a URDF: placements, joint axes, bodies, limits.
 
-Every joint gets a working frame whose z is the joint axis. Its x is the x axis of the URDF joint frame
-without its part along the joint axis (the y axis where x is parallel to the joint axis). Where the axis is "0
-0 1" the two frames are one.
+Every joint gets a working frame whose z is the joint axis. Its x is the x axis of the URDF joint frame without its part
+along the joint axis (the y axis where x is parallel to the joint axis). Where the axis is "0 0 1" the two frames are one.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ class Arm:
     Attributes:
         names: Names of the n joints, from base to tip.
         prismatic: Whether a joint slides instead of turning, shape (n,).
-        placements: Working frame of joint i in that of joint i-1 (base frame for the first) at joint position
-            0, and last the tip in the working frame of joint n; lengths in m, shape (n + 1, 4, 4).
+        placements: Working frame of joint i in that of joint i-1 (base frame for the first) at joint position 0, and last
+            the tip in the working frame of joint n; lengths in m, shape (n + 1, 4, 4).
         masses: Mass that moves with joint i, up to the next joint [kg], shape (n,).
         centres: Its centre of mass in the working frame of joint i [m], shape (n, 3).
         axes: Rotation from the working frame to the URDF frame of joint i, shape (n, 3, 3).

@@ -12,11 +12,11 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
 from pincal.simulate.calibration_object import CalibrationObject
-from pincal.simulate.effect import as_read
 from pincal.simulate.lens import Lens
 from pincal.simulate.planning import collect_poses, is_clear, plan_poses, reach
 from pincal.simulate.setup import Machine, Reading, SensorSetup, draw_noise, refuse_scale
 from pincal.simulate.state import Poses
+from pincal.simulate.surroundings import as_read
 
 # Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be made out.
 _OBLIQUE = 0.25

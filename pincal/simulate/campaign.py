@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.effect import HiddenEffect, as_read
+from pincal.simulate.effect import HiddenEffect
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.setup import Machine, SensorSetup, Table, draw_scatter
 from pincal.simulate.state import Conditions
+from pincal.simulate.surroundings import as_read
 
 # Time from one pose to the next: drive, settle, measure [s].
 _INTERVAL = 40.0

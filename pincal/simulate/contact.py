@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import as_read
 from pincal.simulate.planning import (
     collect_poses,
     frames,
@@ -23,6 +22,7 @@ from pincal.simulate.planning import (
 )
 from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_noise, refuse_scale, transformed
 from pincal.simulate.state import Poses
+from pincal.simulate.surroundings import as_read
 
 Point = tuple[float, float, float]
 # Chord steps on the true arm, of which each gains about three digits, and the distance that may be left [m].
@@ -45,14 +45,13 @@ class Contact(SensorSetup):
     Attributes:
         fixed: The places in the robot's base frame [m], shape (3,), by name.
         tool: Tool point in the tip frame [m].
-        instrument: Transform from the robot's base frame to that in which the places are known, shape (4, 4);
-            identity if None.
+        instrument: Transform from the robot's base frame to that in which the places are known, shape (4, 4).
         length: Length of the bar between place and tool point [m]; 0 for sockets.
     """
 
     fixed: Mapping[str, Any]
     tool: Point = (0.0, 0.0, 0.0)
-    instrument: np.ndarray | None = None
+    instrument: np.ndarray = field(default_factory=lambda: np.eye(4))
     length: float = 0.0
 
     @property
@@ -67,8 +66,7 @@ class Contact(SensorSetup):
     @property
     def points(self) -> dict[str, np.ndarray]:
         """The places in the instrument's frame."""
-        places = {name: np.asarray(place, float) for name, place in self.fixed.items()}
-        return places if self.instrument is None else transformed(self.instrument, places)
+        return transformed(self.instrument, self.fixed)
 
     @property
     def _places(self) -> np.ndarray:
@@ -132,10 +130,9 @@ class Contact(SensorSetup):
 
     def truth(self) -> dict[str, Any]:
         """Return where the places and the tool point are, and the length of the bar."""
-        instrument = np.eye(4) if self.instrument is None else self.instrument
         return {
             "noise": {"sigma_m": self.sigma, "sigma_rad": None},
-            "T_instrument_base": instrument.tolist(),
+            "T_instrument_base": self.instrument.tolist(),
             f"{self._label}s_in_base_m": as_lists(self.fixed),
             "tool_m": list(self.tool),
         } | ({"ball_bar_m": self.length} if self.length else {})

@@ -17,8 +17,8 @@ from pincal.simulate.state import Deformation, Loads, Poses
 class GearEccentricity(DriveEffect):
     """Eccentric or elliptical gear wheel; ``size`` is the amplitude [rad].
 
-    Order 1 is a crank: the output points from an eccentric centre to the driven point. Order 2 is a pair of
-    elliptical wheels.
+    Order 1 is a crank: the output points from an eccentric centre to the driven point. Order 2 is a pair of elliptical
+    wheels.
 
     Attributes:
         order: 1 or 2 errors a turn.
@@ -117,8 +117,8 @@ class JointCoupling(DeformingEffect):
 class AxisWobble(DeformingEffect):
     """Bearing whose axis tilts as it turns; ``size`` is the tilt [rad].
 
-    The tip of the axis runs on a circle, or an ellipse, ``order`` times a turn. In the frame before q a
-    circle of order 1 is a tilt fixed to the link: it is not distinguishable from geometry.
+    The tip of the axis runs on a circle, or an ellipse, ``order`` times a turn. In the frame before q a circle of order 1 is
+    a tilt fixed to the link: it is not distinguishable from geometry.
 
     Attributes:
         order: Turns of the tilt direction per turn of the joint.
@@ -147,9 +147,8 @@ class AxisWobble(DeformingEffect):
 class Backlash(DriveEffect):
     """Play in a gear; ``size`` is the full play [rad].
 
-    The joint lags behind its drive by half the play. Where the approach was recorded it decides the side;
-    otherwise the joint is dragged from pose to pose in their order and keeps its place while the drive
-    crosses the play.
+    The joint lags behind its drive by half the play. Where the approach was recorded it decides the side; otherwise the
+    joint is dragged from pose to pose in their order and keeps its place while the drive crosses the play.
     """
 
     effect: ClassVar[str] = "backlash"

@@ -102,27 +102,3 @@ class DriveEffect(DeformingEffect):
     @abstractmethod
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         """Return what is added to the position of the joint with this index [rad or m], shape (N,)."""
-
-
-class LoadingEffect(HiddenEffect):
-    """An effect that changes what the arm carries."""
-
-    @abstractmethod
-    def true_payload(self, mass: np.ndarray, com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return true mass [kg], shape (N,), and centre of mass [m, tip frame], shape (N, 3)."""
-
-
-class MeasuringEffect(HiddenEffect):
-    """An effect of the instrument."""
-
-    @abstractmethod
-    def reading(self, position: np.ndarray) -> np.ndarray:
-        """Return what the instrument reads for true positions in its frame [m], shape (N, 3)."""
-
-
-def as_read(effects: tuple[HiddenEffect, ...], position: np.ndarray) -> np.ndarray:
-    """Return what an instrument with its errors among the effects reads for true positions [m], shape (N, 3)."""
-    for effect in effects:
-        if isinstance(effect, MeasuringEffect):
-            position = effect.reading(position)
-    return position

@@ -78,8 +78,7 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
 class NonlinearElasticity(DriveEffect, SizedByLoad):
     """Drive that stiffens with torque; ``size`` is the extra compliance near torque 0 [rad/(N m)].
 
-    The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral is the
-    extra wind-up.
+    The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral is the extra wind-up.
 
     Attributes:
         stiffening: Torque [N m].
@@ -124,8 +123,7 @@ class LoadBacklash(DriveEffect, SizedByLoad):
 class GravityCompensator(DriveEffect, SizedByLoad):
     """Spring between two adjacent links; ``size`` is its rate [N/m].
 
-    The drive no longer winds up under the torque that the spring takes: joint angle += compliance * torque of
-    the spring.
+    The drive no longer winds up under the torque that the spring takes: joint angle += compliance * torque of the spring.
 
     Attributes:
         compliance: Compliance of the joint's drive [rad/(N m)].

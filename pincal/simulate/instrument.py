@@ -10,10 +10,10 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, transform
-from pincal.simulate.effect import as_read
 from pincal.simulate.planning import plan_poses
 from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, transformed
 from pincal.simulate.state import Poses
+from pincal.simulate.surroundings import as_read
 
 KINDS = ("position", "pose", "distance")
 """What an instrument beside the robot can measure."""

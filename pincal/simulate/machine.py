@@ -1,8 +1,7 @@
 """The true machine: a robot with errors that the fit does not know.
 
-Kinematics are Pinocchio's, loads are sums over bodies at their deformed places and every error is a
-placement. Nothing here is shared with the model that pincal fits, so that the two can be held against each
-other.
+Kinematics are Pinocchio's, loads are sums over bodies at their deformed places and every error is a placement. Nothing here
+is shared with the model that pincal fits, so that the two can be held against each other.
 """
 
 from __future__ import annotations
@@ -17,9 +16,10 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, read_arm
 from pincal.simulate.chain import build_chain, configurations, gravity_loads, place
-from pincal.simulate.effect import DeformingEffect, HiddenEffect, LoadingEffect
+from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity
 from pincal.simulate.state import Deformation, Equilibrium, Loads, Poses, broadcast_copy, poses_of
+from pincal.simulate.surroundings import PayloadError
 
 # Acceleration of gravity in the base frame of an upright robot [m/s^2].
 _GRAVITY = (0.0, 0.0, -9.81)
@@ -35,8 +35,8 @@ class TrueMachine:
 
     Attributes:
         nominal: The arm of the URDF.
-        placement_errors: Error of each joint's placement and last of the tip's: translation [m] and rotation vector [rad]
-            in the URDF joint frame, shape (n + 1, 6).
+        placement_errors: Error of each joint's placement and last of the tip's: translation [m] and rotation vector [rad] in
+            the URDF joint frame, shape (n + 1, 6).
         joint_offsets: Added to the recorded joint positions [rad or m], shape (n,).
         mass_factors: True over nominal mass of what moves with each joint [-], shape (n,).
         com_errors: True minus nominal centre of mass in the joint's working frame [m], shape (n, 3).
@@ -175,7 +175,7 @@ class TrueMachine:
         """
         mass, com = poses.payload, poses.payload_com
         for effect in self.effects:
-            if isinstance(effect, LoadingEffect):
+            if isinstance(effect, PayloadError):
                 mass, com = effect.true_payload(mass, com)
         poses = replace(poses, payload=mass, payload_com=com)
         q, gravity = poses.q + self.joint_offsets, np.asarray(self.gravity, float)

@@ -28,7 +28,6 @@ def plan_poses(
     *,
     min_height: float | None = 0.1,
     max_radius: float | None = None,
-    span: float = _SPAN,
 ) -> np.ndarray:
     """Draw random joint positions within the limits, with the arm off the floor.
 
@@ -38,7 +37,6 @@ def plan_poses(
         rng: Source of randomness.
         min_height: Height of the floor [m], as in :func:`is_clear`; None for no floor.
         max_radius: Largest distance of the tip from the base's origin [m]; None for no limit.
-        span: Part of the joint range that is used, about its middle [-].
 
     Returns:
         Joint positions [rad or m], shape (n, number of joints).
@@ -46,7 +44,7 @@ def plan_poses(
     Raises:
         BadInputError: If hardly any pose of the arm fits the limits.
     """
-    middle, half = (arm.upper + arm.lower) / 2.0, span * (arm.upper - arm.lower) / 2.0
+    middle, half = (arm.upper + arm.lower) / 2.0, _SPAN * (arm.upper - arm.lower) / 2.0
 
     def draw() -> np.ndarray:
         q = middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names)))

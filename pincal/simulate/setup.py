@@ -11,8 +11,9 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import HiddenEffect, MeasuringEffect
+from pincal.simulate.effect import HiddenEffect
 from pincal.simulate.state import Conditions, Equilibrium, Poses
+from pincal.simulate.surroundings import MeasurementScale
 
 Table = dict[str, np.ndarray]
 """Columns of a table of measurements, by name."""
@@ -135,7 +136,7 @@ def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | 
 def refuse_scale(machine: Machine, why: str) -> None:
     """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` says what is read instead."""
     for effect in machine.effects:
-        if isinstance(effect, MeasuringEffect):
+        if isinstance(effect, MeasurementScale):
             raise BadInputError(f"{effect.effect}: it is an error of lengths that are read, and {why}; leave it out")
 
 

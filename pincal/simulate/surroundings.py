@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import DeformingEffect, LoadingEffect, MeasuringEffect, Scope, Site, SizedByLoad
+from pincal.simulate.effect import DeformingEffect, HiddenEffect, Scope, Site, SizedByLoad
 from pincal.simulate.state import Deformation, Loads, Poses
 
 
@@ -62,7 +62,7 @@ class BaseDrift(DeformingEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PayloadError(LoadingEffect, SizedByLoad):
+class PayloadError(HiddenEffect, SizedByLoad):
     """Payload that differs from the table; ``size`` is the mass that the table lacks [kg].
 
     It counts where the table declares a payload, and everywhere if it declares none at all.
@@ -82,13 +82,13 @@ class PayloadError(LoadingEffect, SizedByLoad):
         return {"size": 0.01 * float(site.arm.masses.sum())}
 
     def true_payload(self, mass: np.ndarray, com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return mass and centre of mass that the arm really carries."""
+        """Return the true mass [kg], shape (N,), and centre of mass [m, tip frame], shape (N, 3), for those of the table."""
         carried = mass > 0.0 if np.any(mass > 0.0) else np.ones(len(mass), bool)
         return mass + self.size * carried, com + np.asarray(self.com_shift)
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeasurementScale(MeasuringEffect):
+class MeasurementScale(HiddenEffect):
     """Instrument with a wrong scale; ``size`` is the relative error of every length [-]."""
 
     effect: ClassVar[str] = "measurement_scale"
@@ -96,6 +96,10 @@ class MeasurementScale(MeasuringEffect):
     typical_size: ClassVar[float] = 2e-5
     scope: ClassVar[Scope] = Scope.ARM
 
-    def reading(self, position: np.ndarray) -> np.ndarray:
-        """Return the scaled positions."""
-        return (1.0 + self.size) * position
+
+def as_read(effects: tuple[HiddenEffect, ...], position: np.ndarray) -> np.ndarray:
+    """Return what an instrument with its errors among the effects reads for true positions [m], shape (N, 3)."""
+    for effect in effects:
+        if isinstance(effect, MeasurementScale):
+            position = (1.0 + effect.size) * position
+    return position
