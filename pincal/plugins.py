@@ -15,11 +15,12 @@ from contextlib import contextmanager
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pincal.errors import BadInputError, PincalWarning
 
 T = TypeVar("T")
+C = TypeVar("C", bound=type[Any])
 
 
 class Registry(Generic[T]):
@@ -53,7 +54,7 @@ class Registry(Generic[T]):
         self._classes: dict[str, type[T]] = {}
         self._is_complete = False
 
-    def register(self, cls: type[T]) -> type[T]:
+    def register(self, cls: C) -> C:
         """Add a class, as a decorator or by a call.
 
         Raises:

@@ -20,8 +20,7 @@ from pincal.measure.named_points import NamedPoints
 from pincal.measure.registry import SENSORS
 from pincal.measure.sensing import sensor_of
 from pincal.measure.sensor import Sensor
-from pincal.measure.sensors.camera_pixel import CameraPixelSensor
-from pincal.measure.sensors.camera_point import CameraPointSensor
+from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
 from pincal.measure.sensors.pose import PoseSensor
 from pincal.measure.sensors.position import PositionSensor

@@ -11,8 +11,7 @@ from collections.abc import Collection, Mapping
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS, SIGMA, Field
 from pincal.measure.sensor import Block, Foreseeable, Sensor
-from pincal.measure.sensors.camera_pixel import CameraPixelSensor
-from pincal.measure.sensors.camera_point import CameraPointSensor
+from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
 from pincal.measure.sensors.pose import PoseSensor
 from pincal.measure.sensors.position import PositionSensor

@@ -35,23 +35,14 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
     model = pin.Model()
     model.name = f"{chain.robot.name}_augmented"
     model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))
-    joint_types = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}
-    slides = {"d": pin.JointModelPZ, "a": pin.JointModelPX}
-    turns = {
-        "s_x": "x",
-        "s_y": "y",
-        "theta": "z",
-        "gamma_z": "z",
-        "gamma_y": "y",
-        "gamma_x": "x",
-        "alpha": "x",
-    }
+    # By the kinds of coordinates, see pincal.model.kernels.Layout.
+    kinds = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
     placement = pin.SE3(chain.robot.frames.T_base_first)
     parent = 0
     for i, name in enumerate(chain.robot.joint_names):
-        for symbol in chain.symbols[FRAME + i * BLOCK : FRAME + (i + 1) * BLOCK]:
-            joint = slides[symbol]() if symbol in slides else joint_types[turns[symbol]]()
-            parent = model.addJoint(parent, joint, placement, f"{name}.{symbol}")
+        for k in range(FRAME + i * BLOCK, FRAME + (i + 1) * BLOCK):
+            joint = kinds[chain.layout.kind[k]]()
+            parent = model.addJoint(parent, joint, placement, f"{name}.{chain.symbols[k]}")
             placement = pin.SE3.Identity()
         model.appendBodyToJoint(parent, _body(chain.robot.masses[i], chain.robot.centres[i]), pin.SE3.Identity())
     tip = pin.SE3(chain.robot.frames.T_last_tip)
@@ -83,23 +74,16 @@ def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.n
         tip in the last joint frame.
     """
     chain = model.chain
-    nominal = _placements(chain, chain.nominal, None)
-    mounts = np.linalg.inv(nominal[2]) @ _nominal_joints(chain)
+    n = chain.robot.n_joints
+    _, _, turning = _placements(chain, chain.nominal, np.tile(np.eye(4), (n, 1, 1)))
+    mounts = np.linalg.inv(turning) @ (chain.robot.frames.T_base_link @ chain.robot.T_link_joint)
     placed, tip, _ = _placements(chain, model.rigid_coordinates(values), mounts)
     return placed, tip
 
 
-def _nominal_joints(chain: Chain) -> np.ndarray:
-    frames = chain.robot.frames
-    return np.asarray(frames.T_base_link @ chain.robot.T_link_joint)
-
-
-def _placements(
-    chain: Chain, coordinates: np.ndarray, mounts: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return relative placements of the joints, the tip in the last, and the turning frames in the base."""
     n = chain.robot.n_joints
-    mounts = np.tile(np.eye(4), (n, 1, 1)) if mounts is None else mounts
     placed, turning = np.empty((n, 4, 4)), np.empty((n, 4, 4))
     before, step = np.eye(4), chain.robot.frames.T_base_first
     for i in range(n):

@@ -65,14 +65,10 @@ class Model:
     equilibrium: bool = False
 
     @cached_property
-    def _starts(self) -> tuple[int, ...]:
-        sizes = [len(effect.parameters(self.chain)) for effect in self.effects]
-        return tuple(int(start) for start in np.cumsum([0, *sizes]))
-
-    @cached_property
     def spans(self) -> tuple[slice, ...]:
         """For each effect, where its parameters stand."""
-        return tuple(slice(a, b) for a, b in pairwise(self._starts))
+        starts = np.cumsum([0, *(len(effect.parameters(self.chain)) for effect in self.effects)]).tolist()
+        return tuple(slice(a, b) for a, b in pairwise(starts))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -197,12 +193,11 @@ class Model:
         """Return the coordinates at q = 0, shape (K,), by all that is the same in every pose: the geometry alone."""
         at_zero = Conditions.at(np.zeros((1, self.chain.robot.n_joints)))
         constant = self.chain.nominal.copy()
-        for start, effect in zip(self._starts, self.effects, strict=False):
-            if effect.uses_moments or effect.needs:
-                continue
-            for term in effect.terms(self.chain, at_zero, None):
+        for span, effect in zip(self.spans, self.effects, strict=True):
+            terms = () if effect.uses_moments or effect.needs else effect.terms(self.chain, at_zero, None)
+            for term in terms:
                 if term.basis is None:
-                    constant[term.coordinate] += values[start + term.parameter]
+                    constant[term.coordinate] += values[span][term.parameter]
         return constant
 
     def largest_basis(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
@@ -227,9 +222,8 @@ class Model:
             else:
                 excited[p] |= size > 0.0
             largest[p] = max(largest[p], size)
-        for start, effect in zip(self._starts, self.effects, strict=False):
+        for own, effect in zip(self.spans, self.effects, strict=True):
             if effect.alike:
-                own = slice(start, start + len(effect.parameters(self.chain)))
                 largest[own], excited[own] = largest[own].max(), excited[own].any()
         return np.where(largest > 0.0, largest, 1.0), excited
 
@@ -272,26 +266,18 @@ class _State:
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
-        return cls(
-            model,
-            plain + elastic,
-            deformed if model.equilibrium else rigid,
-            deformed,
-            moments,
-            target,
-            payload,
-        )
+        return cls(model, plain + elastic, deformed if model.equilibrium else rigid, deformed, moments, target, payload)
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
         """Return the terms of the parameters that have a column, and of coordinates, from column ``first`` on."""
         used = [(int(columns[p]), term) for p, term in self.terms if columns[p] >= 0]
         used += [(first + i, Term(0, k)) for i, k in enumerate(coordinates)]
         bases = [term.basis for _, term in used if term.basis is not None]
-        slot = np.cumsum([term.basis is not None for _, term in used], dtype=np.int64) - 1
+        varies = np.array([term.basis is not None for _, term in used], bool)
         return Terms(
             coordinate=np.array([term.coordinate for _, term in used], np.int64),
             parameter=np.array([column for column, _ in used], np.int64),
-            slot=np.where([term.basis is not None for _, term in used], slot, -1).astype(np.int64),
+            slot=np.where(varies, np.cumsum(varies) - 1, -1),
             elastic=np.array([term.moment is not None for _, term in used], bool),
             basis=_stack(bases, len(self.target)),
         )
@@ -312,11 +298,9 @@ class _State:
     def compliances(self, values: np.ndarray) -> Compliances:
         """Return how the coordinates follow the moments at these values."""
         elastic = [(p, term) for p, term in self.terms if term.moment is not None and values[p] != 0.0]
-        if all(term.slope is None for _, term in elastic):
-            rate = np.array([values[p] for p, _ in elastic], float).reshape(-1, 1)
-        else:
-            ones = np.ones(len(self.target))
-            rate = _stack([values[p] * (ones if t.slope is None else t.slope) for p, t in elastic], len(self.target))
+        slopes = [np.ones(1) if term.slope is None else term.slope for _, term in elastic]
+        width = max((len(slope) for slope in slopes), default=1)
+        rate = _stack([values[p] * slope for (p, _), slope in zip(elastic, slopes, strict=True)], width)
         return Compliances(
             coordinate=np.array([term.coordinate for _, term in elastic], np.int64),
             moment=np.array([term.moment for _, term in elastic], np.int64),
@@ -327,8 +311,8 @@ class _State:
 def _terms(model: Model, conditions: Conditions, moments: np.ndarray | None) -> list[tuple[int, Term]]:
     """Return the terms, with their place in the vector of values, of the effects that do or don't use moments."""
     return [
-        (start + term.parameter, term)
-        for start, effect in zip(model._starts, model.effects, strict=False)
+        (span.start + term.parameter, term)
+        for span, effect in zip(model.spans, model.effects, strict=True)
         if effect.uses_moments == (moments is not None)
         for term in effect.terms(model.chain, conditions, moments)
     ]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 from pincal.model.effect import Effect
 from pincal.model.effects import (
     AxisDistortion,
@@ -15,8 +13,6 @@ from pincal.model.effects import (
     ToolFrame,
 )
 from pincal.plugins import Registry
-
-E = TypeVar("E", bound=type[Effect])
 
 
 def _check(cls: type[Effect]) -> None:
@@ -33,14 +29,8 @@ def _check(cls: type[Effect]) -> None:
 EFFECTS: Registry[Effect] = Registry("effect", group="pincal.effects", name_of=lambda cls: cls.name, check=_check)
 
 
-def register_effect(cls: E) -> E:
-    """Make an effect known to model files, discovery and reports, by its name; a class decorator.
-
-    Raises:
-        TypeError: if the class does not say all that it must, or another class has its name.
-    """
-    EFFECTS.register(cls)
-    return cls
+register_effect = EFFECTS.register
+"""Make an effect known to model files, discovery and reports, by its name; a class decorator."""
 
 
 def meaning_of(name: str) -> str:

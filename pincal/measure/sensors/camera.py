@@ -1,19 +1,35 @@
-"""What the sensors of a camera in the robot's hand have in common: it sees named points of an object that stands still.
+"""A camera in the robot's hand that sees named points of an object that stands still, in space or in its image.
 
 The target on the tool is the camera's frame (z along the view, x to the right, y down), the instrument's frame that of the
 object. Where no point of the object is known, its points are found in the robot's base frame (paper, section IV.A).
+
+Where it starts: P - R_i (W c_i + t) = p_i with the point c_i in the camera's frame, P that in the base frame, is linear in P
+and in the camera's place t, W on the tool. P is eliminated by taking each point's rows about their mean. An image lacks the
+depth of c_i: :mod:`pincal.measure.triangulation` lays the lines of sight so that they meet in the points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import ClassVar, final
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self, final
 
 import numpy as np
 
-from pincal.measure.point_sensor import PointSensor
-from pincal.parameters import FRAME_SYMBOLS
+from pincal.measure.extrinsics import Extrinsics
+from pincal.measure.fields import POINT, Field, Table
+from pincal.measure.lens import NEAREST, Lens
+from pincal.measure.plausible import check_spread
+from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
+from pincal.measure.rows import some_rows
+from pincal.measure.sensor import Block, Excluded, KnownParameters, Plausible
+from pincal.measure.setup import Setup
+from pincal.measure.triangulation import Views, camera_starts
+from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import nearest_rotation, transform
+
+# Rows of the first search.
+_SAMPLE = 300
 
 
 @dataclass(frozen=True)
@@ -62,3 +78,148 @@ class CameraSensor(PointSensor):
             axis=1,
         )
         return np.asarray(np.einsum("nij,pin->pjn", poses[:, :, :3], moved))
+
+
+@dataclass(frozen=True)
+class CameraPointSensor(CameraSensor, Plausible):
+    """3D: the point in the camera's frame, shape (N, 3) [m]."""
+
+    kind: ClassVar[str] = "camera_point"
+    fields: ClassVar[tuple[Field, ...]] = (Field("camera_point", ("cx", "cy", "cz"), "length"), POINT)
+    blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
+    per_row: ClassVar[tuple[str, ...]] = ("index", "camera_point")
+    has_scale: ClassVar[bool] = True
+    deviation_end: ClassVar[str] = "where the camera would have to be for its reading"
+
+    camera_point: np.ndarray
+
+    @classmethod
+    def of(cls, table: Table, setup: Setup) -> Self:
+        """Return the points of a table."""
+        points = setup.named()
+        return cls(points, index_of(table, points), table.array("camera_point"))
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        """Coordinates of the unknown points."""
+        return self.points.parameters
+
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return points moved by ``change``, shape (3, N) [m]."""
+        return replace(self, camera_point=self.camera_point + change.T)
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (3, N) [m]."""
+        return np.asarray((self.camera_point - self.seen(poses, own)).T)
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion of the point in the camera's frame."""
+        by_place = poses[:, :, :3].transpose(1, 2, 0)
+        return np.concatenate([self.seen_motion(poses, motion, own), self.by_points(by_place)])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return how far the camera is off: opposite to the point in its frame."""
+        return np.asarray(-np.einsum("nij,jn->ni", poses[:, :, :3], residuals))
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield the camera's place in the hand in which the points of the object stand still."""
+        p, R, c = tips[:, :, 3], tips[:, :, :3], self.camera_point
+        products = np.einsum("nab,nc->nabc", R, c).reshape(len(p), 3, 9)
+        A = np.concatenate([products, R], axis=2)
+        W = nearest_rotation(solved(-centred(A, self.index), centred(p, self.index))[:9].reshape(3, 3))
+        seen = np.einsum("nab,bc,nc->na", R, W, c)
+        t = solved(-centred(R, self.index), centred(p + seen, self.index))
+        yield self.start_at_means(p + seen + R @ t, transform(W, t)[None])
+
+    @property
+    def impossible(self) -> Excluded:
+        """Points behind the camera."""
+        behind = self.camera_point[:, 2] <= 0.0
+        return Excluded(behind, "have cz <= 0, a point behind the camera", "points in front of the camera")
+
+    @classmethod
+    def check_plausible(cls, table: Table, reach_m: float) -> None:
+        """Refuse points whose distances from the camera differ by more than the arm can span."""
+        ranges = np.linalg.norm(table.array("camera_point"), axis=1, keepdims=True)
+        check_spread(table, ranges, label="cx", reach_m=reach_m)
+
+
+@dataclass(frozen=True)
+class CameraPixelSensor(CameraSensor, KnownParameters):
+    """2D: the point's image, shape (N, 2) [px].
+
+    Attributes:
+        setup: what is known of the camera.
+    """
+
+    kind: ClassVar[str] = "camera_pixel"
+    fields: ClassVar[tuple[Field, ...]] = (Field("pixel", ("u", "v"), "pixel"), POINT)
+    blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
+    per_row: ClassVar[tuple[str, ...]] = ("index", "pixel")
+    has_scale: ClassVar[bool] = False
+    impossible: ClassVar[None] = None
+    deviation_end: ClassVar[str] = "the part across the view that the image tells"
+
+    pixel: np.ndarray
+    setup: Setup
+
+    @classmethod
+    def of(cls, table: Table, setup: Setup) -> Self:
+        """Return the images of a table."""
+        points = setup.named()
+        return cls(points, index_of(table, points), table.array("pixel"), setup)
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        """Coordinates of the unknown points, then the camera's own."""
+        return self.points.parameters + self.setup.lens_parameters()
+
+    @property
+    def known_parameters(self) -> np.ndarray:
+        """The camera's parameters where it is known, and always those that a usual lens does not have."""
+        return np.concatenate([np.zeros(len(self.points.parameters), bool), self.setup.lens_fixed()])
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the user gave the camera."""
+        return self.setup.lens is not None
+
+    @property
+    def doubt(self) -> str:
+        """The images don't fit the camera."""
+        return "the images call for another camera than the given one: --fit-camera finds its parameters"
+
+    def lens(self, own: np.ndarray) -> Lens:
+        """Return the camera for values of the sensor's parameters."""
+        parameters = self.setup.lens_parameters()
+        return Lens(*(p.nominal + value for p, value in zip(parameters, own[-len(parameters) :], strict=True)))
+
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return images moved by ``change``, shape (2, N) [px]."""
+        return replace(self, pixel=self.pixel + change.T)
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (2, N) [px]."""
+        return np.asarray((self.pixel - self.lens(own).project(self.seen(poses, own))).T)
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion of the image, by the point's motion and by the camera's parameters."""
+        _, by_seen, by_lens = self.lens(own).linearise(self.seen(poses, own))
+        moved = np.einsum("nab,pbn->pan", by_seen, self.seen_motion(poses, motion, own))
+        by_place = np.einsum("nab,nib->ian", by_seen, poses[:, :, :3])
+        return np.concatenate([moved, self.by_points(by_place), by_lens.transpose(2, 1, 0)])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the part across the view, at the distance of the point."""
+        depth, lens = np.maximum(self.seen(poses, own)[:, 2], NEAREST), self.lens(own)
+        across = np.stack([residuals[0] / lens.fx * depth, residuals[1] / lens.fy * depth, 0.0 * depth])
+        return np.asarray(-np.einsum("nij,jn->ni", poses[:, :, :3], across))
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield the best places and focal lengths of the camera."""
+        rows = some_rows(len(self), _SAMPLE, self.groups)
+        views = Views(self.index, len(self.points.names), tips, self.pixel)
+        nominal = np.array([parameter.nominal for parameter in self.setup.lens_parameters()])
+        for found in camera_starts(views, self.setup.lens, rows=rows):
+            hand = transform(found.rotation, found.camera)
+            yield self.start_with_points(found.points, hand[None], rest=found.lens.values - nominal)
