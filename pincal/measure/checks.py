@@ -31,12 +31,7 @@ _LISTED_LINES = 5
 
 
 def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -> None:
-    """Refuse what can't be measurements of this robot; warn of what is merely odd.
-
-    Args:
-        robot: the arm.
-        measurements: the table.
-        minimum: fewest rows that are enough.
+    """Refuse what can't be measurements of this robot, or less than ``minimum`` rows; warn of what is merely odd.
 
     Raises:
         MeasurementError: as the other functions of this module.
@@ -47,11 +42,7 @@ def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -
 
 
 def check_reach(measurements: Measurements, reach_m: float) -> None:
-    """Check that readings are in metres, as far as the arm's size tells; the rules are the sensor's.
-
-    Args:
-        measurements: the table.
-        reach_m: farthest distance of the flange from the base [m].
+    """Check that readings are in metres, as far as the reach of the flange [m] tells; the rules are the sensor's.
 
     Raises:
         MeasurementError: for values farther apart than the arm can reach, or closer together than the motion of the joints

@@ -14,6 +14,7 @@ import numpy as np
 
 from pincal.measure.extrinsics import RANK
 from pincal.measure.lens import Lens
+from pincal.robot.se3 import transform
 
 # Focal lengths that are tried where none is known, in widths of the part of the image that is used.
 _FOCAL = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0)
@@ -70,30 +71,16 @@ class Views:
         return _Sight(lens.fx * float(np.mean(angle)), image.ravel(), t, places)
 
 
-@dataclass(frozen=True)
-class CameraStart:
-    """Where a camera and its points may be.
-
-    Attributes:
-        rotation: shape (3, 3), camera to tip frame.
-        camera: shape (3,), the camera in the tip frame [m].
-        points: shape (K, 3), the points in the robot's base frame [m].
-        lens: the camera.
-    """
-
-    rotation: np.ndarray
-    camera: np.ndarray
-    points: np.ndarray
-    lens: Lens
-
-
-def camera_starts(views: Views, known: Lens | None, *, rows: np.ndarray) -> Iterator[CameraStart]:
+def camera_starts(views: Views, known: Lens | None, *, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Lens]]:
     """Yield the best places and focal lengths of the camera: those on a grid, made better one by one.
 
     Args:
         views: the images.
         known: the camera, where it is known.
         rows: those that the search looks at.
+
+    Yields:
+        The camera's frame in the tip frame, shape (4, 4), the points in the robot's base frame [m], shape (K, 3), the lens.
     """
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
@@ -111,7 +98,7 @@ def camera_starts(views: Views, known: Lens | None, *, rows: np.ndarray) -> Iter
     for x in sorted(found, key=lambda x: missed(x).error)[:_KEPT]:
         turn, scaled = Rotation.from_rotvec(x[:3]).as_matrix(), _scaled(lens, x[3:])
         sight = views.sight(scaled, turn)
-        yield CameraStart(turn, sight.camera, sight.points, scaled)
+        yield transform(turn, sight.camera), sight.points, scaled
 
 
 def _guessed(pixel: np.ndarray, known: Lens | None) -> tuple[Lens, list[list[float]]]:

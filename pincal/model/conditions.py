@@ -123,7 +123,7 @@ class Situation:
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, from the base."""
-        return tuple(self.chain.robot.joint_names)
+        return self.chain.robot.joint_names
 
     @property
     def revolute(self) -> tuple[str, ...]:

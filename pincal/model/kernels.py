@@ -366,16 +366,17 @@ def _parameter_columns(terms, start, m, J, V, through, loop, out):
 
 
 @njit(**_COMPILE)
+def _buffers(K):
+    """Return room for x, c, s (see _load) and R, p, W, O (see _walk) of one group of poses."""
+    x, c, s = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
+    return x, c, s, np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+
+
+@njit(**_COMPILE)
 def static_moments(layout, values, payload):
     """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
     N, K, n = len(payload.mass), len(values.constant), len(layout.masses)
-    x, c, s = np.empty((K, LANES)), np.empty((K, LANES)), np.empty((K, LANES))
-    R, p, W, O = (
-        np.empty((3, 3, LANES)),
-        np.empty((3, LANES)),
-        np.empty((K, 3, LANES)),
-        np.empty((K, 3, LANES)),
-    )
+    x, c, s, R, p, W, O = _buffers(K)
     M, B, mass, D = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES), np.empty((3, LANES))
     A, H = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES))
     out = np.empty((3 * n, N))
@@ -395,13 +396,7 @@ def static_moments(layout, values, payload):
 def tip_poses(layout, values, target):
     """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
     N, K = len(target), len(values.constant)
-    x, c, s = np.empty((K, LANES)), np.empty((K, LANES)), np.empty((K, LANES))
-    R, p, W, O = (
-        np.empty((3, 3, LANES)),
-        np.empty((3, LANES)),
-        np.empty((K, 3, LANES)),
-        np.empty((K, 3, LANES)),
-    )
+    x, c, s, R, p, W, O = _buffers(K)
     out = np.empty((3, 4, N))
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
@@ -433,15 +428,8 @@ def tip_jacobian(layout, values, rigid, target, payload, terms, compliances, n_p
         Poses, shape (3, 4, N), and Jacobian, shape (P, rows, N).
     """
     N, K, n = len(target), len(values.constant), len(layout.masses)
-    x, c, s = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
-    y, cy, sy = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
-    R, p, W, O = (
-        np.empty((3, 3, LANES)),
-        np.empty((3, LANES)),
-        np.empty((K, 3, LANES)),
-        np.empty((K, 3, LANES)),
-    )
-    q, Wb, Ob = np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    x, c, s, R, p, W, O = _buffers(K)
+    y, cy, sy, Rb, q, Wb, Ob = _buffers(K)
     M, B, mass = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES)
     h, u = np.empty((3, LANES)), np.empty((3, LANES))
     A, H = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES))
@@ -459,7 +447,7 @@ def tip_jacobian(layout, values, rigid, target, payload, terms, compliances, n_p
         _kinematic_columns(layout, W, O, p, J)
         if through:
             _load(layout, rigid, start, m, y, cy, sy, start == 0)
-            _walk_bodies(layout, payload, start, m, y, cy, sy, R, q, Wb, Ob, M, B, mass)
+            _walk_bodies(layout, payload, start, m, y, cy, sy, Rb, q, Wb, Ob, M, B, mass)
             _moment_levers(layout, Wb, Ob, M, B, A, H, u)
             a0[:] = 0.0
             _pull_back(compliances, start, m, J, a0)

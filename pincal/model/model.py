@@ -298,9 +298,11 @@ class _State:
     def compliances(self, values: np.ndarray) -> Compliances:
         """Return how the coordinates follow the moments at these values."""
         elastic = [(p, term) for p, term in self.terms if term.moment is not None and values[p] != 0.0]
-        slopes = [np.ones(1) if term.slope is None else term.slope for _, term in elastic]
-        width = max((len(slope) for slope in slopes), default=1)
-        rate = _stack([values[p] * slope for (p, _), slope in zip(elastic, slopes, strict=True)], width)
+        if all(term.slope is None for _, term in elastic):
+            rate = np.array([values[p] for p, _ in elastic], float).reshape(-1, 1)
+        else:
+            ones = np.ones(len(self.target))
+            rate = _stack([values[p] * (ones if t.slope is None else t.slope) for p, t in elastic], len(self.target))
         return Compliances(
             coordinate=np.array([term.coordinate for _, term in elastic], np.int64),
             moment=np.array([term.moment for _, term in elastic], np.int64),

@@ -220,6 +220,5 @@ class CameraPixelSensor(CameraSensor, KnownParameters):
         rows = some_rows(len(self), _SAMPLE, self.groups)
         views = Views(self.index, len(self.points.names), tips, self.pixel)
         nominal = np.array([parameter.nominal for parameter in self.setup.lens_parameters()])
-        for found in camera_starts(views, self.setup.lens, rows=rows):
-            hand = transform(found.rotation, found.camera)
-            yield self.start_with_points(found.points, hand[None], rest=found.lens.values - nominal)
+        for hand, places, lens in camera_starts(views, self.setup.lens, rows=rows):
+            yield self.start_with_points(places, hand[None], rest=lens.values - nominal)
