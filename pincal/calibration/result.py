@@ -141,14 +141,16 @@ def _noise(fit: Fit) -> NoiseRecord:
 
 def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
     """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
-    values = fit.values + np.array([p.nominal for p in fit.station.parameters])
-    chain = fit.model.chain
-    references = {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
-    for element, rotation in references.items():
-        places = [i for i, p in enumerate(fit.station.parameters) if p.name in {f"{element}.r{a}" for a in "xyz"}]
-        if len(places) == 3:
-            turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
-            values[places] = rotation_vectors(turned[None, :3, :3])[0]
+    values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
+    for station, local in zip(fit.problem.stations, fit.problem.places, strict=True):
+        chain = station.model.chain
+        references = {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
+        for element, rotation in references.items():
+            names = {f"{element}.r{axis}" for axis in "xyz"}
+            places = [i for i, p in zip(local, station.parameters, strict=True) if p.name in names]
+            if len(places) == 3:
+                turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
+                values[places] = rotation_vectors(turned[None, :3, :3])[0]
     return tuple(
         ParameterRow(
             name=parameter.name,
@@ -161,7 +163,7 @@ def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
             effect=parameter.effect,
         )
         for parameter, value, sigma, finding in zip(
-            fit.station.parameters, values, fit.estimate.sigma, explain(fit), strict=True
+            fit.problem.parameters, values, fit.estimate.sigma, explain(fit), strict=True
         )
     )
 

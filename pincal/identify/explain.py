@@ -15,7 +15,9 @@ from pincal.identify.fit import Fit
 from pincal.identify.normal import accumulate
 from pincal.identify.options import known_frames
 from pincal.identify.posterior import NULL, posterior
+from pincal.identify.problem import Problem
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
+from pincal.identify.station import Station
 from pincal.measure.rows import some_rows
 from pincal.measure.sensor import KnownParameters
 from pincal.model.effects import BaseFrame
@@ -38,6 +40,8 @@ _RANK = 1e-10
 _WORTH_NAMING = 0.05
 # Poses that are looked at; more do not change what can be identified, and take time.
 _ROWS = 2000
+# Stations that are looked at together: what none of several such groups sees, all together hardly see either.
+_TOGETHER = 8
 
 
 @dataclass(frozen=True)
@@ -57,30 +61,42 @@ class Finding:
 
 def explain(fit: Fit) -> tuple[Finding, ...]:
     """Return a finding on every parameter of a fit."""
-    nominal = _Nominal.of(fit)
+    nominals = _nominals(fit)
     variance = np.zeros(len(fit.values))
-    variance[fit.solution.free] = np.diag(fit.solution.posterior.covariance)
+    variance[fit.solution.free] = fit.estimate.covariance.variance
     ratio = np.sqrt(variance) / fit.priors.sizes
     frames = _frame_variances(fit)
     found = (
-        _of_frame(parameter, frames[i], variance[i]) if i in frames else _of_inner(fit, nominal, i, float(ratio[i]))
-        for i, parameter in enumerate(fit.station.parameters)
+        _of_frame(parameter, frames[i], variance[i]) if i in frames else _of_inner(fit, nominals, i, float(ratio[i]))
+        for i, parameter in enumerate(fit.problem.parameters)
     )
-    return tuple(Finding(p.name, *why) for p, why in zip(fit.station.parameters, found, strict=True))
+    return tuple(Finding(p.name, *why) for p, why in zip(fit.problem.parameters, found, strict=True))
 
 
 def _frame_variances(fit: Fit) -> dict[int, float]:
-    """Return, for each free coordinate of base and tool, its variance with all that hides behind it at the nominal."""
-    found = fit.solution.posterior
+    """Return, for each free coordinate of bases and tools, its variance with all that hides behind it at the nominal."""
+    found, free = fit.solution.posterior, fit.solution.free
     frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
-    place = np.flatnonzero(fit.solution.free)
-    C = found.covariance
+    shared = np.flatnonzero(free & fit.problem.is_shared)
+    C, few = found.covariance, found.information < 1.0
     F = -np.linalg.lstsq(C[np.ix_(inner, inner)], C[np.ix_(inner, frames)], rcond=None)[0].T
-    D = fit.priors.sizes[fit.solution.free][inner]
-    weak = D[:, None] * found.directions[:, found.information < 1.0] if len(inner) else np.zeros((0, 0))
-    hidden = np.sum((F @ (weak / np.sqrt(1.0 + found.information[found.information < 1.0]))) ** 2, axis=1)
+    D = fit.priors.sizes[shared][inner]
+    weak = D[:, None] * found.directions[:, few] if len(inner) else np.zeros((0, 0))
+    weak = weak / np.sqrt(1.0 + found.information[few])
+    hidden = np.sum((F @ weak) ** 2, axis=1)
     left = np.maximum(np.diag(C)[frames] - hidden, 0.0)
-    return {int(place[i]): float(v) for i, v in zip(frames, left, strict=True)}
+    known = {int(shared[i]): float(v) for i, v in zip(frames, left, strict=True)}
+    # A station's frames follow the robot's parameters by what was carried over when they were eliminated.
+    place, variance, spread = np.flatnonzero(free), fit.estimate.covariance.variance, np.zeros((len(shared), int(few.sum())))
+    spread[inner] = weak
+    for part in found.own:
+        hidden = np.sum((part.carried @ spread[part.shared]) ** 2, axis=1)
+        left = np.maximum(variance[part.places] - hidden, 0.0)
+        known |= {
+            int(place[i]): float(v)
+            for i, v in zip(part.places[part.precision == 0.0], left[part.precision == 0.0], strict=True)
+        }
+    return known
 
 
 def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Status, Reason]:
@@ -90,14 +106,17 @@ def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Stat
     return Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(known)), unit=parameter.unit)
 
 
-def _of_inner(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> tuple[Status, Reason]:
-    parameter, size = fit.station.parameters[i], float(fit.priors.sizes[i])
+def _of_inner(fit: Fit, nominals: list[_Nominal], i: int, ratio: float) -> tuple[Status, Reason]:
+    parameter, size = fit.problem.parameters[i], float(fit.priors.sizes[i])
     if fit.solution.at_bound[i]:
         return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
     if not fit.solution.free[i]:
         return _not_free(fit, parameter)
-    if nominal.unseen[i] > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(size)):
-        return Status.UNIDENTIFIABLE, replace(nominal.counterpart(i), moment=_largest_moment(fit, parameter))
+    views = [(nominal, nominal.index[parameter.name]) for nominal in nominals if parameter.name in nominal.index]
+    unseen = min(nominal.unseen[k] for nominal, k in views)
+    if unseen > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(size)):
+        nominal, k = views[0]
+        return Status.UNIDENTIFIABLE, replace(nominal.counterpart(k), moment=_largest_moment(fit, parameter))
     if ratio >= _IDENTIFIED:
         cause, moment = Cause.WEAK if ratio < _NARROWED else Cause.UNINFORMED, _largest_moment(fit, parameter)
         return Status.PRIOR, Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment)
@@ -106,12 +125,13 @@ def _of_inner(fit: Fit, nominal: _Nominal, i: int, ratio: float) -> tuple[Status
 
 def _not_free(fit: Fit, parameter: Parameter) -> tuple[Status, Reason]:
     """Return why a parameter took no part in the fit."""
-    if parameter.name in known_frames(fit.options):
+    name = parameter.local_name
+    if name in known_frames(fit.options.at(parameter.station)):
         return Status.FIXED, Reason(Cause.GIVEN)
-    sensor = fit.station.sensor
-    held = {p.name for p, is_fixed in zip(sensor.parameters, sensor.fixed, strict=True) if is_fixed}
-    if isinstance(sensor, KnownParameters) and parameter.name in held:
-        return Status.FIXED, Reason(Cause.GIVEN if sensor.is_given else Cause.NOT_NEEDED)
+    for sensor in (station.sensor for station in fit.problem.stations if station.name == parameter.station):
+        held = {p.name for p, is_fixed in zip(sensor.parameters, sensor.fixed, strict=True) if is_fixed}
+        if isinstance(sensor, KnownParameters) and name in held:
+            return Status.FIXED, Reason(Cause.GIVEN if sensor.is_given else Cause.NOT_NEEDED)
     if parameter.unit.endswith("/(N m)"):
         return Status.UNIDENTIFIABLE, Reason(Cause.NO_MOMENT, axis=parameter.name[-1])
     return Status.UNIDENTIFIABLE, Reason(Cause.NOT_EXCITED)
@@ -119,22 +139,33 @@ def _not_free(fit: Fit, parameter: Parameter) -> tuple[Status, Reason]:
 
 def _largest_moment(fit: Fit, parameter: Parameter) -> float | None:
     """Return the largest static moment that a joint's compliance answers to in these poses [N m]; None for all else."""
-    joints = fit.model.chain.robot.joint_names
+    stations = fit.problem.stations[:_TOGETHER]
+    joints = stations[0].model.chain.robot.joint_names
     joint, symbol = parameter.name.rsplit(".", 1)
     if not parameter.unit.endswith("/(N m)") or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
         return None
-    rows = some_rows(len(fit.station), _ROWS)
-    moments = fit.model.static_moments(np.zeros(fit.model.n_parameters), fit.station.conditions.select(rows))
-    return float(np.abs(moments[:, 3 * joints.index(joint) + "xyz".index(symbol[-1])]).max())
+    largest, column = [], 3 * joints.index(joint) + "xyz".index(symbol[-1])
+    for station in stations:
+        conditions = station.conditions.select(some_rows(len(station), _ROWS))
+        moments = station.model.static_moments(np.zeros(station.model.n_parameters), conditions)
+        largest.append(float(np.abs(moments[:, column]).max()))
+    return max(largest)
+
+
+def _nominals(fit: Fit) -> list[_Nominal]:
+    """Return the normal equations at the nominal geometry, of some stations at a time so that they stay small."""
+    stations = fit.problem.stations
+    cuts = list(range(0, max(len(stations) - 1, 1), _TOGETHER))
+    return [_Nominal.of(fit, stations[a:b]) for a, b in zip(cuts, [*cuts[1:], len(stations)], strict=True)]
 
 
 @dataclass(frozen=True)
 class _Nominal:
-    """Normal equations at the nominal geometry, with base and tool where they are.
+    """Normal equations of stations at the nominal geometry, with base and tool where they are.
 
     Attributes:
         parameters: the P parameters.
-        unknowns: what the sensor's own parameters describe, in words.
+        unknowns: what the sensors' own parameters describe, in words.
         G: shape (P, P), scaled to a unit diagonal; zero rows for what has no effect.
         scale: shape (P,), by which columns were divided.
         unseen: shape (P,), each parameter's share in the directions that no reading sees.
@@ -147,20 +178,28 @@ class _Nominal:
     unseen: np.ndarray
 
     @classmethod
-    def of(cls, fit: Fit) -> _Nominal:
-        problem = fit.station
-        rows = some_rows(len(problem), _ROWS)
-        everything = np.ones(len(fit.values), bool)
-        normal = accumulate(problem.select(rows), fit.nominal.values, everything, np.ones(len(rows)))
-        G, g = normal.at(fit.solution.sigma)
-        free = fit.solution.free
-        found = posterior(G[np.ix_(free, free)], g[free], fit.priors.sizes[free], np.zeros(int(free.sum())))
+    def of(cls, fit: Fit, stations: tuple[Station, ...]) -> _Nominal:
+        problem = fit.problem if len(stations) == len(fit.problem.stations) else Problem(stations)
+        chosen = fit.estimate.places(p.name for p in problem.parameters)
+        free, n = fit.solution.free[chosen], len(chosen)
+        G, g = np.zeros((n, n)), np.zeros(n)
+        sigma = {s.name: fit.solution.sigma[b] for s, b in zip(fit.problem.stations, fit.problem.block_spans, strict=True)}
+        for station, places in zip(problem.stations, problem.places, strict=True):
+            rows = some_rows(len(station), _ROWS // len(stations))
+            everything = np.ones(len(places), bool)
+            nominal = fit.nominal.values[chosen][places]
+            normal = accumulate(station.select(rows), nominal, everything, np.ones(len(rows)))
+            more, slope = normal.at(sigma[station.name])
+            G[places[:, None], places] += more
+            g[places] += slope
+        found = posterior(G[np.ix_(free, free)], g[free], fit.priors.sizes[chosen][free], np.zeros(int(free.sum())))
         null = found.directions[:, found.information == 0.0]
-        unseen = np.zeros(len(fit.values))
+        unseen = np.zeros(n)
         unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(null**2, axis=1)
         scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
         G = np.where(np.outer(free, free), G / np.outer(scale, scale), 0.0)
-        return cls(problem.parameters, problem.sensor.unknowns, G, scale, unseen)
+        unknowns = " and ".join(dict.fromkeys(filter(None, (s.sensor.unknowns for s in stations))))
+        return cls(problem.parameters, unknowns, G, scale, unseen)
 
     def counterpart(self, i: int) -> Reason:
         """Return what has the same effect as parameter ``i``: the smallest set of parameters that does."""
@@ -201,6 +240,11 @@ class _Nominal:
         yield near, Cause.ALIASED
         yield [*near, *base, *tool], Cause.ALIASED
         yield [*inner, *base, *tool], Cause.ALIASED
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """The place of each parameter by its name."""
+        return {name: i for i, name in enumerate(self.names)}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
