@@ -243,7 +243,7 @@ def test_two_columns_swapped_are_named(kuka):
     order = [0, 2, 1, 3, 4, 5]
     mixed = replace(table, q=table.q[:, order])
     with pytest.raises(MeasurementError, match=r"joint_2.*joint_3.*swapped"):
-        check_agreement(kuka, mixed, calibrate(kuka, mixed, Options(effects=GEOMETRIC)))
+        check_agreement(kuka, [mixed], calibrate(kuka, mixed, Options(effects=GEOMETRIC)))
 
 
 def test_too_few_rows_for_the_noise_are_refused(kuka):

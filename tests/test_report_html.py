@@ -200,7 +200,8 @@ def test_a_joint_that_hardly_moved_is_named(run: Calibration) -> None:
     """A joint that covers little of its range is named with the part that it does."""
     q = run.train.q.copy()
     q[:, 2] *= 0.05
-    assert [name for name, _ in narrow_joints(replace(run, train=replace_q(run.train, q)))] == ["joint_3"]
+    moved = (replace(run.station, train=replace_q(run.train, q)),)
+    assert [name for name, _ in narrow_joints(replace(run, stations=moved))] == ["joint_3"]
     assert narrow_joints(run) == ()
 
 

@@ -54,53 +54,58 @@ class Note:
     Attributes:
         kind: what was found.
         figures: its particulars, by the names in the text of the kind.
+        station: name of the station that it is about; "" for all of them.
     """
 
     kind: Kind
     figures: Mapping[str, Any] = field(default_factory=dict)
+    station: str = ""
 
     def __str__(self) -> str:
-        return self.kind.value.format(**self.figures)
+        words = self.kind.value.format(**self.figures)
+        return f"{self.station}: {words}" if self.station else words
 
 
 def notes_on_data(fit: Fit) -> list[Note]:
     """Return whether the readings are few for the parameters; however much is read of a pose, it has six coordinates."""
-    poses = len(np.unique(fit.station.conditions.q, axis=0))
-    own = int(fit.station.split(fit.solution.free)[1].sum())
-    readings = min(len(fit.station) * sum(block.size for block in fit.station.sensor.blocks), 6 * poses + own)
+    readings, n_poses = 0, 0
+    for station, places, _ in fit.stations:
+        poses = len(np.unique(station.conditions.q, axis=0))
+        own = int(station.split(fit.solution.free[places])[1].sum())
+        readings += min(len(station) * sum(block.size for block in station.sensor.blocks), 6 * poses + own)
+        n_poses += poses
     released = int(fit.solution.free.sum())
     if readings >= 2 * released:
         return []
-    figures = {"rows": len(fit.station), "poses": poses, "readings": readings, "parameters": released}
+    figures = {"rows": len(fit.problem), "poses": n_poses, "readings": readings, "parameters": released}
     return [Note(Kind.FEW_READINGS, figures)]
 
 
-def notes_on_fit(fit: Fit, p_value: float | None, outliers: Sequence[int], test: Station | None) -> list[Note]:
+def notes_on_fit(fit: Fit, p_value: float | None) -> list[Note]:
     """Return what the fit itself says.
 
     Args:
         fit: the calibration.
         p_value: of its chi-square against the declared noise; None if none was declared.
-        outliers: lines of the rows that were rejected.
-        test: held-out rows under the calibrated model, if any.
     """
     found = [] if fit.solution.converged else [Note(Kind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
     if p_value is not None and p_value < MISFIT:
         found.append(Note(Kind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
     if p_value is not None and p_value > 1.0 - MISFIT:
         found.append(Note(Kind.NOISE_OVERSTATED))
-    if outliers:
-        found.append(Note(Kind.OUTLIERS, {"count": len(outliers), "lines": _listed(outliers)}))
-    if test is None:
-        found.append(Note(Kind.NOT_HELD_OUT))
     return found
 
 
-def notes_on_held_out(fit: Fit, test: Station | None, table: Measurements) -> list[Note]:
-    """Return whether some held-out rows are far off all others: a few of them dominate a mean."""
+def notes_on_outliers(outliers: Sequence[int], *, station: str) -> list[Note]:
+    """Return which rows of a station were rejected, by their lines."""
+    return [Note(Kind.OUTLIERS, {"count": len(outliers), "lines": _listed(outliers)}, station)] if outliers else []
+
+
+def notes_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Note]:
+    """Return whether some held-out rows of a station are far off all others: a few of them dominate a mean."""
     if test is None:
         return []
-    errors = next(iter(pose_errors(test, fit.values).values()))
+    errors = next(iter(pose_errors(test, values).values()))
     far = errors > _FAR * np.median(errors)
     if not far.any():
         return []
@@ -111,7 +116,7 @@ def notes_on_held_out(fit: Fit, test: Station | None, table: Measurements) -> li
         "mean": float(errors[~far].mean()),
         "lines": _listed(table.rows[far].tolist()),
     }
-    return [Note(Kind.FAR_OFF, figures)]
+    return [Note(Kind.FAR_OFF, figures, test.name)]
 
 
 def notes_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Note]:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, cast
 
 import numpy as np
+from msgspec import UNSET
 from scipy.special import chdtrc
 
-from pincal.calibration.notes import notes_on_fit, notes_on_held_out, notes_on_replicates
+from pincal.calibration.notes import Kind, Note, notes_on_fit, notes_on_held_out, notes_on_outliers, notes_on_replicates
+from pincal.calibration.rows import StationRows
 from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.reasons import Reason, Status
 from pincal.identify.station import Station
-from pincal.io.result_file import Correlation, NoiseRecord, Outcome, ParameterRecord
-from pincal.measure.measurements import Measurements
+from pincal.io.result_file import Correlation, Errors, NoiseRecord, Outcome, ParameterRecord, StationRecord
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import placed, rotation_vectors
-from pincal.validate.accuracy import error_table
-from pincal.validate.lack_of_fit import lack_of_fit
+from pincal.validate.accuracy import error_statistics
+from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
@@ -64,42 +67,32 @@ class Result(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        absent = {name for name in ("iso9283", "lack_of_fit") if getattr(self, name) is None}
+        absent = {name for name in ("iso9283", "lack_of_fit", "stations") if getattr(self, name) in (None, UNSET)}
         contents = {name: value for name, value in asdict(self).items() if name not in absent}
         return contents | {"parameters": [row.to_dict() for row in self.parameters]}
 
 
-def result_of(
-    fit: Fit,
-    test: Station | None,
-    *,
-    seconds: float,
-    tables: tuple[Measurements, Measurements],
-    notes: tuple[str, ...] = (),
-) -> Result:
+def result_of(fit: Fit, rows: Sequence[StationRows], *, seconds: float, notes: tuple[str, ...] = ()) -> Result:
     """Put a calibration's result together.
 
     Args:
         fit: the calibration.
-        test: held-out rows under the calibrated model; None without any.
+        rows: the rows of each station, fitted and held out.
         seconds: how long it took.
-        tables: the training rows, and the held-out ones.
         notes: notes on robot and data, which come first.
     """
     solution = fit.solution
-    declared = fit.noise.declared[0] is not None
     parameters = parameter_rows(fit)
-    p_value = float(chdtrc(solution.degrees, solution.chi2)) if declared else None
-    outliers = tuple(int(line) for line in tables[0].rows[solution.weights == 0.0])
-    replicates = _replicates(fit, test, tables)
-    lack = lack_of_fit(replicates, fit.values, solution.sigma, spent=solution.posterior.effective)
-    models = {"nominal": fit.nominal.values, "calibrated": fit.values}
-    parts = {"train": fit.station} | ({} if test is None else {"test": test})
-    found = [*notes_on_fit(fit, p_value, outliers, test), *notes_on_held_out(fit, test, tables[1])]
+    p_value = float(chdtrc(solution.degrees, solution.chi2)) if fit.is_declared else None
+    seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
+    iso, lack = _replicates(fit, seen)
+    found = [*notes_on_fit(fit, p_value), *(note for part in seen for note in part.notes)]
+    found += [] if any(part.test for part in seen) else [Note(Kind.NOT_HELD_OUT)]
+    found += [note for part in seen for note in notes_on_held_out(part.test, part.values["calibrated"], part.rows.test)]
     found += notes_on_replicates(lack, p_value)
     return Result(
         noise=_noise(fit),
-        rows={"train": len(fit.station), "test": 0 if test is None else len(test)},
+        rows={"train": len(fit.problem), "test": sum(len(part.rows.test) for part in seen)},
         parameters=parameters,
         rank=solution.posterior.identifiable_rank,
         condition=solution.posterior.condition,
@@ -108,35 +101,128 @@ def result_of(
         iterations=fit.iterations,
         seconds=seconds,
         converged=solution.converged,
-        outliers=outliers,
+        outliers=tuple(line for part in seen for line in part.outliers),
         correlations=_correlations(fit, parameters),
         stages=fit.stages,
-        error={name: {part: error_table(rows, of) for part, rows in parts.items()} for name, of in models.items()},
+        error=_errors(seen),
         warnings=(*notes, *map(str, found)),
-        iso9283=iso9283(replicates, models),
+        iso9283=iso,
         lack_of_fit=lack,
+        stations=tuple(_record(fit, seen, k) for k in range(len(seen))) if len(seen) > 1 else UNSET,
     )
 
 
-def _replicates(fit: Fit, test: Station | None, tables: tuple[Measurements, Measurements]) -> list[Replicates]:
-    """Return fitted and held-out rows with the poses that they are replicates of."""
-    train_poses, test_poses = replicate_groups(tables)
-    found = [Replicates("train", tables[0], fit.station, train_poses, fit.solution.weights > 0.0)]
-    if test is not None:
-        found.append(Replicates("test", tables[1], test, test_poses, np.ones(len(test), bool)))
-    return found
+@dataclass(frozen=True)
+class _Seen:
+    """A station as a calibration sees it.
+
+    Attributes:
+        rows: its rows.
+        train: the fitted ones under the calibrated model.
+        test: the held-out ones; None without any.
+        values: its parameters with base and tool fitted alone ("nominal"), and "calibrated".
+        blocks: where its blocks of readings stand among all.
+        weights: robust weights of the fitted rows.
+    """
+
+    rows: StationRows
+    train: Station
+    test: Station | None
+    values: dict[str, np.ndarray]
+    blocks: slice
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, fit: Fit, k: int, rows: StationRows) -> _Seen:
+        problem = fit.problem
+        values = {"nominal": fit.nominal.values[problem.places[k]], "calibrated": fit.values[problem.places[k]]}
+        weights = fit.solution.weights[problem.rows[k]]
+        return cls(rows, problem.stations[k], rows.held(fit), values, problem.block_spans[k], weights)
+
+    @property
+    def parts(self) -> dict[str, Station]:
+        """Fitted rows, and held-out ones if there are any."""
+        return {"train": self.train} | ({} if self.test is None else {"test": self.test})
+
+    @property
+    def outliers(self) -> list[int]:
+        """Lines of the rejected rows."""
+        return [int(line) for line in self.rows.train.rows[self.weights == 0.0]]
+
+    @property
+    def notes(self) -> list[Note]:
+        """What to say of them."""
+        return notes_on_outliers(self.outliers, station=self.rows.name)
 
 
-def _noise(fit: Fit) -> NoiseRecord:
-    noise: dict[str, float] = {}
-    for block, sigma, declared, estimated in zip(
-        fit.station.sensor.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True
-    ):
-        name = f"sigma_{block.unit}"
-        noise[name] = float(sigma if declared is None else declared)
-        noise[f"residual_{name}"] = float(estimated)
-    source: Literal["declared", "estimated"] = "estimated" if fit.noise.declared[0] is None else "declared"
+def _errors(seen: Sequence[_Seen]) -> Errors:
+    """Return the errors of stations taken together, by model and part."""
+    parts = [part for part in ("train", "test") if any(part in station.parts for station in seen)]
+    return {
+        model: {part: error_statistics((s.parts[part], s.values[model]) for s in seen if part in s.parts) for part in parts}
+        for model in ("nominal", "calibrated")
+    }
+
+
+def _record(fit: Fit, seen: Sequence[_Seen], k: int) -> StationRecord:
+    """Return what is to be said of one of several stations."""
+    station = seen[k]
+    record: StationRecord = {
+        "name": station.rows.name,
+        "kind": station.train.sensor.kind,
+        "rows": {"train": len(station.train), "test": len(station.rows.test)},
+        "noise": _noise(fit, station.blocks),
+        "outliers": station.outliers,
+        "error": _errors([station]),
+    }
+    first, here = (placement_of(s.train, s.values["calibrated"]) for s in (seen[0], station))
+    if k and first is not None and here is not None:
+        apart = np.linalg.inv(first)[:3, 3] - np.linalg.inv(here)[:3, 3]
+        record["moved_mm"] = float(1e3 * np.linalg.norm(apart))
+    return record
+
+
+def placement_of(station: Station, values: np.ndarray) -> np.ndarray | None:
+    """Return the robot's base in the instrument's frame, shape (4, 4); None where a station does not tell all of it."""
+    places = {p.name: i for i, p in enumerate(station.parameters)}
+    names = [f"base.{symbol}" for symbol in FRAME_SYMBOLS]
+    if not all(name in places for name in names):
+        return None
+    return placed(station.model.chain.base_rotation, values[[places[name] for name in names]])
+
+
+def _replicates(fit: Fit, seen: Sequence[_Seen]) -> tuple[dict[str, Any] | None, LackOfFit | None]:
+    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where one station measured poses again."""
+    if len(seen) > 1:
+        return None, None
+    station, solution = seen[0], fit.solution
+    train_poses, test_poses = replicate_groups([station.rows.train, station.rows.test])
+    found = [Replicates("train", station.rows.train, station.train, train_poses, station.weights > 0.0)]
+    if station.test is not None:
+        found.append(Replicates("test", station.rows.test, station.test, test_poses, np.ones(len(station.test), bool)))
+    lack = lack_of_fit(found, fit.values, solution.sigma, spent=solution.posterior.effective)
+    return iso9283(found, station.values), lack
+
+
+def _noise(fit: Fit, blocks: slice = slice(None)) -> NoiseRecord:
+    """Return the noise of some blocks of readings; of several of one unit the root mean square over readings."""
+    of_blocks = zip(fit.problem.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True)
+    rows = np.repeat([len(station) for station in fit.problem.stations], [b.stop - b.start for b in fit.problem.block_spans])
+    found: dict[str, list[tuple[float, float]]] = {}
+    for (block, sigma, declared, estimated), n in list(zip(of_blocks, rows, strict=True))[blocks]:
+        weight = float(n * block.size)
+        found.setdefault(f"sigma_{block.unit}", []).append((float(sigma if declared is None else declared), weight))
+        found.setdefault(f"residual_sigma_{block.unit}", []).append((float(estimated), weight))
+    noise = {name: _root_mean_square(sizes) for name, sizes in found.items()}
+    source: Literal["declared", "estimated"] = "declared" if fit.is_declared else "estimated"
     return cast(NoiseRecord, {"source": source, **noise})
+
+
+def _root_mean_square(sizes: list[tuple[float, float]]) -> float:
+    if len(sizes) == 1:
+        return sizes[0][0]
+    values, weights = np.array(sizes).T
+    return float(np.sqrt(np.average(values**2, weights=weights)))
 
 
 def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
@@ -173,7 +259,8 @@ def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation
     C = fit.solution.posterior.covariance
     sd = np.sqrt(np.diag(C))
     correlation = C / np.outer(sd, sd)
-    parameters = [p for p, free in zip(fit.station.parameters, fit.solution.free, strict=True) if free]
+    shared = fit.solution.free & fit.problem.is_shared
+    parameters = [p for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared]
     identified = {row.name for row in rows if row.status == "identified"}
     inner = np.array([np.isfinite(p.size) and p.name in identified for p in parameters], bool)
     pairs = [

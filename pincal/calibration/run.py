@@ -1,8 +1,9 @@
-"""One calibration from table to result: check, hold out, fit, validate."""
+"""One calibration from tables to result: check, hold out, fit, validate."""
 
 from __future__ import annotations
 
 import time
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +11,15 @@ import numpy as np
 from pincal.calibration.fit import Fit, calibrate
 from pincal.calibration.notes import notes_on_data
 from pincal.calibration.result import Result, result_of
-from pincal.identify.calibrate import doubts_of_known
+from pincal.calibration.rows import StationRows, split_rows, with_holdout
+from pincal.errors import BadInputError
+from pincal.identify.calibrate import Tables, doubts_of_known, tables_of
 from pincal.identify.options import Options
-from pincal.identify.split import Split, hold_out
+from pincal.identify.split import Split
 from pincal.identify.station import Station
-from pincal.measure.admit import admit, admit_test, noted, scorable_rows, unobservable_notes, usable_rows
+from pincal.measure.admit import admit, noted, unobservable_notes
 from pincal.measure.measurements import Measurements
+from pincal.measure.setup import Setup
 from pincal.robot.robot import Robot
 from pincal.validate.agreement import check_agreement
 
@@ -26,73 +30,107 @@ class Calibration:
 
     Attributes:
         robot: the arm.
-        train: rows that the fit saw.
-        test: rows that it did not see; may be empty.
+        stations: the rows of each station, fitted and held out.
         fit: the calibrated model.
         result: parameters, errors, warnings.
-        notes: the warnings among them that are on robot and table, not on the fit.
+        notes: the warnings among them that are on robot and tables, not on the fit.
     """
 
     robot: Robot
-    train: Measurements
-    test: Measurements
+    stations: tuple[StationRows, ...]
     fit: Fit
     result: Result
     notes: tuple[str, ...] = ()
 
+    @property
+    def station(self) -> StationRows:
+        """The rows of the only station.
+
+        Raises:
+            BadInputError: if there are several.
+        """
+        if len(self.stations) > 1:
+            names = ", ".join(rows.name for rows in self.stations)
+            raise BadInputError(
+                f"this is asked of one station, and there are several: {names}; look at their rows one by one"
+            )
+        return self.stations[0]
+
+    @property
+    def train(self) -> Measurements:
+        """Rows that the fit saw, of the only station."""
+        return self.station.train
+
+    @property
+    def test(self) -> Measurements:
+        """Rows that it did not see, of the only station; may be empty."""
+        return self.station.test
+
     def n_poses(self, *parts: str) -> int:
         """Return the number of poses, each with one reading or more, of "train", "test", or both."""
-        q = np.vstack([getattr(self, part).q for part in parts or ("train", "test")])
+        q = np.vstack([getattr(rows, part).q for rows in self.stations for part in parts or ("train", "test")])
         return len(np.unique(q, axis=0))
 
     def test_problem(self) -> Station | None:
-        """Return the held-out rows under the calibrated model, None without any."""
-        return self.fit.readings(self.test) if len(self.test) else None
+        """Return the held-out rows of the only station under the calibrated model, None without any."""
+        return self.station.held(self.fit)
 
 
 def run_calibration(
     robot: Robot,
-    measurements: Measurements,
+    measurements: Tables,
     options: Options | None = None,
     *,
     test_fraction: float = 0.25,
     split: Split = "random",
     seed: int = 0,
-    holdout: Measurements | None = None,
+    holdout: Tables | None = None,
+    executor: Executor | None = None,
 ) -> Calibration:
-    """Check a table, hold rows back, calibrate on the rest and validate on what was held back.
+    """Check tables, hold rows back, calibrate on the rest and validate on what was held back.
 
     Args:
         robot: the arm.
-        measurements: the table.
+        measurements: one table or several, as :func:`pincal.calibrate` takes them.
         options: how to calibrate.
-        test_fraction: part of the rows held out; ignored with ``holdout``.
+        test_fraction: part of each station's rows held out; ignored with ``holdout``.
         split: how rows are chosen.
         seed: of the choice.
-        holdout: other measurements to validate on; then all rows of ``measurements`` train.
+        holdout: other measurements to validate on; then all rows of ``measurements`` train. Of several stations the rows
+            name theirs.
+        executor: evaluates the stations side by side; default: one after the other.
 
     Returns:
         The calibration.
 
     Raises:
-        BadInputError: if table and robot don't go together, or rows are too few.
+        BadInputError: if tables and robot don't go together, or rows are too few.
         IdentificationError: if nothing can be identified.
     """
     begun = time.perf_counter()
     options = Options() if options is None else options
-    admitted = admit(robot, measurements, options.setup, holdout=holdout)
+
+    def setup_of(name: str) -> Setup:
+        return options.at(name).setup
+
+    tables = tables_of(measurements)
+    held = () if holdout is None else tuple(tables_of(holdout).values())
+    admitted = admit(robot, tables, setup_of, holdout=held)
     with noted() as split_notes:
         if holdout is None:
-            train, test = hold_out(admitted.table, test_fraction, split=split, seed=seed)
-            train = usable_rows(train, options.setup)
-            test = scorable_rows(test, options.setup.over(train))
+            parts = split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
         else:
-            train, test = admitted.table, admit_test(robot, holdout, options.setup.over(admitted.table))
-    fit = calibrate(robot, train, options)
-    check_agreement(robot, train, fit)
-    notes = tuple(dict.fromkeys((*admitted.notes, *split_notes)))
-    notes = (*robot.notes, *notes, *admitted.idle, *unobservable_notes(train, options.setup), *map(str, notes_on_data(fit)))
-    notes = (*notes, *doubts_of_known(fit))
-    held = fit.readings(test) if len(test) else None
-    result = result_of(fit, held, seconds=time.perf_counter() - begun, tables=(train, test), notes=notes)
-    return Calibration(robot, train, test, fit, result, notes)
+            parts = with_holdout(robot, admitted.tables, holdout, setup_of)
+    fit = calibrate(robot, {name: train for name, (train, _) in parts.items()}, options, executor=executor)
+    rows = tuple(
+        StationRows(station.name, train, test)
+        for station, (train, test) in zip(fit.problem.stations, parts.values(), strict=True)
+    )
+    check_agreement(robot, [part.train for part in rows], fit)
+    notes = [*robot.notes, *dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
+    # What one station's sensor can't see another's may.
+    unseen = [list(unobservable_notes(train, setup_of(name))) for name, (train, _) in parts.items()]
+    notes += [note for note in unseen[0] if all(note in other for other in unseen)]
+    notes += [*map(str, notes_on_data(fit)), *doubts_of_known(fit)]
+    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes))
+    return Calibration(robot, rows, fit, result, tuple(notes))

@@ -73,6 +73,18 @@ class CalibratedStations:
         return self.models[name]
 
 
+def save_fit(path: str | os.PathLike[str], fit: Fit, provenance: dict[str, Any]) -> None:
+    """Write ``model.json`` of a fit with its provenance, with all stations if there are several.
+
+    Raises:
+        OutputError: if the place can't be written to, or a number is not finite.
+    """
+    if len(fit.problem.stations) > 1:
+        save_stations(path, CalibratedStations.of(fit, provenance))
+    else:
+        CalibratedModel.of(fit, provenance).save(path)
+
+
 def save_stations(path: str | os.PathLike[str], calibrated: CalibratedStations) -> None:
     """Write ``model.json`` with several stations: the whole file or nothing, its numbers in full precision.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.result import ParameterRow
+from pincal.io.result_file import StationRecord
 from pincal.parameters import Estimate, Parameter
 from pincal.tables import Cell, Column, Kind, Table, Tone
 from pincal.units import Quantity, fixed, show_sigma, show_unit, show_value
@@ -45,6 +46,24 @@ def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table
         if f"mean_{unit}" in values
     )
     return Table("Pose accuracy: distance from predicted to measured target", columns, rows)
+
+
+def station_table(stations: Sequence[StationRecord]) -> Table:
+    """Return the mean error at each of several stations, before and after, and by the model of the others if it is known."""
+    heads = (Column("station", kind=Kind.NAME), Column("measured", kind=Kind.LABEL), Column("poses", kind=Kind.LABEL))
+    is_left_out = any("left_out" in station for station in stations)
+    names = ["rows", "nominal", *(["left out, geometry alone", "left out"] if is_left_out else []), "calibrated"]
+    columns = [Column(name, kind=Kind.NUMBER, show=str if name == "rows" else fixed(4)) for name in names]
+    rows = []
+    for station in stations:
+        found = (station.get("left_out_geometric", {}), station.get("left_out", {})) if is_left_out else ()
+        others = [errors.get("mean_mm") for errors in found]
+        for part, error in station["error"]["calibrated"].items():
+            before = station["error"]["nominal"][part]["mean_mm"]
+            count = station["rows"]["train" if part == "train" else "test"]
+            numbers = (count, before, *others, error["mean_mm"])
+            rows.append((station["name"], station["kind"], PARTS[part], *numbers))
+    return Table("Mean error at each station [mm]", (*heads, *columns), tuple(rows))
 
 
 def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:

@@ -146,7 +146,9 @@ def _parameters(arguments: type, defaults: Mapping[str, Any], *, heading: str) -
         if _HEADING in about:
             yield from _parameters(kind, defaults, heading=about[_HEADING])
         elif "cls" in about:
-            yield heading, about["cls"]([part.name], **_reader(kind) | {k: v for k, v in about.items() if k != "cls"})
+            read = _reader(kind)
+            several = {"nargs": -1} if read.pop("multiple", False) else {}
+            yield heading, about["cls"]([part.name], **read | {k: v for k, v in about.items() if k != "cls"} | several)
         else:
             yield heading, _option(part.name, defaults.get(part.name, part.default), attributes=_reader(kind) | about)
 

@@ -29,7 +29,7 @@ def check(arguments: CheckArguments) -> Exit:
     from pincal.discover.precheck import precheck
 
     prepared = prepare(arguments.source, arguments.chosen)
-    found = precheck(prepared.robot, prepared.table, prepared.options)
+    found = precheck(prepared.robot, prepared.tables, prepared.options)
     if arguments.general.as_json:
         print_json(found.to_dict())
     else:

@@ -120,10 +120,14 @@ class GeneralOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class InputOptions:
-    """A robot and a table of measurements."""
+    """A robot and tables of measurements."""
 
     robot: str = robot_argument()
-    data: Path = argument("DATA.csv", "Measurements, one row per measured pose (CSV or Parquet).")
+    data: tuple[Path, ...] = argument(
+        "DATA.csv...",
+        "Measurements, one row per measured pose (CSV or Parquet). Several tables are a station each, named by the file "
+        "unless they have a column station.",
+    )
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option()
     ignore: tuple[str, ...] = ignore_option()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,15 +46,15 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
         AccuracyGateError: if the error exceeds the limit; likewise.
     """
     from pincal.calibration.run import Calibration
-    from pincal.cli.inputs import load_table, prepare
+    from pincal.cli.inputs import load_stations, prepare
 
     split, source = arguments.split, arguments.source
     with output_folder(arguments.out) as draft:
         prepared = prepare(source, arguments.chosen)
         held = split.holdout
-        holdout = None if held is None else load_table(prepared.robot, held, ignore=source.ignore)
+        holdout = None if held is None else load_stations(prepared.robot, [held], ignore=source.ignore)
         choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
-        found = run(prepared.robot, prepared.table, prepared.options, **choice)
+        found = run(prepared.robot, prepared.tables, prepared.options, **choice)
         calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
         notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
@@ -91,29 +91,29 @@ def write_results(
     view: bool = False,
 ) -> tuple[str, ...]:
     """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
-    from pincal.calibration.calibrated import CalibratedModel, save_model
+    from pincal.calibration.stations import save_fit
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import report_page
     from pincal.report.subject import Subject
 
     fit = calibration.fit
-    model = CalibratedModel.of(fit, origin)
-    save_model(folder / "model.json", model)
+    save_fit(folder / "model.json", fit, origin)
     write_json(folder / "result.json", calibration.result.to_dict())
     if discovery is not None:
         write_json(folder / "discovery.json", discovery.report)
-    export = calibrated_urdf(fit.model, fit.values)
+    robot = fit.robot_model()
+    export = calibrated_urdf(robot.model, robot.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
         from pincal.measure.table import concatenate
         from pincal.viewer import build_scene, write_html
 
-        train, test = calibration.train, calibration.test
+        train, test = calibration.stations[0].train, calibration.stations[0].test
         rows = concatenate([train, test]) if len(test) else train
         held = np.repeat([False, True], [len(train), len(test)])
-        write_html(folder / VIEW, build_scene(model, rows, held_out=held))
+        write_html(folder / VIEW, build_scene(robot, rows, held_out=held))
     page = report_page(Subject(calibration, origin, export.notes, discovery, view=VIEW if view else None))
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)
@@ -123,20 +123,25 @@ def _write_residuals(path: Path, calibration: Calibration) -> None:
     """Write measured minus predicted readings of every row, before and after, fitted and held out."""
     from pincal.measure.table import write_table
 
-    columns: dict[str, list[np.ndarray]] = {}
-    fit = calibration.fit
-    for part, table, problem in (
-        ("fitted", calibration.train, fit.station),
-        ("held out", calibration.test, calibration.test_problem()),
-    ):
+    parts = [part for k in range(len(calibration.stations)) for part in _residuals(calibration, k)]
+    names = dict.fromkeys(name for part in parts for name in part)
+    absent = [np.full(len(part["line"]), np.nan) for part in parts]
+    columns = {n: np.concatenate([part.get(n, none) for part, none in zip(parts, absent, strict=True)]) for n in names}
+    write_table(path, columns)
+
+
+def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the columns of residuals.csv for the fitted rows of the k-th station, and for those held out."""
+    fit, rows = calibration.fit, calibration.stations[k]
+    station, places, _ = list(fit.stations)[k]
+    for part, table, problem in (("fitted", rows.train, station), ("held out", rows.test, rows.held(fit))):
         if problem is None:
             continue
-        weights = fit.solution.weights if part == "fitted" else np.ones(len(table))
-        found = {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
+        weights = fit.solution.weights[fit.problem.rows[k]] if part == "fitted" else np.ones(len(table))
+        found = {"station": np.full(len(table), rows.name)} if len(calibration.stations) > 1 else {}
+        found |= {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
         for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
-            residuals = problem.residuals(values)
+            residuals = problem.residuals(values[places])
             names = [f"{component} [{block.unit}]" for block in problem.sensor.blocks for component in block.components]
             found |= {f"{model}_{name}": row for name, row in zip(names, residuals, strict=True)}
-        for name, column in found.items():
-            columns.setdefault(name, []).append(column)
-    write_table(path, {name: np.concatenate(parts) for name, parts in columns.items()})
+        yield found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -10,12 +11,13 @@ import numpy as np
 
 from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
 from pincal.errors import BadInputError
-from pincal.identify.options import Options
+from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_lens, read_mount
 from pincal.measure.measurements import Measurements
 from pincal.measure.named_points import KnownDistance
 from pincal.measure.setup import Setup, read_distances, read_points
+from pincal.measure.stations import stations_of
 from pincal.measure.table import column_names, read_measurements
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
@@ -34,32 +36,43 @@ class Prepared:
 
     Attributes:
         robot: the arm.
-        table: its measurements.
+        tables: the measurements of each station, by its name; the only station may have any.
         options: how to calibrate.
         files: all input files, for the provenance of the result.
     """
 
     robot: Robot
-    table: Measurements
+    tables: dict[str, Measurements]
     options: Options
     files: tuple[Path, ...]
 
+    @property
+    def table(self) -> Measurements:
+        """The measurements of the only station.
+
+        Raises:
+            BadInputError: if there are several.
+        """
+        if len(self.tables) > 1:
+            raise BadInputError(f"there are several stations: {', '.join(self.tables)}; expected one: give one table")
+        return next(iter(self.tables.values()))
+
 
 def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
-    """Load robot, table and measurement setup.
+    """Load robot, tables and measurement setup.
 
     Raises:
         BadInputError: for a file or an option that is invalid.
     """
     robot = load_robot(source)
-    table = load_table(robot, source.data, ignore=source.ignore)
+    tables = load_stations(robot, source.data, ignore=source.ignore)
     setup = chosen.setup
     given = [path for path in (setup.points, setup.distances, setup.camera) if path is not None]
-    options = with_effects(options_of(chosen, table), chosen.fit.add, robot=robot, table=table)
-    return Prepared(robot, table, options, (source.data, *given, Path(robot.source)))
+    options = with_effects(options_of(chosen, tables), chosen.fit.add, robot=robot, tables=tables)
+    return Prepared(robot, tables, options, (*source.data, *given, Path(robot.source)))
 
 
-def with_effects(options: Options, added: tuple[str, ...], *, robot: Robot, table: Measurements) -> Options:
+def with_effects(options: Options, added: tuple[str, ...], *, robot: Robot, tables: Mapping[str, Measurements]) -> Options:
     """Return the options with the effects that the command line adds.
 
     Raises:
@@ -67,19 +80,30 @@ def with_effects(options: Options, added: tuple[str, ...], *, robot: Robot, tabl
     """
     if not added:
         return options
+    # What a station's poses show; the others may lack the column that it follows.
+    name, table = max(tables.items(), key=lambda item: len(item[1].columns()))
     chain = Chain.of(robot, targets=tuple(str(target) for target in np.unique(table.target)))
-    conditions = conditions_of(Model(chain, ()), table, np.array(options.payload_centre))
+    conditions = conditions_of(Model(chain, ()), table, np.array(options.at(name).payload_centre))
     effects = (find_effect(text, chain, conditions) for text in added)
     return replace(options, effects=(*options.effects, *effects))
 
 
 def load_robot(source: InputOptions) -> Robot:
-    """Return the arm whose joints are columns of the table."""
+    """Return the arm whose joints are columns of the (first) table."""
     if source.tip is not None:
         return Robot.from_urdf(source.robot, tip=source.tip, base=source.base)
     known = {joint.name for joint in read_urdf(find_file(source.robot)).joints}
-    joints = [name for name in column_names(source.data) if name in known]
+    joints = [name for name in column_names(source.data[0]) if name in known]
     return Robot.from_urdf(source.robot, base=source.base, joints=joints or None)
+
+
+def load_stations(robot: Robot, paths: Iterable[Path], *, ignore: tuple[str, ...] = ()) -> dict[str, Measurements]:
+    """Return the measurements of each station, named by its file or by a column ``station``.
+
+    Raises:
+        BadInputError: for a file that is invalid, or two stations of one name.
+    """
+    return stations_of([(path.stem, load_table(robot, path, ignore=ignore)) for path in paths])
 
 
 def load_table(robot: Robot, path: Path, *, ignore: tuple[str, ...] = (), joints_only: bool = False) -> Measurements:
@@ -88,28 +112,22 @@ def load_table(robot: Robot, path: Path, *, ignore: tuple[str, ...] = (), joints
     return read_measurements(path, robot.joint_names, ignore=ignore, require=require, joint_types=robot.joint_types)
 
 
-def options_of(chosen: CalibrationOptions, table: Measurements) -> Options:
+def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:
     """Return the calibration's options from those of the command line.
 
     Raises:
-        BadInputError: if the noise is given in a unit that this table's readings do not have.
+        BadInputError: if the noise is given in a unit that no station's readings have.
     """
     model, setup, fit = chosen.model, chosen.setup, chosen.fit
-    base = np.eye(4) if setup.points_in == "base" else None
-    if setup.anchor:
-        base = np.eye(4)
-        base[:3, 3] = -np.array(setup.anchor)
     listed = () if setup.distances is None else read_distances(setup.distances)
+    _refuse_unused(setup, tables)
     return Options(
         effects=EFFECTS[model.model],
-        sigma=_sigma(setup.noise, table),
         sigma_orientation=setup.noise_angle,
         moment_frame=model.moment_frame or "paper",
         equilibrium=fit.equilibrium,
         gravity=model.gravity,
         payload_centre=model.payload_com,
-        base=base,
-        tools=_tools(setup, table),
         stages=fit.stages,
         loss=fit.loss,
         length_bound=fit.length_bound,
@@ -119,24 +137,40 @@ def options_of(chosen: CalibrationOptions, table: Measurements) -> Options:
             lens=None if setup.camera is None else read_lens(setup.camera),
             fit_lens=setup.fit_camera,
         ),
+        stations={name: _known_of(setup, table, alone=len(tables) == 1) for name, table in tables.items()},
     )
 
 
-def _tools(given: SetupOptions, table: Measurements) -> dict[str, tuple[float, float, float] | np.ndarray] | None:
-    if given.camera and not (table.sensor and table.sensor.has_camera):
-        raise BadInputError(f"--camera is for camera readings, but {table.source} holds {table.kind}; leave it out")
-    mount = read_mount(given.camera) if given.camera else None
-    known: tuple[float, float, float] | np.ndarray | None = given.tool if mount is None else mount
-    return None if known is None else {str(table.target[0]): known}
+def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> StationOptions:
+    """Return what the command line says of one station."""
+    base = np.eye(4) if setup.points_in == "base" and (alone or table.point_names is not None) else None
+    if setup.anchor and (alone or table.distance is not None):
+        base = np.eye(4)
+        base[:3, 3] = -np.array(setup.anchor)
+    mount = read_mount(setup.camera) if setup.camera and _has_camera(table) else None
+    known: tuple[float, float, float] | np.ndarray | None = setup.tool if mount is None else mount
+    tools = None if known is None else {str(table.target[0]): known}
+    sigma = setup.noise[0] if setup.noise and setup.noise[1] == _unit_of(table) else None
+    return StationOptions(sigma=sigma, base=base, tools=tools)
 
 
-def _sigma(noise: tuple[float, str] | None, table: Measurements) -> float | None:
-    if noise is None:
-        return None
-    sigma, unit = noise
-    block = None if table.sensor is None else table.sensor.blocks[0]
-    if block is not None and unit != block.unit:
+def _has_camera(table: Measurements) -> bool:
+    return bool(table.sensor and table.sensor.has_camera)
+
+
+def _unit_of(table: Measurements) -> str | None:
+    """Return the unit of what a table holds first; None where nothing was measured."""
+    return None if table.sensor is None else table.sensor.blocks[0].unit
+
+
+def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> None:
+    """Refuse a camera that is used at no station, and noise in a unit that no station's readings have."""
+    held = " and ".join(f"{table.source} holds {table.kind}" for table in tables.values())
+    if setup.camera and not any(map(_has_camera, tables.values())):
+        raise BadInputError(f"--camera is for camera readings, but {held}; leave it out")
+    sensors = [table.sensor for table in tables.values() if table.sensor is not None]
+    if setup.noise and sensors and setup.noise[1] not in {sensor.blocks[0].unit for sensor in sensors}:
+        block = sensors[0].blocks[0]
         factor, name = readable_unit(block.unit)
         example = f"{block.noise * factor:g}{name}"
-        raise BadInputError(f"--noise in {unit}, but {table.source} holds {table.kind}; expected a value such as {example}")
-    return sigma
+        raise BadInputError(f"--noise in {setup.noise[1]}, but {held}; expected a value such as {example}")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from msgspec import UNSET
 from rich.console import Console
 
 from pincal.calibration.result import Result
-from pincal.calibration.tables import error_table, iso9283_table, parameter_table
+from pincal.calibration.tables import error_table, iso9283_table, parameter_table, station_table
 from pincal.design.design import Design
 from pincal.design.observability import SOURCES
 from pincal.design.study import RANDOM_DESIGNS
@@ -39,6 +40,8 @@ _SHOWN = ("O1", "O2")
 def print_result(result: Result, out: Console) -> None:
     """Print errors before and after, the parameters, and what the user should know."""
     out.print(_summary(result))
+    if result.stations is not UNSET:
+        out.print(station_table(result.stations))
     out.print(error_table(result.error))
     print_replicates(result.iso9283, result.lack_of_fit, out)
     out.print(parameter_table(result.parameters))

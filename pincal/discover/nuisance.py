@@ -113,11 +113,11 @@ def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
 
 def situation_of(fit: Fit) -> Situation:
     """Return where effects look for what they could do beyond a fit."""
-    compliances = tuple(compliances_of(fit.model, fit.values).tolist())
-    return Situation(fit.model.chain, fit.station.conditions, compliances)
+    compliances = tuple(compliances_of(*fit.arm).tolist())
+    return Situation(fit.problem.chain, fit.problem.conditions, compliances)
 
 
 def score_test_beside_masses(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> ScoreTests:
     """Test effects against a fit with masses and first moments projected out; see :func:`score_test`."""
-    masses = MassError.of(fit.model, fit.values)
+    masses = MassError.of(*fit.arm)
     return score_test(fit, effects, [masses] if masses else [], groups)

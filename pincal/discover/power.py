@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -18,6 +18,7 @@ from pincal.identify.problem import Problem
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Curve, Effect, Reducible
 from pincal.model.model import Model
+from pincal.robot.robot import Robot
 
 # Chance with which an effect of the size that is called detectable is found (test_discovery_report.py counts it).
 POWER = 0.9
@@ -88,7 +89,7 @@ def minimum_detectable(
     tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
-    found = score_test_beside_masses(quiet, np.zeros(len(fit.station), int), tested)
+    found = score_test_beside_masses(quiet, np.zeros(len(fit.problem), int), tested)
     if found.dof < FEWEST:
         return [Detectable(effect, reason=_too_few(found)) for effect in effects]
     groups = len({effect.identity for effect in effects})
@@ -102,7 +103,7 @@ def _too_few(found: ScoreTests) -> str:
 def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> Iterator[Detectable]:
     """Yield the detectable size of an effect, one a unit of its parameters."""
     effect = found.effects[i]
-    parameters = effect.parameters(fit.model.chain)
+    parameters = effect.parameters(fit.problem.chain)
     rank = found.gain([i])[1]
     test = (round(found.dof, 3), rank, groups, alpha)
     for unit in dict.fromkeys(p.unit for p in parameters):
@@ -128,15 +129,15 @@ def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str,
         return "rms of the curve", unit, _unit_curves(effect, fit)
     if "N m" in unit:
         # Micro-radians say more than compliances.
-        largest, felt = Model(fit.model.chain, (effect,)).largest_basis(fit.station.conditions)
+        largest, felt = Model(fit.problem.chain, (effect,)).largest_basis(fit.problem.conditions)
         return "largest rotation in these poses", "rad", np.diag(1.0 / largest[own])[:, felt[own]]
     one = len(own) == 1
-    return effect.parameters(fit.model.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))
+    return effect.parameters(fit.problem.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))
 
 
 def _unit_curves(effect: Curve, fit: Fit) -> np.ndarray:
     """Return coefficients, shape (size, k), of orthogonal curves whose rms about their mean over the poses is 1."""
-    terms = effect.terms(fit.model.chain, fit.station.conditions, None)
+    terms = effect.terms(fit.problem.chain, fit.problem.conditions, None)
     basis = np.stack([term.basis for term in terms if term.basis is not None])
     basis = basis - basis.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(basis @ basis.T / basis.shape[1])
@@ -213,23 +214,25 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
         value: its parameters, shape (K,).
         rival: the other one.
     """
+    stations = fit.problem.stations
 
-    def tests_at(conditions: Conditions) -> ScoreTests:
-        problem = Problem((replace(fit.station, conditions=conditions),))
+    def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
+        problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
         return score_test(replace(fit, problem=problem), [effect, rival], [], np.zeros(len(problem), int))
 
-    here = tests_at(fit.station.conditions)
+    here = tests_at(station.conditions for station in stations)
     again = _separation(here, 2.0 * here.blocks_S, value)
-    for words, conditions in _designs(fit):
+    designs = [dict(_designs(fit.problem.chain.robot, station.conditions)) for station in stations]
+    for words in (words for words in designs[0] if all(words in others for others in designs)):
         try:
-            there = tests_at(conditions)
+            there = tests_at(design[words] for design in designs)
         except (ValueError, KeyError):
             continue
         if _separation(here, here.blocks_S + there.blocks_S, value) > max(TOLD_APART, _TELLING * again):
             return words
     many = TOLD_APART / max(_separation(here, here.blocks_S, value), 1e-9)
     if many < 50:
-        return f"about {int(np.ceil(many)) * len(fit.station)} poses of this kind"
+        return f"about {int(np.ceil(many)) * len(fit.problem)} poses of this kind"
     return "no further run of this kind tells them apart; look at the joint itself, or at its drive's own encoder"
 
 
@@ -244,11 +247,9 @@ def _separation(found: ScoreTests, blocks_S: np.ndarray, value: np.ndarray) -> f
     return float(max(value @ left @ value, 0.0))
 
 
-def _designs(fit: Fit) -> Iterator[tuple[str, Conditions]]:
-    """Return further runs that a user could make, cheapest first."""
-    c = fit.station.conditions
+def _designs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
+    """Return further runs that a user could make instead of these poses, cheapest first."""
     rng = np.random.default_rng(0)
-    robot = fit.model.chain.robot
     load = 0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
     if np.ptp(c.payload) == 0.0:
         yield "the same poses with a second payload", replace(c, payload=np.full(len(c), load))

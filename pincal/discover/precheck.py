@@ -10,17 +10,16 @@ import numpy as np
 
 from pincal.discover.policy import ALPHA
 from pincal.discover.power import FEWEST, POWER, Detectable, minimum_detectable
-from pincal.identify.calibrate import expected_fit, refit
+from pincal.identify.calibrate import Tables, expected_fit, refit, tables_of
 from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.options import Options
 from pincal.identify.reasons import Reason, Status
 from pincal.measure.admit import admit, unobservable_notes
-from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
-from pincal.validate.accuracy import error_table
+from pincal.validate.accuracy import error_statistics
 from pincal.validate.agreement import check_agreement
 
 
@@ -107,30 +106,32 @@ class DataReport:
         }
 
 
-def precheck(robot: Robot, measurements: Measurements, options: Options) -> DataReport:
-    """Look at a table as a calibration would, without fitting more than base and tool.
+def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport:
+    """Look at tables as a calibration would, without fitting more than base and tool.
 
     Args:
         robot: the arm.
-        measurements: the table.
+        measurements: the table, or several.
         options: how it would be calibrated.
 
     Raises:
         BadInputError: as a calibration would.
     """
-    admitted = admit(robot, measurements, options.setup)
-    measurements = admitted.table
-    fit = expected_fit(robot, measurements, options)
-    check_agreement(robot, measurements, fit)
-    notes = [*admitted.notes, *admitted.idle, *unobservable_notes(measurements, options.setup)]
+    admitted = admit(robot, tables_of(measurements), lambda name: options.at(name).setup)
+    tables = admitted.tables
+    fit = expected_fit(robot, tables, options)
+    check_agreement(robot, tables.values(), fit)
+    unseen = [list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()]
+    notes = [*admitted.notes, *admitted.idle, *(n for n in unseen[0] if all(n in other for other in unseen))]
     posterior = fit.solution.posterior
-    sigma, unit = options.sigma, f"sigma_{fit.station.sensor.blocks[0].unit}"
+    unit = f"sigma_{fit.problem.blocks[0].unit}"
+    nominal = ((station, fit.nominal.values[places]) for station, places, _ in fit.stations)
     return DataReport(
-        kind=measurements.kind,
-        rows=len(measurements),
-        joints=tuple(_ranges(robot, measurements)),
-        nominal=error_table(fit.station, fit.nominal.values),
-        noise={unit: float(fit.solution.sigma[0]), "source": "declared" if sigma else "foreseen by a fit"},
+        kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
+        rows=len(fit.problem),
+        joints=tuple(_ranges(robot, fit.problem.conditions.q)),
+        nominal=error_statistics(nominal),
+        noise={unit: float(fit.solution.sigma[0]), "source": "declared" if fit.is_declared else "foreseen by a fit"},
         rank=posterior.identifiable_rank,
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
@@ -144,29 +145,30 @@ def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
     """Return what could be found beyond the elastic model, or the geometric one of an arm without masses."""
     base = refit(fit, GEOMETRIC if robot.massless else ELASTIC)
     declared = fit.noise.declared
-    assumed = np.array([block.noise for block in base.station.sensor.blocks])
+    assumed = np.array([block.noise for block in base.problem.blocks])
     degrees = base.solution.degrees
     estimated = base.solution.estimated if degrees >= FEWEST else assumed
     sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])
-    source = "declared" if declared[0] is not None else ("estimated" if degrees >= FEWEST else "assumed")
-    conditions = fit.station.conditions
-    tested = candidates(base.model.chain, conditions)
+    source = "declared" if fit.is_declared else ("estimated" if degrees >= FEWEST else "assumed")
+    chain, conditions = base.problem.chain, base.problem.conditions
+    tested = candidates(chain, conditions)
     if robot.massless:
         tested = tuple(effect for effect in tested if not effect.uses_moments)
     sights = minimum_detectable(base, tested, sigma=sigma)
-    sights += [Detectable(effect, reason=reason) for effect, reason in untestable(base.model.chain, conditions)]
-    sigma_m = float(sigma[0]) * fit.station.metres_per_reading(fit.nominal.values)
+    sights += [Detectable(effect, reason=reason) for effect, reason in untestable(chain, conditions)]
+    first, places, _ = next(iter(fit.stations))
+    sigma_m = float(sigma[0]) * first.metres_per_reading(fit.nominal.values[places])
     return DetectabilityTable("geometric" if robot.massless else "elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
 
 
-def _ranges(robot: Robot, measurements: Measurements) -> Iterator[JointRange]:
+def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
     """Yield the coverage of each joint; an endless range has no limits."""
-    for name, q, *limits in zip(robot.joint_names, measurements.q.T, robot.lower, robot.upper, strict=True):
+    for name, q, *limits in zip(robot.joint_names, poses.T, robot.lower, robot.upper, strict=True):
         lower, upper = (float(limit) if np.isfinite(limit) else None for limit in limits)
         yield JointRange(name, float(q.min()), float(q.max()), lower, upper)
 
 
 def _expectations(fit: Fit) -> Iterator[Expectation]:
-    for p, sigma, finding in zip(fit.station.parameters, fit.estimate.sigma, explain(fit), strict=True):
+    for p, sigma, finding in zip(fit.problem.parameters, fit.estimate.sigma, explain(fit), strict=True):
         known = float(sigma) if np.isfinite(sigma) else 0.0
         yield Expectation(p.name, p.unit, known, finding.status, finding.reason, p.effect)

@@ -135,9 +135,8 @@ def run_discovery(
     notes = first.notes
     if frame != frames[0]:
         notes = (*notes, f"moments bend the arm as with --moment-frame {frame}: it fits better than {frames[0]}")
-    held = trail.final.readings(first.test) if len(first.test) else None
     seconds = time.perf_counter() - begun
-    result = result_of(trail.final, held, seconds=seconds, tables=(first.train, first.test), notes=notes)
+    result = result_of(trail.final, first.stations, seconds=seconds, notes=notes)
     final = replace(first, fit=CalibratedFit.of(trail.final), result=result, notes=notes)
     gaps, traces = stages_of(trail, final.test), partial_residuals(trail)
     return Discovery(final, trail, findings_of(final, trail, traces), gaps, traces)

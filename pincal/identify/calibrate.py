@@ -121,7 +121,7 @@ def _without_outliers(
     return replace(again, weights=fitted.weights, iterations=nominal.iterations)
 
 
-def expected_fit(robot: Robot, measurements: Measurements, options: Options | None = None) -> Fit:
+def expected_fit(robot: Robot, measurements: Tables, options: Options | None = None) -> Fit:
     """Return what a calibration could tell from these poses, before one is made.
 
     The solution stands at the nominal geometry; its posterior is what the poses and the noise allow. Noise that is not

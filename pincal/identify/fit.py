@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -84,9 +85,27 @@ class Fit:
         """Gauss-Newton steps of all stages together, those for base and tool included."""
         return self.nominal.iterations + sum(stage.iterations for stage in self.stages)
 
-    def readings(self, measurements: Measurements) -> Station:
-        """Return the calibrated model of the only station over other measurements."""
-        return station_of(self.model, measurements, np.array(self.options.payload_centre), self.options.setup)
+    @property
+    def stations(self) -> Iterator[tuple[Station, np.ndarray, slice]]:
+        """Each station with the places of its parameters among all, and of its blocks of readings among all blocks."""
+        return zip(self.problem.stations, self.problem.places, self.problem.block_spans, strict=True)
+
+    @property
+    def arm(self) -> tuple[Model, np.ndarray]:
+        """The model of the first station and its values: what they say of the robot holds at all stations."""
+        station = self.problem.stations[0]
+        return station.model, station.split(self.values[self.problem.places[0]])[0]
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether the noise of all stations was declared."""
+        return all(self.noise.declared[blocks.start] is not None for _, _, blocks in self.stations)
+
+    def readings(self, measurements: Measurements, *, station: str = "") -> Station:
+        """Return the calibrated model of a station, by its name if there are several, over other measurements."""
+        options = self.options.at(station)
+        model = next(of.model for of in self.problem.stations if of.name == station)
+        return station_of(model, measurements, np.array(options.payload_centre), options.setup, name=station)
 
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:

@@ -18,7 +18,8 @@ from pincal.errors import BadInputError
 from pincal.identify.earlier import Earlier
 from pincal.identify.station import Station
 from pincal.measure.sensor import Block
-from pincal.model.chain import MomentFrame
+from pincal.model.chain import Chain, MomentFrame
+from pincal.model.conditions import Conditions, joined
 from pincal.model.effects import BaseFrame, Effect, ToolFrame
 from pincal.parameters import Parameter, carried_over
 
@@ -59,6 +60,16 @@ class Problem:
                 f"this is asked of one station, and there are {len(self.stations)}: {names}; choose one with fit.at(NAME)"
             )
         return self.stations[0]
+
+    @property
+    def chain(self) -> Chain:
+        """The chain of the first station: the robot's part of it is the same at all of them."""
+        return self.stations[0].model.chain
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """The poses of all stations, targets and payload's centre those of the first; columns that all of them have."""
+        return joined([station.conditions for station in self.stations])
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

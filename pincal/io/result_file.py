@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, NotRequired, TypedDict
 
+from msgspec import UNSET, UnsetType
+
 from pincal.identify.fit import Stage
 from pincal.identify.reasons import Status
 from pincal.validate.lack_of_fit import LackOfFit
@@ -40,11 +42,39 @@ class Correlation(TypedDict):
 Errors = dict[str, dict[str, dict[str, float]]]
 
 
+class StationRecord(TypedDict):
+    """One of several stations.
+
+    Attributes:
+        name: of the station.
+        kind: what was measured.
+        rows: numbers of rows.
+        moved_mm: how far the instrument stands from where it stood at the first station, seen from the robot, where both
+            tell all of the base frame.
+        noise: as that of the whole.
+        outliers: lines of rejected rows.
+        error: of the station's rows.
+        left_out: errors of the model of the other stations, only the station's own frames fitted to it; and the same of
+            their geometric model.
+    """
+
+    name: str
+    kind: str
+    rows: RowCounts
+    moved_mm: NotRequired[float]
+    noise: NoiseRecord
+    outliers: list[int]
+    error: Errors
+    left_out: NotRequired[dict[str, float]]
+    left_out_geometric: NotRequired[dict[str, float]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """All that ``result.json`` says beside the parameters.
 
-    ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file.
+    ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file; nor is
+    ``stations`` where there is only one.
     """
 
     noise: NoiseRecord
@@ -63,6 +93,7 @@ class Outcome:
     warnings: tuple[str, ...]
     iso9283: dict[str, Any] | None = None
     lack_of_fit: LackOfFit | None = None
+    stations: tuple[StationRecord, ...] | UnsetType = UNSET
 
 
 @dataclass(frozen=True, kw_only=True)

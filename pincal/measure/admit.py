@@ -6,7 +6,7 @@ Rows that can tell nothing are left out with a warning, and all others are still
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -26,39 +26,54 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Admitted:
-    """A table that can be fitted.
+    """Tables that can be fitted.
 
     Attributes:
-        table: its usable rows.
+        tables: the usable rows of each station.
         notes: what is odd, but possible, and what was left out.
         idle: known distances that no row involves.
     """
 
-    table: Measurements
+    tables: dict[str, Measurements]
     notes: tuple[str, ...]
     idle: tuple[str, ...]
 
 
-def admit(robot: Robot, table: Measurements, setup: Setup, *, holdout: Measurements | None = None) -> Admitted:
-    """Return the rows of a table that a fit can use, after all checks that need no fit.
+def admit(
+    robot: Robot,
+    tables: Mapping[str, Measurements],
+    setup_of: Callable[[str], Setup],
+    *,
+    holdout: Sequence[Measurements] = (),
+) -> Admitted:
+    """Return the rows that a fit can use, after all checks that need no fit.
 
     Args:
         robot: the arm.
-        table: the table.
-        setup: named points, distances and camera, as far as they are known.
+        tables: the rows of each station.
+        setup_of: takes the name of a station and returns what is known of it.
         holdout: further rows that may involve points of known distances.
 
     Raises:
-        MeasurementError: if the table can't be of this robot, or its rows are too few.
+        MeasurementError: if a table can't be of this robot, or its rows are too few.
     """
-    idle = _check_distances(setup, [table] if holdout is None else [table, holdout])
+    setups = {name: setup_of(name) for name in tables}
+    idle: list[str] = []
+    for setup in {id(setup): setup for setup in setups.values()}.values():
+        idle += _check_distances(setup, [*(tables[name] for name in tables if setups[name] is setup), *holdout])
+    found = {}
     with noted() as notes:
-        table = usable_rows(table, setup)
-        n = robot.n_joints
-        told = f"to tell where instrument and tool stand and {n} joint offsets"
-        _check_count(table, setup, joints=n, told=told, better=50)
-        check_table(robot, table)
-    return Admitted(table, tuple(notes), idle)
+        for name, setup in setups.items():
+            table = usable_rows(tables[name], setup)
+            if len(tables) > 1:
+                # The other stations tell the joint offsets.
+                check_placeable(table, setup)
+            else:
+                told = f"to tell where instrument and tool stand and {robot.n_joints} joint offsets"
+                _check_count(table, setup, joints=robot.n_joints, told=told, better=50)
+            check_table(robot, table)
+            found[name] = table
+    return Admitted(found, tuple(notes), tuple(dict.fromkeys(idle)))
 
 
 def admit_test(robot: Robot, table: Measurements, setup: Setup) -> Measurements:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -61,6 +61,26 @@ class Conditions:
         """Return a recorded column of ``COLUMN_UNITS``, shape (N, n) or (N,), or None."""
         found: np.ndarray | None = getattr(self, name)
         return found
+
+
+def joined(parts: Sequence[Conditions]) -> Conditions:
+    """Return the poses of several set-ups, one after the other.
+
+    Targets, which are others in each, are all the first one; columns that some of them lack are left out, but directions of
+    approach are unknown there.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    found: dict[str, np.ndarray | None] = {}
+    for name in ("temperature", "time"):
+        columns = [part.column(name) for part in parts]
+        found[name] = np.concatenate([c for c in columns if c is not None]) if all(c is not None for c in columns) else None
+    if any(part.approach is not None for part in parts):
+        sides = [np.zeros_like(part.q, np.int8) if part.approach is None else part.approach for part in parts]
+        found["approach"] = np.concatenate(sides)
+    q = np.concatenate([part.q for part in parts])
+    payload = np.concatenate([part.payload for part in parts])
+    return Conditions(q, np.zeros(len(q), int), payload, parts[0].payload_centre, **found)
 
 
 def varies(column: np.ndarray | None) -> bool:

@@ -98,7 +98,7 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
     """Return joints that moved through little of their range, with the part of it that they did."""
-    robot, q = calibration.robot, calibration.train.q
+    robot, q = calibration.robot, np.vstack([rows.train.q for rows in calibration.stations])
     found = []
     for i, name in enumerate(robot.joint_names):
         width = float(robot.upper[i] - robot.lower[i])

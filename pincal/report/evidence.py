@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -64,40 +66,60 @@ class Evidence:
 
 def evidence_of(calibration: Calibration) -> tuple[Evidence, ...]:
     """Return the errors of a calibration, one :class:`Evidence` per kind of reading, that of places first."""
-    fit, robot = calibration.fit, calibration.robot
-    tables = [table for table in (calibration.train, calibration.test) if len(table)]
-    problems = [fit.station, *filter(None, [calibration.test_problem()])]
-    before = np.hstack([problem.residuals(fit.nominal.values) for problem in problems])
-    after = np.hstack([problem.residuals(fit.values) for problem in problems])
+    found: dict[tuple[str, str], list[Evidence]] = {}
+    for k in range(len(calibration.stations)):
+        for part in _of_station(calibration, k):
+            found.setdefault((part.name, part.unit), []).append(part)
+    return tuple(_together(parts) for parts in found.values())
+
+
+def _of_station(calibration: Calibration, k: int) -> Iterator[Evidence]:
+    """Yield the errors of the k-th station, one kind of reading after the other."""
+    fit, robot, rows = calibration.fit, calibration.robot, calibration.stations[k]
+    station, places, blocks = list(fit.stations)[k]
+    tables = [table for table in (rows.train, rows.test) if len(table)]
+    problems = [station, *filter(None, [rows.held(fit)])]
+    before = np.hstack([problem.residuals(fit.nominal.values[places]) for problem in problems])
+    after = np.hstack([problem.residuals(fit.values[places]) for problem in problems])
     lengths = [len(problem) for problem in problems]
     q = np.vstack([problem.conditions.q for problem in problems])
     outlier = np.zeros(sum(lengths), bool)
-    outlier[: lengths[0]] = fit.solution.weights == 0.0
-    gravity = fit.model.chain.gravity
+    outlier[: lengths[0]] = fit.solution.weights[fit.problem.rows[k]] == 0.0
+    gravity = station.model.chain.gravity
     up = np.array([0.0, 0.0, 1.0]) if not np.any(gravity) else -gravity / np.linalg.norm(gravity)
     place = robot.forward_kinematics(q)[:, :3, 3]
-    ends = np.cumsum([0, *(block.size for block in fit.station.sensor.blocks)])
+    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
     times = [time for problem in problems if (time := problem.conditions.time) is not None]
-    found = []
-    for k, block in enumerate(fit.station.sensor.blocks):
+    for b, block in enumerate(station.sensor.blocks, blocks.start):
         factor, unit = readable_unit(block.unit)
-        declared = fit.noise.declared[k]
-        found.append(
-            Evidence(
-                name=block.name,
-                unit=unit,
-                before=before[ends[k] : ends[k + 1]] * factor,
-                after=after[ends[k] : ends[k + 1]] * factor,
-                is_held=np.arange(sum(lengths)) >= lengths[0],
-                is_outlier=outlier,
-                noise=float(fit.solution.estimated[k] if declared is None else declared) * factor,
-                joint_names=tuple(robot.joint_names),
-                is_prismatic=np.array([kind == "prismatic" for kind in robot.joint_types]),
-                q=q,
-                place=place,
-                up=up,
-                line=np.concatenate([table.rows for table in tables]),
-                time=np.concatenate(times) if len(times) == len(problems) else None,
-            )
+        declared, here = fit.noise.declared[b], slice(*ends[b - blocks.start : b - blocks.start + 2])
+        yield Evidence(
+            name=block.name,
+            unit=unit,
+            before=before[here] * factor,
+            after=after[here] * factor,
+            is_held=np.arange(sum(lengths)) >= lengths[0],
+            is_outlier=outlier,
+            noise=float(fit.solution.estimated[b] if declared is None else declared) * factor,
+            joint_names=tuple(robot.joint_names),
+            is_prismatic=np.array([kind == "prismatic" for kind in robot.joint_types]),
+            q=q,
+            place=place,
+            up=up,
+            line=np.concatenate([table.rows for table in tables]),
+            time=np.concatenate(times) if len(times) == len(problems) else None,
         )
-    return tuple(found)
+
+
+def _together(parts: list[Evidence]) -> Evidence:
+    """Return the errors of all stations, one after the other: neither lines of files nor times of days mix."""
+    if len(parts) == 1:
+        return parts[0]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in ("before", "after", "is_held", "is_outlier")
+    }
+    joined |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "place")}
+    noise = float(np.sqrt(np.mean([part.noise**2 for part in parts])))
+    line = np.arange(len(joined["q"])) + 1
+    return replace(parts[0], **joined, noise=noise, line=line, time=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-from pincal.report import search, sections
+from pincal.report import search, sections, stations
 from pincal.report.blocks import Section
 from pincal.report.subject import Subject
 
@@ -15,6 +15,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     sections.summary,
     sections.setup,
     sections.accuracy,
+    stations.stations,
     search.missing,
     sections.where,
     sections.parameters,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from urllib.parse import quote
 
 from markupsafe import Markup
+from msgspec import UNSET
 
 from pincal.calibration.result import Result
+from pincal.calibration.rows import StationRows
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table, shown_parameters
 from pincal.report.advice import unidentified_groups
 from pincal.report.blocks import Block, Section, bars, bullets, card, code, facts, group, heading, joined, paragraph, rich
@@ -95,7 +98,7 @@ def setup(subject: Subject) -> Section:
         if subject.view
         else rich(
             "<code>pincal view model.json {} --html view3d.html</code> shows the robot, its errors and the measured points",
-            calibration.train.source,
+            calibration.stations[0].train.source,
         )
     )
     items = (
@@ -114,13 +117,20 @@ def setup(subject: Subject) -> Section:
 
 
 def _data(subject: Subject) -> Markup:
-    train, test, result = subject.calibration.train, subject.calibration.test, subject.result
-    other = result.rows["test"] and test.source != train.source
-    lines = ", ".join(map(str, result.outliers[:_LISTED])) + " ..." * (len(result.outliers) > _LISTED)
-    rejected = f", {len(result.outliers)} rejected as outliers (line {lines})" if result.outliers else ""
+    stations, result = subject.calibration.stations, subject.result
+    rejected = [result.outliers] if result.stations is UNSET else [station["outliers"] for station in result.stations]
+    return joined((_rows_of(rows, lines) for rows, lines in zip(stations, rejected, strict=True)), Markup("<br>"))
+
+
+def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
+    train, test = rows.train, rows.test
+    other = len(test) and test.source != train.source
+    lines = ", ".join(map(str, outliers[:_LISTED])) + " ..." * (len(outliers) > _LISTED)
+    rejected = f", {len(outliers)} rejected as outliers (line {lines})" if outliers else ""
     held = rich(" from {}", code(test.source)) if other else ""
-    counts = (result.rows["train"], result.rows["test"], held, rejected)
-    return rich("{} in {}: {} rows fitted, {} held out{}{}", train.kind, code(train.source), *counts)
+    name = rich("<b>{}</b>: ", rows.name) if rows.name else ""
+    counts = (len(train), len(test), held, rejected)
+    return rich("{}{} in {}: {} rows fitted, {} held out{}{}", name, train.kind, code(train.source), *counts)
 
 
 def accuracy(subject: Subject) -> Section:
@@ -167,7 +177,7 @@ def _replicates(result: Result) -> list[Block]:
 
 def where(subject: Subject) -> Section:
     """Errors by joint position, over the workspace, and in the order of measurement."""
-    first, is_timed = subject.readings[0], subject.calibration.train.time is not None
+    first, is_timed = subject.readings[0], subject.calibration.stations[0].train.time is not None
     key = Markup(
         '<span class="key"><span style="background:var(--before)"></span>before'
         '<span style="background:var(--after)"></span>after</span>'

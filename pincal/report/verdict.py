@@ -106,8 +106,10 @@ def _after_discovery(discovery: Discovery) -> Iterator[str]:
     for scatter in found.scatter:
         yield f"Record {scatter.missing}: it may explain why {scatter.joint} scatters."
     if Judgement(found.verdict) is not Judgement.ADEQUATE:
-        station, table = discovery.calibration.fit.station, discovery.calibration.train
-        needed = {column for effect, _ in untestable(station.model.chain, station.conditions) for column in effect.needs}
-        absent = (column for column in needed if getattr(table, column) is None)
+        calibration = discovery.calibration
+        stations, tables = calibration.fit.problem.stations, [rows.train for rows in calibration.stations]
+        lost = (pair for station in stations for pair in untestable(station.model.chain, station.conditions))
+        needed = {column for effect, _ in lost for column in effect.needs}
+        absent = (column for column in needed if any(getattr(table, column) is None for table in tables))
         if columns := ", ".join(sorted("approach_<joint>" if column == "approach" else column for column in absent)):
             yield f"Record {columns} with each pose, so that effects that depend on it can be tested."

@@ -7,6 +7,8 @@ likewise, as one angle.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 
 from pincal.identify.station import Station
@@ -42,17 +44,23 @@ def error_table(station: Station, values: np.ndarray) -> dict[str, float]:
         ``mean_mm``, ``median_mm``, ``rms_mm``, ``p95_mm`` (95th percentile) and ``max_mm``; for orientations ``mean_mrad``
         and so on, for images ``mean_px`` and so on.
     """
-    if len(station) == 0:
-        return {}
-    units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
-    found: dict[str, float] = {}
-    for block, errors in pose_errors(station, values).items():
-        statistics = {
-            "mean": np.mean(errors),
-            "median": np.median(errors),
-            "rms": np.sqrt(np.mean(errors**2)),
-            "p95": np.percentile(errors, 95),
-            "max": np.max(errors),
-        }
-        found |= {f"{name}_{units.get(block, 'mm')}": float(value) for name, value in statistics.items()}
-    return found
+    return error_statistics([(station, values)])
+
+
+def error_statistics(parts: Iterable[tuple[Station, np.ndarray]]) -> dict[str, float]:
+    """Return what :func:`error_table` does of several stations taken together, each with the values of its parameters."""
+    errors: dict[str, list[np.ndarray]] = {}
+    for station, values in parts:
+        units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
+        found = pose_errors(station, values) if len(station) else {}
+        for unit, of_unit in {units.get(block, "mm"): sizes for block, sizes in found.items()}.items():
+            errors.setdefault(unit, []).append(of_unit)
+    return {name: value for unit, of_unit in errors.items() for name, value in _statistics(np.concatenate(of_unit), unit)}
+
+
+def _statistics(errors: np.ndarray, unit: str) -> Iterator[tuple[str, float]]:
+    yield f"mean_{unit}", float(np.mean(errors))
+    yield f"median_{unit}", float(np.median(errors))
+    yield f"rms_{unit}", float(np.sqrt(np.mean(errors**2)))
+    yield f"p95_{unit}", float(np.percentile(errors, 95))
+    yield f"max_{unit}", float(np.max(errors))

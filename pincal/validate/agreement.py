@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
 
@@ -30,21 +31,26 @@ _CURED = 4.0
 _ROWS = 300
 
 
-def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
+def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: Fit) -> None:
     """Refuse a table whose joint columns are mixed up, or that is not of this robot.
 
     Args:
         robot: the arm.
-        measurements: the training rows.
+        tables: the training rows of each station.
         fit: their calibration.
 
     Raises:
         MeasurementError: naming the columns that seem swapped or turned round.
     """
-    error = _typical(fit.station, fit.nominal.values)
-    if error < _SUSPICIOUS * robot.reach:
-        return
-    rows = some_rows(len(measurements), _ROWS, fit.station.sensor.groups)
+    for station, places, table in zip(fit.problem.stations, fit.problem.places, tables, strict=True):
+        error = _typical(station, fit.nominal.values[places])
+        if error >= _SUSPICIOUS * robot.reach:
+            _refuse(robot, table, station, error, options=fit.options.at(station.name))
+
+
+def _refuse(robot: Robot, measurements: Measurements, station: Station, error: float, *, options: Options) -> None:
+    """Refuse a table that base and tool alone leave with a suspicious error [m], if it can't be this robot's."""
+    rows = some_rows(len(measurements), _ROWS, station.sensor.groups)
     sample = measurements.select(rows)
     n = robot.n_joints
     names = robot.joint_names
@@ -57,7 +63,7 @@ def check_agreement(robot: Robot, measurements: Measurements, fit: Fit) -> None:
         q = sample.q.copy()
         q[:, i] *= -1.0
         trials.append((f"the column {names[i]!r} looks turned round in sign", q))
-    found = [(_nominal_error(robot, replace(sample, q=q), fit.options), words) for words, q in trials]
+    found = [(_nominal_error(robot, replace(sample, q=q), options), words) for words, q in trials]
     best, words = min(found, default=(np.inf, ""))
     got = f"base and tool alone leave {error * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
     if best * _CURED < error:

@@ -1,0 +1,164 @@
+"""Several stations on the command line: tables of different instruments in one calibration, each judged by itself."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from machines import kuka as true_kuka
+
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.stations import load_stations
+from pincal.cli import main
+from pincal.measure.table import write_table
+
+URDF = str(kuka_urdf_path())
+NOISE = 5e-5
+PLACES = {"A": (1.4, 0.3, 0.6), "B": (1.2, -0.9, 0.9), "C": (0.9, 1.1, 1.1)}
+TURNED = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 1.0, -0.3], [0.0, 0.0, 0.0, 1.0]])
+
+Columns = dict[str, np.ndarray]
+
+
+def run(*arguments: object) -> int:
+    """Return the exit code of a command."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def machine() -> sim.TrueMachine:
+    """Return a machine whose lengths are off by half a millimetre and angles by a milliradian."""
+    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=5e-4, sigma_angle=1e-3)
+
+
+def tracked(machine: sim.TrueMachine, pose: np.ndarray, *, poses: int = 70, seed: int = 0, sigma: float = NOISE) -> Columns:
+    """Return what a tracker reads of a reflector."""
+    rng = np.random.default_rng(seed)
+    q = sim.plan_poses(machine.nominal, poses, rng)
+    return dict(sim.Instrument(pose=pose, targets=(0.1, 0.0, 0.2), sigma=sigma).measure(machine, q, rng=rng))
+
+
+@pytest.fixture(scope="module")
+def tables(machine: sim.TrueMachine) -> dict[str, Columns]:
+    """Return a tracker's table and one of a ball that was held in three sockets."""
+    rng = np.random.default_rng(1)
+    sockets = sim.Contact(fixed=PLACES, tool=(0.0, 0.05, 0.15), sigma=NOISE)
+    held = sockets.measure(machine, sockets.plan(machine.nominal, 48, rng=rng), rng=rng)
+    return {"tracker": tracked(machine, TURNED), "sockets": dict(held)}
+
+
+def written(folder: Path, tables: dict[str, Columns]) -> list[Path]:
+    """Write tables to files of their names."""
+    for name, columns in tables.items():
+        write_table(folder / f"{name}.csv", columns)
+    return [folder / f"{name}.csv" for name in tables]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory, tables: dict[str, Columns]) -> Path:
+    """Return the folder of a calibration of both tables."""
+    folder = tmp_path_factory.mktemp("stations")
+    files = written(folder, tables)
+    options = ("--model", "geometric", "--quiet", "--out", folder / "out")
+    assert run("calibrate", URDF, *files, *options) == 0
+    return folder / "out"
+
+
+def of(results: Path) -> dict[str, Any]:
+    """Return a result."""
+    found: dict[str, Any] = json.loads((results / "result.json").read_text())
+    return found
+
+
+def test_each_station_has_its_errors(results: Path) -> None:
+    """Kind, rows and errors stand station by station; both are down to the noise of their own."""
+    tracker, sockets = of(results)["stations"]
+    assert (tracker["name"], tracker["kind"], tracker["rows"]) == ("tracker", "position", {"train": 52, "test": 18})
+    assert (sockets["name"], sockets["kind"], sockets["rows"]) == ("sockets", "socket", {"train": 36, "test": 12})
+    for station in (tracker, sockets):
+        assert station["error"]["nominal"]["test"]["mean_mm"] > 0.5
+        assert station["error"]["calibrated"]["test"]["mean_mm"] < 0.13
+        assert station["noise"]["sigma_m"] == pytest.approx(NOISE, rel=0.4)
+    assert of(results)["rows"] == {"train": 88, "test": 30}
+
+
+def test_errors_of_all_stations_are_those_of_their_rows(results: Path) -> None:
+    """Means over all rows, and over a station's, follow from the residuals in residuals.csv."""
+    rows = pl.read_csv(results / "residuals.csv")
+    sizes = np.sqrt(sum(rows[f"calibrated_{name} [m]"].to_numpy() ** 2 for name in _positions(rows)))
+    held = (rows["rows"] == "held out").to_numpy()
+    assert of(results)["error"]["calibrated"]["test"]["mean_mm"] == pytest.approx(1e3 * sizes[held].mean())
+    for station in of(results)["stations"]:
+        here = held & (rows["station"] == station["name"]).to_numpy()
+        assert station["error"]["calibrated"]["test"]["mean_mm"] == pytest.approx(1e3 * sizes[here].mean())
+
+
+def _positions(rows: pl.DataFrame) -> list[str]:
+    return [c.removeprefix("calibrated_").removesuffix(" [m]") for c in rows.columns if c.startswith("calibrated_")]
+
+
+def test_the_model_predicts_at_each_station(results: Path, machine: sim.TrueMachine) -> None:
+    """At new poses it is as close to the true machine as the noise of some fifty rows allows."""
+    new = tracked(machine, TURNED, poses=200, seed=7, sigma=0.0)
+    q = np.column_stack([new[name] for name in machine.names])
+    found = load_stations(results / "model.json").at("tracker").predict(q)[:, :, 3]
+    true = np.column_stack([new[axis] for axis in "xyz"])
+    assert np.linalg.norm(found - true, axis=1).mean() < 5e-5
+
+
+def test_the_report_shows_each_station(results: Path) -> None:
+    """A section with a bar and a line for each; the list of contents leads to it."""
+    page = (results / "report.html").read_text()
+    assert 'href="#stations"' in page and "tracker: mean error" in page and "sockets: mean error" in page
+
+
+def test_a_column_does_what_files_do(tmp_path: Path, machine: sim.TrueMachine, capsys: pytest.CaptureFixture[str]) -> None:
+    """One table whose rows name their stations gives the numbers of two files, and says how far the tracker moved."""
+    days = {"mo": tracked(machine, np.eye(4), poses=30), "tu": tracked(machine, TURNED, poses=30, seed=1)}
+    both = {name: np.concatenate([day[name] for day in days.values()]) for name in days["mo"]}
+    (whole,) = written(tmp_path, {"both": both | {"station": np.repeat(list(days), 30)}})
+    found = []
+    for files in (written(tmp_path, days), [whole]):
+        assert run("calibrate", URDF, *files, "--model", "geometric", "--json", "--quiet", "--out", tmp_path / "out") == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0]["error"] == found[1]["error"] and found[0]["parameters"] == found[1]["parameters"]
+    apart = np.linalg.norm(np.linalg.inv(TURNED)[:3, 3])
+    # The tracker's place in the robot's base frame; what the base absorbs of the robot's errors is common to both.
+    assert found[0]["stations"][1]["moved_mm"] == pytest.approx(1e3 * apart, abs=20.0)
+
+
+def test_bad_stations_are_refused(
+    tmp_path: Path, tables: dict[str, Columns], machine: sim.TrueMachine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each with exit code 3 and the next step, and nothing is written."""
+    few = {name: column[:2] for name, column in tracked(machine, np.eye(4), seed=3).items()}
+    tracker, sockets, short = written(tmp_path, tables | {"few": few})
+    again = tmp_path / "again" / "tracker.csv"
+    again.parent.mkdir()
+    write_table(again, tables["sockets"])
+    for arguments, said in (
+        ((tracker, tracker), "two stations are called 'tracker'"),
+        ((tracker, again), "different kinds (position and socket)"),
+        ((tracker, short), "2 rows of kind position; expected at least 4 to tell where instrument and tool of a new"),
+        ((tracker, sockets, "--holdout", short), "rows to validate on of the station 'few'"),
+    ):
+        assert run("calibrate", URDF, *arguments, "--model", "geometric", "--quiet", "--out", tmp_path / "none") == 3
+        assert said in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "none").exists()
+
+
+def test_check_looks_at_all_stations(tmp_path: Path, tables: dict[str, Columns], capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows, kinds and what may be found are those of both tables; what sockets do not see the tracker does."""
+    assert run("check", URDF, *written(tmp_path, tables), "--model", "geometric", "--json", "--quiet") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["rows"], found["kind"]) == (118, "position and socket")
+    status = {row["name"]: row["status"] for row in found["parameters"]}
+    assert status["joint_2.theta"] == "identified" and "tracker/base.x" in status
+    assert not any("contacts" in warning for warning in found["warnings"])
+    sizes = {e["effect"]: e["size"] for e in found["detectable"]["effects"] if e["joint"] == "joint_2"}
+    assert 0.0 < sizes["gear_eccentricity"] < 1e-3
