@@ -203,7 +203,7 @@ def test_reasons_name_the_counterpart(kuka, noisy):
 
 def test_no_uncertainty_is_zero_or_nan(kuka, noisy):
     """Whatever the data say of it, a parameter keeps an honest standard deviation."""
-    from pincal.calibration.result import parameter_rows
+    from pincal.calibration.parameters import parameter_rows
 
     for row in parameter_rows(noisy[1]):
         assert row.sigma is not None

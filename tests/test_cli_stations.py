@@ -1,6 +1,8 @@
 """Several stations on the command line: tables of different instruments in one calibration, each judged by itself."""
 
 import json
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +10,14 @@ import numpy as np
 import polars as pl
 import pytest
 from machines import kuka as true_kuka
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
+import pincal
+from pincal import Conditions
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.left_out import leave_out_stations
 from pincal.calibration.stations import load_stations
 from pincal.cli import main
 from pincal.measure.table import write_table
@@ -162,3 +169,70 @@ def test_check_looks_at_all_stations(tmp_path: Path, tables: dict[str, Columns],
     assert not any("contacts" in warning for warning in found["warnings"])
     sizes = {e["effect"]: e["size"] for e in found["detectable"]["effects"] if e["joint"] == "joint_2"}
     assert 0.0 < sizes["gear_eccentricity"] < 1e-3
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return the tables of an elastic machine on two days, the tracker moved."""
+    machine = true_kuka(compliance=np.tile([0.0, 0.0, 1e-6], (6, 1)))
+    machine = machine.draw_errors(np.random.default_rng(4), sigma_length=5e-4, sigma_angle=1e-3)
+    tables = {"mo": tracked(machine, np.eye(4), poses=80), "tu": tracked(machine, TURNED, poses=80, seed=1)}
+    return written(tmp_path_factory.mktemp("days"), tables)
+
+
+def test_a_station_is_predicted_by_the_others(days: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each by a model that never saw it, up to the place of tracker and target: as SciPy's least squares finds that."""
+    assert run("calibrate", URDF, *days, "--split", "station", "--quiet", "--out", tmp_path) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    result = of(tmp_path)
+    alone = pincal.Robot.from_urdf(URDF)
+    means, geometric = [], []
+    for fitted, left, record in zip(days, days[::-1], result["stations"][::-1], strict=True):
+        table = pincal.read_measurements(left, alone.joint_names)
+        fit = pincal.calibrate(alone, pincal.read_measurements(fitted, alone.joint_names))
+        means.append(aligned(fit, table))
+        assert record["left_out"]["mean_mm"] == pytest.approx(means[-1], rel=2e-3)
+        geometric.append(record["left_out_geometric"]["mean_mm"])
+        assert record["left_out"]["mean_mm"] < 0.12 and geometric[-1] > 2.0 * means[-1]
+    assert first == (
+        f"On a set-up that it never saw: mean {np.mean([r['left_out']['mean_mm'] for r in result['stations']]):.4f} mm; "
+        f"geometry alone {np.mean(geometric):.4f} mm"
+    )
+    assert result["error"]["calibrated"]["test"]["mean_mm"] == pytest.approx(np.mean(means), rel=2e-3)
+    assert "On set-ups that the calibration never saw" in (tmp_path / "report.html").read_text()
+
+
+def aligned(fit: pincal.Fit, table: pincal.Measurements) -> float:
+    """Return the mean error of a fit's robot [mm], base and target fitted by SciPy."""
+    assert table.position is not None
+    station = fit.station.model
+    gone = [name for name in station.names if name.startswith(("base.", "tool."))]
+    values = fit.model_values.copy()
+    values[[station.index(name) for name in gone]] = 0.0
+    chain = station.chain.with_references(np.eye(3), np.eye(3)[None])
+    tips = station.with_chain(chain).predict(values, Conditions.at(table.q))
+
+    def off(x: np.ndarray) -> np.ndarray:
+        turn = Rotation.from_rotvec(x[3:6]).as_matrix()
+        point = tips[:, :, 3] + tips[:, :, :3] @ x[6:9]
+        return (point @ turn.T + x[:3] - table.position).ravel()
+
+    starts = [np.r_[0.0, 0.0, 0.0, turn, 0.1, 0.0, 0.2] for turn in ([0.0] * 3, [0.0, 0.0, 1.5])]
+    best = min((least_squares(off, start, x_scale="jac", xtol=1e-15) for start in starts), key=lambda found: found.cost)
+    return float(1e3 * np.linalg.norm(best.fun.reshape(-1, 3), axis=1).mean())
+
+
+def test_left_out_stations_do_not_depend_on_the_executor(days: list[Path]) -> None:
+    """Processes give what one loop does, bit by bit."""
+    robot = pincal.Robot.from_urdf(URDF)
+    tables = {path.stem: pincal.read_measurements(path, robot.joint_names) for path in days}
+    here = leave_out_stations(robot, tables, pincal.Options(effects=pincal.GEOMETRIC))
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+        there = leave_out_stations(robot, tables, pincal.Options(effects=pincal.GEOMETRIC), executor=executor)
+    assert [one.sizes for one in here] == [one.sizes for one in there] and here[0].sizes["calibrated"]
+
+
+def test_the_only_station_is_not_left_out(days: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The error says what makes several."""
+    assert run("calibrate", URDF, days[0], "--split", "station", "--quiet", "--out", tmp_path / "out") == 3
+    assert "one station, so there is none to leave out" in capsys.readouterr().err

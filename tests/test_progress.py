@@ -9,7 +9,7 @@ import pytest
 from report_cases import HOSTILE
 from rich.console import Console
 
-from pincal.calibration.result import ParameterRow
+from pincal.calibration.parameters import ParameterRow
 from pincal.calibration.tables import parameter_table
 from pincal.cli import progress, show_progress
 from pincal.cli.progress import console

@@ -10,7 +10,7 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.result import parameter_rows
+from pincal.calibration.parameters import parameter_rows
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import calibrate

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from pincal.calibration.result import ParameterRow
+from pincal.calibration.parameters import ParameterRow
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table
 from pincal.identify.reasons import IDENTIFIED, Cause, Reason, Status
 from pincal.tables import Column, Kind, Table

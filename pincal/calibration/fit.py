@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
-from pincal.calibration.result import parameter_rows
+from pincal.calibration.parameters import parameter_rows
 from pincal.calibration.stations import CalibratedStations, save_stations
 from pincal.calibration.tables import estimate_table, parameter_table
 from pincal.identify import calibrate as identify

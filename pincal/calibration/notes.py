@@ -36,6 +36,7 @@ class Kind(Enum):
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
+    NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
     FAR_OFF = (
         "{count} of {rows} held-out rows are off by up to {largest:.3g} mm, the others by {mean:.4f} mm on average: wrong "
         "readings, or poses outside what the model covers; see lines {lines}"

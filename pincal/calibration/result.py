@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, cast
 
 import numpy as np
 from msgspec import UNSET
 from scipy.special import chdtrc
 
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.notes import Kind, Note, notes_on_fit, notes_on_held_out, notes_on_outliers, notes_on_replicates
-from pincal.calibration.rows import StationRows
-from pincal.identify.explain import explain
+from pincal.calibration.parameters import ParameterRow, parameter_rows
+from pincal.calibration.placing import moved
+from pincal.calibration.rows import LeftOut, StationRows
 from pincal.identify.fit import Fit
-from pincal.identify.reasons import Reason, Status
 from pincal.identify.station import Station
-from pincal.io.result_file import Correlation, Errors, NoiseRecord, Outcome, ParameterRecord, StationRecord
-from pincal.parameters import FRAME_SYMBOLS
-from pincal.robot.se3 import placed, rotation_vectors
-from pincal.validate.accuracy import error_statistics
+from pincal.io.result_file import Correlation, Errors, NoiseRecord, Outcome, StationRecord
+from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
@@ -29,41 +28,22 @@ _CORRELATED = 0.9
 _MOST_CORRELATIONS = 20
 
 
-@dataclass(frozen=True)
-class ParameterRow:
-    """One line of the parameter table, SI units.
-
-    Attributes:
-        name: ``<element>.<symbol>``.
-        unit: "m", "rad" or "rad/(N m)".
-        nominal: what the URDF says.
-        value: what was found.
-        sigma: its standard deviation; that of the prior where the data say nothing, None for a given value.
-        status: whether the data identify it.
-        reason: why not.
-        effect: that owns it; "named_point" for coordinates of sockets, anchors and points of an object.
-    """
-
-    name: str
-    unit: str
-    nominal: float
-    value: float
-    sigma: float | None
-    status: Status
-    reason: Reason
-    effect: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of ``result.json``, the reason in words."""
-        names = (field.name for field in fields(ParameterRecord))
-        return {name: getattr(self, name) for name in names} | {"status": str(self.status), "reason": str(self.reason)}
-
-
 @dataclass(frozen=True, kw_only=True)
 class Result(Outcome):
     """All that ``result.json`` says, as one object."""
 
     parameters: tuple[ParameterRow, ...]
+
+    @property
+    def left_out_mm(self) -> tuple[float, float] | None:
+        """Mean error of stations by the model of the others [mm], and by their geometric model; None without any."""
+        records = [] if self.stations is UNSET else [record for record in self.stations if "left_out" in record]
+        if not records:
+            return None
+        rows = [record["rows"]["train"] for record in records]
+        found = ([record[name]["mean_mm"] for record in records] for name in ("left_out", "left_out_geometric"))
+        calibrated, geometric = (float(np.average(means, weights=rows)) for means in found)
+        return calibrated, geometric
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
@@ -72,7 +52,14 @@ class Result(Outcome):
         return contents | {"parameters": [row.to_dict() for row in self.parameters]}
 
 
-def result_of(fit: Fit, rows: Sequence[StationRows], *, seconds: float, notes: tuple[str, ...] = ()) -> Result:
+def result_of(
+    fit: Fit,
+    rows: Sequence[StationRows],
+    *,
+    seconds: float,
+    notes: tuple[str, ...] = (),
+    left_out: Sequence[LeftOut] = (),
+) -> Result:
     """Put a calibration's result together.
 
     Args:
@@ -80,6 +67,7 @@ def result_of(fit: Fit, rows: Sequence[StationRows], *, seconds: float, notes: t
         rows: the rows of each station, fitted and held out.
         seconds: how long it took.
         notes: notes on robot and data, which come first.
+        left_out: each station predicted by the model of the others, if that was asked; these are the held-out errors then.
     """
     solution = fit.solution
     parameters = parameter_rows(fit)
@@ -87,12 +75,20 @@ def result_of(fit: Fit, rows: Sequence[StationRows], *, seconds: float, notes: t
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
     iso, lack = _replicates(fit, seen)
     found = [*notes_on_fit(fit, p_value), *(note for part in seen for note in part.notes)]
-    found += [] if any(part.test for part in seen) else [Note(Kind.NOT_HELD_OUT)]
+    found += [] if left_out or any(part.test for part in seen) else [Note(Kind.NOT_HELD_OUT)]
+    found += [Note(Kind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station) for one in left_out if one.obstacle]
     found += [note for part in seen for note in notes_on_held_out(part.test, part.values["calibrated"], part.rows.test)]
     found += notes_on_replicates(lack, p_value)
+    error, held = _errors(seen), sum(len(part.rows.test) for part in seen)
+    alone = [one for one in left_out if one.sizes]
+    if alone:
+        for model, by_part in error.items():
+            by_part["test"] = error_statistics(one.sizes[model] for one in alone)
+        held = sum(len(part.train) for part, one in zip(seen, left_out, strict=True) if one.sizes)
+    apart = left_out or [LeftOut(part.rows.name) for part in seen]
     return Result(
         noise=_noise(fit),
-        rows={"train": len(fit.problem), "test": sum(len(part.rows.test) for part in seen)},
+        rows={"train": len(fit.problem), "test": held},
         parameters=parameters,
         rank=solution.posterior.identifiable_rank,
         condition=solution.posterior.condition,
@@ -104,11 +100,11 @@ def result_of(fit: Fit, rows: Sequence[StationRows], *, seconds: float, notes: t
         outliers=tuple(line for part in seen for line in part.outliers),
         correlations=_correlations(fit, parameters),
         stages=fit.stages,
-        error=_errors(seen),
+        error=error,
         warnings=(*notes, *map(str, found)),
         iso9283=iso,
         lack_of_fit=lack,
-        stations=tuple(_record(fit, seen, k) for k in range(len(seen))) if len(seen) > 1 else UNSET,
+        stations=tuple(_record(fit, seen, k, one) for k, one in enumerate(apart)) if len(seen) > 1 else UNSET,
     )
 
 
@@ -159,12 +155,15 @@ def _errors(seen: Sequence[_Seen]) -> Errors:
     """Return the errors of stations taken together, by model and part."""
     parts = [part for part in ("train", "test") if any(part in station.parts for station in seen)]
     return {
-        model: {part: error_statistics((s.parts[part], s.values[model]) for s in seen if part in s.parts) for part in parts}
+        model: {
+            part: error_statistics(pose_error_sizes(s.parts[part], s.values[model]) for s in seen if part in s.parts)
+            for part in parts
+        }
         for model in ("nominal", "calibrated")
     }
 
 
-def _record(fit: Fit, seen: Sequence[_Seen], k: int) -> StationRecord:
+def _record(fit: Fit, seen: Sequence[_Seen], k: int, left_out: LeftOut) -> StationRecord:
     """Return what is to be said of one of several stations."""
     station = seen[k]
     record: StationRecord = {
@@ -175,20 +174,14 @@ def _record(fit: Fit, seen: Sequence[_Seen], k: int) -> StationRecord:
         "outliers": station.outliers,
         "error": _errors([station]),
     }
-    first, here = (placement_of(s.train, s.values["calibrated"]) for s in (seen[0], station))
-    if k and first is not None and here is not None:
-        apart = np.linalg.inv(first)[:3, 3] - np.linalg.inv(here)[:3, 3]
-        record["moved_mm"] = float(1e3 * np.linalg.norm(apart))
+    first, here = (CalibratedModel.of(fit, station=seen[i].rows.name) for i in (0, k))
+    way = moved(first, here).instrument
+    if k and way is not None:
+        record["moved_mm"] = 1e3 * way
+    if left_out.sizes:
+        record["left_out"] = error_statistics([left_out.sizes["calibrated"]])
+        record["left_out_geometric"] = error_statistics([left_out.sizes["geometric"]])
     return record
-
-
-def placement_of(station: Station, values: np.ndarray) -> np.ndarray | None:
-    """Return the robot's base in the instrument's frame, shape (4, 4); None where a station does not tell all of it."""
-    places = {p.name: i for i, p in enumerate(station.parameters)}
-    names = [f"base.{symbol}" for symbol in FRAME_SYMBOLS]
-    if not all(name in places for name in names):
-        return None
-    return placed(station.model.chain.base_rotation, values[[places[name] for name in names]])
 
 
 def _replicates(fit: Fit, seen: Sequence[_Seen]) -> tuple[dict[str, Any] | None, LackOfFit | None]:
@@ -223,35 +216,6 @@ def _root_mean_square(sizes: list[tuple[float, float]]) -> float:
         return sizes[0][0]
     values, weights = np.array(sizes).T
     return float(np.sqrt(np.average(values**2, weights=weights)))
-
-
-def parameter_rows(fit: Fit) -> tuple[ParameterRow, ...]:
-    """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
-    values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
-    for station, local in zip(fit.problem.stations, fit.problem.places, strict=True):
-        chain = station.model.chain
-        references = {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
-        for element, rotation in references.items():
-            names = {f"{element}.r{axis}" for axis in "xyz"}
-            places = [i for i, p in zip(local, station.parameters, strict=True) if p.name in names]
-            if len(places) == 3:
-                turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
-                values[places] = rotation_vectors(turned[None, :3, :3])[0]
-    return tuple(
-        ParameterRow(
-            name=parameter.name,
-            unit=parameter.unit,
-            nominal=parameter.nominal,
-            value=float(value),
-            sigma=None if finding.status == "fixed" else float(sigma),
-            status=finding.status,
-            reason=finding.reason,
-            effect=parameter.effect,
-        )
-        for parameter, value, sigma, finding in zip(
-            fit.problem.parameters, values, fit.estimate.sigma, explain(fit), strict=True
-        )
-    )
 
 
 def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
+
+from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.fit import Fit
-from pincal.identify.split import Split, hold_out
+from pincal.identify.split import hold_out
 from pincal.identify.station import Station
 from pincal.measure.admit import admit_test, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.robot.robot import Robot
+
+Validation = Literal["random", "blocked", "station"]
+"""What is held out: rows at random, whole regions of joint space, or each station in turn."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +41,31 @@ class StationRows:
         return fit.readings(self.test, station=self.name) if len(self.test) else None
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """A station predicted by the model of the others.
+
+    Attributes:
+        station: its name.
+        sizes: model -> unit ("mm", ...) -> shape (N,), size of the error at each row, of the "nominal", "geometric" and
+            "calibrated" robot; empty if it can't be predicted.
+        obstacle: why not; empty otherwise.
+    """
+
+    station: str
+    sizes: Mapping[str, Mapping[str, ArrayLike]] = field(default_factory=dict)
+    obstacle: str = ""
+
+
 def split_rows(
-    tables: Mapping[str, Measurements], setup_of: Callable[[str], Setup], *, fraction: float, split: Split, seed: int
+    tables: Mapping[str, Measurements], setup_of: Callable[[str], Setup], *, fraction: float, split: Validation, seed: int
 ) -> dict[str, tuple[Measurements, Measurements]]:
-    """Hold back a part of each station's rows; arguments as of :func:`pincal.calibration.run.run_calibration`."""
+    """Hold back a part of each station's rows; arguments as of :func:`pincal.calibration.run.run_calibration`.
+
+    Where whole stations are held back in turn, all rows train.
+    """
+    if split == "station":
+        return {name: (table, table.select(slice(0))) for name, table in tables.items()}
     found = {}
     for name, table in tables.items():
         setup = setup_of(name)

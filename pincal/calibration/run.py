@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.calibration.fit import Fit, calibrate
+from pincal.calibration.left_out import leave_out_stations, require_several
 from pincal.calibration.notes import notes_on_data
 from pincal.calibration.result import Result, result_of
-from pincal.calibration.rows import StationRows, split_rows, with_holdout
+from pincal.calibration.rows import StationRows, Validation, split_rows, with_holdout
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, doubts_of_known, tables_of
 from pincal.identify.options import Options
-from pincal.identify.split import Split
 from pincal.identify.station import Station
 from pincal.measure.admit import admit, noted, unobservable_notes
 from pincal.measure.measurements import Measurements
@@ -82,7 +82,7 @@ def run_calibration(
     options: Options | None = None,
     *,
     test_fraction: float = 0.25,
-    split: Split = "random",
+    split: Validation = "random",
     seed: int = 0,
     holdout: Tables | None = None,
     executor: Executor | None = None,
@@ -94,11 +94,12 @@ def run_calibration(
         measurements: one table or several, as :func:`pincal.calibrate` takes them.
         options: how to calibrate.
         test_fraction: part of each station's rows held out; ignored with ``holdout``.
-        split: how rows are chosen.
+        split: how rows are chosen; with "station" all rows train, and each station in turn is predicted by a model of the
+            others, only its own frames fitted to it.
         seed: of the choice.
         holdout: other measurements to validate on; then all rows of ``measurements`` train. Of several stations the rows
             name theirs.
-        executor: evaluates the stations side by side; default: one after the other.
+        executor: makes the models that leave a station out; default: one after the other, here.
 
     Returns:
         The calibration.
@@ -115,13 +116,15 @@ def run_calibration(
 
     tables = tables_of(measurements)
     held = () if holdout is None else tuple(tables_of(holdout).values())
+    if split == "station":
+        require_several(tables)
     admitted = admit(robot, tables, setup_of, holdout=held)
     with noted() as split_notes:
         if holdout is None:
             parts = split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
         else:
             parts = with_holdout(robot, admitted.tables, holdout, setup_of)
-    fit = calibrate(robot, {name: train for name, (train, _) in parts.items()}, options, executor=executor)
+    fit = calibrate(robot, {name: train for name, (train, _) in parts.items()}, options)
     rows = tuple(
         StationRows(station.name, train, test)
         for station, (train, test) in zip(fit.problem.stations, parts.values(), strict=True)
@@ -132,5 +135,6 @@ def run_calibration(
     unseen = [list(unobservable_notes(train, setup_of(name))) for name, (train, _) in parts.items()]
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     notes += [*map(str, notes_on_data(fit)), *doubts_of_known(fit)]
-    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes))
+    left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
+    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes), left_out=left_out)
     return Calibration(robot, rows, fit, result, tuple(notes))

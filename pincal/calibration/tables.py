@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.result import ParameterRow
+from pincal.calibration.parameters import ParameterRow
 from pincal.io.result_file import StationRecord
 from pincal.parameters import Estimate, Parameter
 from pincal.tables import Cell, Column, Kind, Table, Tone

@@ -207,6 +207,9 @@ class SplitOptions:
     """Which rows are held out of the fit."""
 
     test_fraction: float = option("Fraction of rows held out.", 0.25)
-    split: Literal["random", "blocked"] = option("Hold out rows at random, or whole regions of joint space.", "random")
+    split: Literal["random", "blocked", "station"] = option(
+        "Hold out rows at random, whole regions of joint space, or each station in turn (predicted by the others).",
+        "random",
+    )
     holdout: Path | None = option("Validate on this table instead; all rows of DATA are fitted.")
     seed: int = option("Random seed of the hold-out split.", 0)

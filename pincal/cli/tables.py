@@ -39,6 +39,7 @@ _SHOWN = ("O1", "O2")
 
 def print_result(result: Result, out: Console) -> None:
     """Print errors before and after, the parameters, and what the user should know."""
+    print_left_out(result, out)
     out.print(_summary(result))
     if result.stations is not UNSET:
         out.print(station_table(result.stations))
@@ -46,6 +47,12 @@ def print_result(result: Result, out: Console) -> None:
     print_replicates(result.iso9283, result.lack_of_fit, out)
     out.print(parameter_table(result.parameters))
     print_notes(result.warnings, out)
+
+
+def print_left_out(result: Result, out: Console) -> None:
+    """Print how well stations are predicted by the model of the others, if they were left out in turn."""
+    if (means := result.left_out_mm) is not None:
+        out.print(f"On a set-up that it never saw: mean {means[0]:.4f} mm; geometry alone {means[1]:.4f} mm")
 
 
 def print_notes(notes: Iterable[str], out: Console) -> None:

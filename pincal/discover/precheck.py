@@ -19,7 +19,7 @@ from pincal.measure.admit import admit, unobservable_notes
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
-from pincal.validate.accuracy import error_statistics
+from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.agreement import check_agreement
 
 
@@ -125,7 +125,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     notes = [*admitted.notes, *admitted.idle, *(n for n in unseen[0] if all(n in other for other in unseen))]
     posterior = fit.solution.posterior
     unit = f"sigma_{fit.problem.blocks[0].unit}"
-    nominal = ((station, fit.nominal.values[places]) for station, places, _ in fit.stations)
+    nominal = (pose_error_sizes(station, fit.nominal.values[places]) for station, places, _ in fit.stations)
     return DataReport(
         kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
         rows=len(fit.problem),

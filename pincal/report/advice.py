@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.calibration.result import ParameterRow
+from pincal.calibration.parameters import ParameterRow
 from pincal.calibration.run import Calibration
 from pincal.identify.reasons import Cause, Status
 

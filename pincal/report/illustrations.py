@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from pincal.calibration.result import ParameterRow
+from pincal.calibration.parameters import ParameterRow
 from pincal.discover.run import Discovery
 from pincal.report.blocks import group, picture
 from pincal.report.evidence import Evidence

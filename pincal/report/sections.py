@@ -53,7 +53,9 @@ def _headline(subject: Subject) -> Markup:
     unit = "mm" if "mean_mm" in result.error["calibrated"][part] else "px"
     before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
     rows = (
-        f"On {subject.calibration.n_poses('test')} poses not used by the calibration"
+        "On set-ups that the calibration never saw, each predicted by the model of the others"
+        if result.left_out_mm is not None
+        else f"On {subject.calibration.n_poses('test')} poses not used by the calibration"
         if part == "test"
         else "No poses were held out, so these are the errors of the fit itself, not of new poses: over all poses"
     )

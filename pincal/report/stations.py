@@ -5,6 +5,7 @@ from __future__ import annotations
 from msgspec import UNSET
 
 from pincal.calibration.tables import station_table
+from pincal.io.result_file import StationRecord
 from pincal.report.blocks import Section, bars, group, paragraph
 from pincal.report.subject import Subject
 
@@ -23,12 +24,22 @@ def stations(subject: Subject) -> Section | None:
             " Left out: the model of the other stations, with only the placement of this one fitted to it. That is what to "
             "expect on a day that the calibration never saw."
         )
-    drawn = []
-    largest = max(record["error"]["nominal"][subject.part]["mean_mm"] for record in records) or 1.0
-    for record in records:
-        error = {model: by_part.get(subject.part, by_part["train"]) for model, by_part in record["error"].items()}
-        before, after = error["nominal"]["mean_mm"], record.get("left_out", error["calibrated"])["mean_mm"]
-        shares = (min(100.0 * before / largest, 100.0), min(100.0 * after / largest, 100.0))
-        drawn.append(bars(f"{record['name']}: mean error", f"{before:.3f}", f"{after:.4f} mm", shares))
+    pairs = [_before_and_after(record, subject.part) for record in records]
+    largest = max(max(pair) for pair in pairs) or 1.0
+    drawn = (
+        bars(
+            f"{record['name']}: mean error",
+            f"{before:.3f}",
+            f"{after:.4f} mm",
+            (100.0 * before / largest, 100.0 * after / largest),
+        )
+        for record, (before, after) in zip(records, pairs, strict=True)
+    )
     blocks = (paragraph(text), group("glance", *drawn), station_table(records))
     return Section("stations", "Stations", blocks, "Stations")
+
+
+def _before_and_after(record: StationRecord, part: str) -> tuple[float, float]:
+    """Return the mean error of the nominal robot and of the model [mm], of the model of the others if it is known."""
+    nominal, calibrated = (by_part.get(part, by_part["train"]) for by_part in record["error"].values())
+    return nominal["mean_mm"], record.get("left_out", calibrated)["mean_mm"]

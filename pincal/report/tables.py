@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from pincal.calibration.result import ParameterRow
+from pincal.calibration.parameters import ParameterRow
 from pincal.calibration.tables import parameter_table
 from pincal.design.design import Design
 from pincal.discover.power import Detectable

@@ -7,9 +7,10 @@ likewise, as one angle.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pincal.identify.station import Station
 from pincal.units import readable_unit
@@ -44,17 +45,22 @@ def error_table(station: Station, values: np.ndarray) -> dict[str, float]:
         ``mean_mm``, ``median_mm``, ``rms_mm``, ``p95_mm`` (95th percentile) and ``max_mm``; for orientations ``mean_mrad``
         and so on, for images ``mean_px`` and so on.
     """
-    return error_statistics([(station, values)])
+    return error_statistics([pose_error_sizes(station, values)])
 
 
-def error_statistics(parts: Iterable[tuple[Station, np.ndarray]]) -> dict[str, float]:
-    """Return what :func:`error_table` does of several stations taken together, each with the values of its parameters."""
-    errors: dict[str, list[np.ndarray]] = {}
-    for station, values in parts:
-        units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
-        found = pose_errors(station, values) if len(station) else {}
-        for unit, of_unit in {units.get(block, "mm"): sizes for block, sizes in found.items()}.items():
-            errors.setdefault(unit, []).append(of_unit)
+def pose_error_sizes(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the size of the error at each row by its unit, "mm", "mrad" or "px", shape (N,) each; empty without rows."""
+    units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
+    found = pose_errors(station, values) if len(station) else {}
+    return {units.get(block, "mm"): sizes for block, sizes in found.items()}
+
+
+def error_statistics(parts: Iterable[Mapping[str, ArrayLike]]) -> dict[str, float]:
+    """Return the statistics of errors by unit, as :func:`pose_error_sizes` has them, of several stations together."""
+    errors: dict[str, list[ArrayLike]] = {}
+    for part in parts:
+        for unit, sizes in part.items():
+            errors.setdefault(unit, []).append(sizes)
     return {name: value for unit, of_unit in errors.items() for name, value in _statistics(np.concatenate(of_unit), unit)}
 
 

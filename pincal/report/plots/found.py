@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pincal.calibration.result import ParameterRow
+from pincal.calibration.parameters import ParameterRow
 from pincal.discover.shrink import PartialResidual
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.report.plots import style
