@@ -270,10 +270,7 @@ class SimulateArguments:
 
         given = {field.name: getattr(self.sensor, field.name, None) for field in fields(SetupOptions)}
         wanted = SetupOptions(
-            sigma=self._sigma(),
-            noise_angle=_NOISE_ANGLE,
-            min_height=self.floor,
-            at_base=self.sensor.instrument == "base",
+            sigma=self._sigma(), noise_angle=_NOISE_ANGLE, min_height=self.floor, at_base=self.sensor.instrument == "base"
         )
         return replace(wanted, **{name: value for name, value in given.items() if value is not None})
 

@@ -26,7 +26,7 @@ def refine(
 ) -> Conditions:
     """Improve a design by coordinate exchange within the constraints (Meyer and Nachtsheim, Technometrics 37, 1995).
 
-    Each pose in turn is taken out, and the best of its likes that differ in one joint is taken in; what else belongs to a
+    Each pose in turn is taken out, and the best neighbour that differs in one joint is taken in; what else belongs to a
     pose, its payload say, stays as it is.
 
     Args:
@@ -42,7 +42,7 @@ def refine(
         for place in range(len(q)):
             rest = np.delete(A, place, axis=0).reshape(-1, A.shape[2])
             C = covariance(H + rest.T @ rest)
-            trial = _likes(q[place], reach, window)
+            trial = _neighbours(q[place], reach, window)
             if not len(trial):
                 continue
             readings = design_model.readings(replace(design.select(np.full(len(trial), place)), q=trial))
@@ -55,7 +55,7 @@ def refine(
     return replace(design, q=q)
 
 
-def _likes(q: np.ndarray, reach: Reach, window: float) -> np.ndarray:
+def _neighbours(q: np.ndarray, reach: Reach, window: float) -> np.ndarray:
     """Return the poses allowed, but for self-collision, that differ from q, shape (n,), in one joint."""
     lower, upper = reach.range
     half = 0.5 * window * (upper - lower)

@@ -22,12 +22,7 @@ _SPAN = 0.95
 
 
 def plan_poses(
-    arm: Arm,
-    n: int,
-    rng: np.random.Generator,
-    *,
-    min_height: float | None = 0.1,
-    max_radius: float | None = None,
+    arm: Arm, n: int, rng: np.random.Generator, *, min_height: float | None = 0.1, max_radius: float | None = None
 ) -> np.ndarray:
     """Draw random joint positions within the limits, with the arm off the floor.
 

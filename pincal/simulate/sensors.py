@@ -14,14 +14,7 @@ from pincal.simulate.calibration_object import OBJECTS
 from pincal.simulate.camera import EyeInHand
 from pincal.simulate.contact import Contact, Point
 from pincal.simulate.instrument import Instrument
-from pincal.simulate.layout import (
-    draw_camera,
-    draw_fixed_points,
-    draw_instrument,
-    draw_object,
-    draw_targets,
-    place_beside,
-)
+from pincal.simulate.layout import draw_camera, draw_fixed_points, draw_instrument, draw_object, draw_targets, place_beside
 from pincal.simulate.lens import draw_lens
 from pincal.simulate.setup import SensorSetup
 

@@ -47,10 +47,7 @@ def typical_moments(machine: TrueMachine) -> np.ndarray:
 def draw_typical_errors(machine: TrueMachine, rng: np.random.Generator, *, scale: float = 1.0) -> TrueMachine:
     """Return the machine with ``scale`` times 0.2 mm per metre of reach, 1 mrad, and 2 mrad of joint zeros."""
     return machine.draw_errors(
-        rng,
-        sigma_length=scale * _LENGTH * machine.nominal.reach,
-        sigma_angle=scale * _ANGLE,
-        sigma_offset=scale * _OFFSET,
+        rng, sigma_length=scale * _LENGTH * machine.nominal.reach, sigma_angle=scale * _ANGLE, sigma_offset=scale * _OFFSET
     )
 
 
