@@ -33,7 +33,8 @@ class Design:
 
     Attributes:
         robot: the arm.
-        conditions: the N poses; payload and approach where they were part of the design.
+        conditions: the N poses; approach where it was part of the design.
+        has_payloads: whether payloads were.
         rig: with what they are measured.
         criterion: "task", "determinant" or "tell apart".
         rivals: the effects to be told apart, as they were named; none with the other criteria.
@@ -49,13 +50,13 @@ class Design:
         rank: directions that such poses tell better than the priors do, base and tool among them.
         path_length: length of the way through the poses, in ranges of the joint that moves farthest.
         path_length_unordered: in the order in which they were found.
-        settings: columns beside the joints that belong to the poses: "payload", "approach", "target".
         notes: what the user should know, in words.
         seconds: that it took.
     """
 
     robot: Robot
     conditions: Conditions
+    has_payloads: bool
     rig: SensorSetup
     criterion: str
     rivals: tuple[str, ...]
@@ -71,7 +72,6 @@ class Design:
     rank: int
     path_length: float
     path_length_unordered: float
-    settings: tuple[str, ...]
     notes: tuple[str, ...]
     seconds: float
 
@@ -83,11 +83,12 @@ class Design:
     def columns(self) -> dict[str, np.ndarray]:
         """Return the table to be filled in: joints, and target, payload and approach where they belong to the poses."""
         columns: dict[str, np.ndarray] = dict(zip(self.robot.joint_names, self.q.T, strict=True))
-        if "target" in self.settings:
-            columns["target"] = np.array(self.design_model.model.chain.targets)[self.conditions.target]
-        if "payload" in self.settings:
+        targets = self.design_model.model.chain.targets
+        if len(targets) > 1:
+            columns["target"] = np.array(targets)[self.conditions.target]
+        if self.has_payloads:
             columns["payload"] = self.conditions.payload
-        if "approach" in self.settings and self.conditions.approach is not None:
+        if self.conditions.approach is not None:
             for name, column in zip(self.robot.joint_names, self.conditions.approach.T, strict=True):
                 columns[f"approach_{name}"] = column.astype(int)
         return columns
@@ -214,6 +215,7 @@ def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: b
     return Design(
         robot=reach.robot,
         conditions=picked.select(order),
+        has_payloads=request.payloads is not None,
         rig=reach.rig,
         criterion=criterion,
         rivals=tuple(request.tell_apart or ()),
@@ -229,7 +231,6 @@ def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: b
         rank=study.rank(n),
         path_length=ordered,
         path_length_unordered=unordered,
-        settings=_settings(study, request),
         notes=(*reach.robot.notes, *reach.bodies.notes, *_messages(caught)),
         seconds=time.perf_counter() - begun,
     )
@@ -255,16 +256,6 @@ def _observability(
     observed, n_all, prior = Observed.of(study.design_model, study.mean, n), n + study.n_measured, np.eye(len(H))
     indices = [observed.indices(R - prior, n_all) for R in at_random]
     return observed.indices(H - prior, n_all), {name: float(np.median([i[name] for i in indices])) for name in indices[0]}
-
-
-def _settings(study: Study, request: DesignRequest) -> tuple[str, ...]:
-    """Return the columns beside the joints that belong to the poses."""
-    has = {
-        "target": len(study.design_model.model.chain.targets) > 1,
-        "payload": request.payloads is not None,
-        "approach": request.has_approach(study.design_model.model.chain.robot),
-    }
-    return tuple(name for name, is_there in has.items() if is_there)
 
 
 def _messages(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
