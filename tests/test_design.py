@@ -16,7 +16,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.design.bodies import Bodies, Boxes
 from pincal.design.design_model import DesignModel, noncentrality
 from pincal.design.exchange import State, choose_greedily, covariance, exchange, gains, information, lower_bound, value
-from pincal.design.observability import SOURCES, Observed
+from pincal.design.observability import SOURCES, observability, observed_directions
 from pincal.design.reach import Reach
 from pincal.design.route import length, short_route, travel
 from pincal.design.study import find_rival
@@ -487,7 +487,7 @@ def test_observability_indices_are_those_of_the_literature(kuka, rng):
     inner = np.flatnonzero(np.isfinite(design_model.sizes))[:3]
     H = np.zeros((design_model.n_free, design_model.n_free))
     H[inner, inner] = 36.0, 9.0, 4.0
-    indices = Observed.of(design_model, H, 1).indices(H, 4)
+    indices = observability(design_model, observed_directions(design_model, H, 1), H, 4)
 
     expected = {"O1": 36 ** (1 / 3) / 2, "O2": 1 / 3, "O3": 2.0, "O4": 2 / 3, "O5": 1.0}
     assert indices == pytest.approx(expected)

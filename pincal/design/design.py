@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pincal.design.design_model import DesignModel
-from pincal.design.observability import Observed
+from pincal.design.observability import observability, observed_directions
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.refine import refine as refined
 from pincal.design.request import Criterion, DesignRequest
@@ -210,7 +210,7 @@ def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: b
     H, at_random = study.H + total(study.design_model.readings(picked)), study.random(n)
     found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
     order, unordered, ordered = order_by_load(picked.q, picked.payload, reach.range)
-    observability, observability_random = _observability(study, n, H, at_random)
+    indices, indices_random = _indices(study, n, H, at_random)
     criterion: str = "tell apart" if request.tell_apart else request.criterion
     return Design(
         robot=reach.robot,
@@ -226,8 +226,8 @@ def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: b
         bound=study.bound(n) if curve and criterion == "task" else None,
         curve=study.curve(found) if curve else (),
         needed=needed,
-        observability=observability,
-        observability_random=observability_random,
+        observability=indices,
+        observability_random=indices_random,
         rank=study.rank(n),
         path_length=ordered,
         path_length_unordered=unordered,
@@ -249,13 +249,15 @@ def _check_count(study: Study, n: int) -> None:
         )
 
 
-def _observability(
+def _indices(
     study: Study, n: int, H: np.ndarray, at_random: Sequence[np.ndarray]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the indices of the design, and their medians over random ones, what was measured before included."""
-    observed, n_all, prior = Observed.of(study.design_model, study.mean, n), n + study.n_measured, np.eye(len(H))
-    indices = [observed.indices(R - prior, n_all) for R in at_random]
-    return observed.indices(H - prior, n_all), {name: float(np.median([i[name] for i in indices])) for name in indices[0]}
+    directions, prior = observed_directions(study.design_model, study.mean, n), np.eye(len(H))
+    found, *random = (
+        observability(study.design_model, directions, X - prior, n + study.n_measured) for X in (H, *at_random)
+    )
+    return found, {name: float(np.median([i[name] for i in random])) for name in random[0]}
 
 
 def _messages(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:

@@ -13,8 +13,6 @@ together, spread over n poses, tell better than the priors do: the same for all 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pincal.design.design_model import DesignModel
@@ -30,43 +28,29 @@ SOURCES = {
 """Where each index comes from."""
 
 
-@dataclass(frozen=True)
-class Observed:
-    """The directions in which poses are compared.
+def observed_directions(design_model: DesignModel, mean: np.ndarray, n: int) -> np.ndarray:
+    """Return the directions that n average candidates tell, orthonormal in units of the priors, shape (H, r).
 
-    Attributes:
-        design_model: the parameters.
-        directions: shape (H, r), orthonormal, in units of the priors of the H parameters that have one.
+    They span parts of the H parameters that have a prior; ``mean`` is the information of one candidate, shape (F, F).
     """
+    posterior = design_model.posterior(n * mean)
+    return posterior.directions[:, posterior.information > 1.0]
 
-    design_model: DesignModel
-    directions: np.ndarray
 
-    @classmethod
-    def of(cls, design_model: DesignModel, mean: np.ndarray, n: int) -> Observed:
-        """Return the directions that n average candidates tell; ``mean`` is the information of one, shape (F, F)."""
-        posterior = design_model.posterior(n * mean)
-        return cls(design_model, posterior.directions[:, posterior.information > 1.0])
-
-    @property
-    def rank(self) -> int:
-        """Number r of directions."""
-        return int(self.directions.shape[1])
-
-    def indices(self, H: np.ndarray, n: int) -> dict[str, float]:
-        """Return O1 to O5 of n poses with information H, shape (F, F); empty where they tell nothing."""
-        if not self.rank:
-            return {}
-        posterior = self.design_model.posterior(H)
-        overlap = self.directions.T @ posterior.directions
-        squares = np.linalg.eigvalsh((overlap * posterior.information) @ overlap.T)
-        if squares[0] <= NULL * squares[-1]:
-            return dict.fromkeys(SOURCES, 0.0)
-        sigma = np.sqrt(squares)
-        return {
-            "O1": float(np.exp(np.mean(np.log(sigma))) / np.sqrt(n)),
-            "O2": float(sigma[0] / sigma[-1]),
-            "O3": float(sigma[0]),
-            "O4": float(sigma[0] ** 2 / sigma[-1]),
-            "O5": float(1.0 / np.sum(1.0 / sigma)),
-        }
+def observability(design_model: DesignModel, directions: np.ndarray, H: np.ndarray, n: int) -> dict[str, float]:
+    """Return O1 to O5, in these directions, of n poses with information H, shape (F, F); empty where they tell nothing."""
+    if not directions.shape[1]:
+        return {}
+    posterior = design_model.posterior(H)
+    overlap = directions.T @ posterior.directions
+    squares = np.linalg.eigvalsh((overlap * posterior.information) @ overlap.T)
+    if squares[0] <= NULL * squares[-1]:
+        return dict.fromkeys(SOURCES, 0.0)
+    sigma = np.sqrt(squares)
+    return {
+        "O1": float(np.exp(np.mean(np.log(sigma))) / np.sqrt(n)),
+        "O2": float(sigma[0] / sigma[-1]),
+        "O3": float(sigma[0]),
+        "O4": float(sigma[0] ** 2 / sigma[-1]),
+        "O5": float(1.0 / np.sum(1.0 / sigma)),
+    }
