@@ -49,9 +49,11 @@ class Chain:
         moment_frame: where moments are taken and bend the arm: "paper" takes them before q and bends after it,
             "before" and "after" do both there.
         gravity: shape (3,), in the robot's base frame [m/s^2].
-        base_rotation: shape (3, 3), reference orientation of the robot's base in the instrument's frame.
+        base_rotation: shape (3, 3), reference orientation of the robot's base in the instrument's frame; of several set-ups
+            shape (S, 3, 3).
         targets: names of the tool frames.
-        tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame.
+        tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups
+            those of each after the other's.
     """
 
     robot: Robot
@@ -121,12 +123,11 @@ class Chain:
     @cached_property
     def layout(self) -> Layout:
         """The chain's constant part as arrays for the compiled loops."""
-        base = np.eye(4)
-        base[:3, :3] = self.base_rotation
-        fixed = np.array([base, self.robot.frames.T_base_first, self.robot.frames.T_last_tip])
+        fixed = np.array([self.robot.frames.T_base_first, self.robot.frames.T_last_tip])
         return Layout(
             **_order(self.moment_frame, self.robot.n_joints),
             fixed=np.ascontiguousarray(fixed[:, :3]),
+            base_rotation=np.ascontiguousarray(self.base_rotation).reshape(-1, 3, 3),
             tool_rotation=np.ascontiguousarray(self.tool_rotations),
             masses=self.robot.masses,
             centres=np.ascontiguousarray(self.robot.centres),
@@ -145,7 +146,7 @@ def _order(moment_frame: MomentFrame, n_joints: int) -> dict[str, np.ndarray]:
     """Return the part of a layout that only the order of the coordinates matters to; all chains share it."""
     starts, symbols = FRAME + BLOCK * np.arange(n_joints), _symbols(moment_frame, n_joints)
     fixed_before = np.full(len(symbols), -1)
-    fixed_before[[3, FRAME, FRAME + BLOCK * n_joints]] = 0, 1, 2
+    fixed_before[[FRAME, FRAME + BLOCK * n_joints]] = 0, 1
     y, z, cut = {"paper": (1, 2, 1), "before": (1, 2, 1), "after": (4, 3, 3)}[moment_frame]
     return {
         "kind": np.array([_KIND[symbol] for symbol in symbols]),

@@ -32,6 +32,7 @@ class Conditions:
         temperature: shape (N,) [deg C], or None.
         time: shape (N,) [s], or None.
         approach: shape (N, n), direction from which each joint arrived (-1, 0, 1), or None.
+        setup: shape (N,), index of the set-up of instrument and targets, where there are several; else None.
     """
 
     q: np.ndarray
@@ -41,6 +42,7 @@ class Conditions:
     temperature: np.ndarray | None = None
     time: np.ndarray | None = None
     approach: np.ndarray | None = None
+    setup: np.ndarray | None = None
 
     @classmethod
     def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
@@ -54,7 +56,7 @@ class Conditions:
 
     def select(self, rows: slice | np.ndarray) -> Conditions:
         """Return the conditions of some rows."""
-        pick = [None if v is None else v[rows] for v in (self.temperature, self.time, self.approach)]
+        pick = [None if v is None else v[rows] for v in (self.temperature, self.time, self.approach, self.setup)]
         return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
 
     def column(self, name: str) -> np.ndarray | None:

@@ -39,7 +39,8 @@ class Layout(NamedTuple):
         kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
         fixed_before: shape (K,), index of the fixed transform that precedes coordinate k, -1 for none.
         fixed: shape (F, 3, 4), the fixed transforms.
-        tool_rotation: shape (targets, 3, 3), reference orientation of each tool frame.
+        base_rotation: shape (set-ups, 3, 3), reference orientation of the base in each instrument's frame.
+        tool_rotation: shape (tools, 3, 3), reference orientation of each tool frame.
         moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint i's moment is
             expressed in.
         moment_cut: shape (n,), the last coordinate that turns this frame.
@@ -50,6 +51,7 @@ class Layout(NamedTuple):
     kind: np.ndarray
     fixed_before: np.ndarray
     fixed: np.ndarray
+    base_rotation: np.ndarray
     tool_rotation: np.ndarray
     moment_y: np.ndarray
     moment_z: np.ndarray
@@ -101,6 +103,13 @@ class Compliances(NamedTuple):
     coordinate: np.ndarray
     moment: np.ndarray
     rate: np.ndarray
+
+
+class Places(NamedTuple):
+    """Which reference orientations hold at each pose: of the base, and of the tool; both of shape (N,)."""
+
+    base: np.ndarray
+    tool: np.ndarray
 
 
 class Payload(NamedTuple):
@@ -155,10 +164,10 @@ def _apply(R, p, F):
 
 
 @njit(**_COMPILE)
-def _turn_tools(layout, target, start, m, R):
-    """Turn each frame into the reference orientation of its pose's tool."""
+def _turn(rotations, index, start, m, R):
+    """Turn each frame by the reference orientation that holds at its pose."""
     for i in range(m):
-        A = layout.tool_rotation[target[start + i]]
+        A = rotations[index[start + i]]
         for r in range(3):
             a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
             for j in range(3):
@@ -189,12 +198,14 @@ def _walk(layout, first, last, x, c, s, R, p, W, O):
 
 
 @njit(**_COMPILE)
-def _walk_arm(layout, target, start, m, x, c, s, R, p, W, O):
-    """Walk the whole chain from the instrument to the target; the tool's own orientation stands before its angles."""
+def _walk_arm(layout, places, start, m, x, c, s, R, p, W, O):
+    """Walk the whole chain from instrument to target; reference orientations stand before the angles of base and tool."""
     K = len(x)
     _identity(R, p)
-    _walk(layout, 0, K - 3, x, c, s, R, p, W, O)
-    _turn_tools(layout, target, start, m, R)
+    _walk(layout, 0, 3, x, c, s, R, p, W, O)
+    _turn(layout.base_rotation, places.base, start, m, R)
+    _walk(layout, 3, K - 3, x, c, s, R, p, W, O)
+    _turn(layout.tool_rotation, places.tool, start, m, R)
     _walk(layout, K - 3, K, x, c, s, R, p, W, O)
 
 
@@ -393,29 +404,29 @@ def static_moments(layout, values, payload):
 
 
 @njit(**_COMPILE)
-def tip_poses(layout, values, target):
+def tip_poses(layout, values, places):
     """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
-    N, K = len(target), len(values.constant)
+    N, K = len(places.tool), len(values.constant)
     x, c, s, R, p, W, O = _buffers(K)
     out = np.empty((3, 4, N))
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
         _load(layout, values, start, m, x, c, s, start == 0)
-        _walk_arm(layout, target, start, m, x, c, s, R, p, W, O)
+        _walk_arm(layout, places, start, m, x, c, s, R, p, W, O)
         out[:, :3, start : start + m] = R[:, :, :m]
         out[:, 3, start : start + m] = p[:, :m]
     return out
 
 
 @njit(**_COMPILE)
-def tip_jacobian(layout, values, rigid, target, payload, terms, compliances, n_parameters, rows, sweeps):
+def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, n_parameters, rows, sweeps):
     """Return the target's poses and the derivative of its motion by every parameter.
 
     Args:
         layout: the chain.
         values: coordinates of the deformed arm.
         rigid: coordinates that the moments are computed on.
-        target: shape (N,), index of the tool frame.
+        places: which reference orientations hold.
         payload: mass beyond the tip.
         terms: the parameters.
         compliances: how coordinates follow the moments; may be empty.
@@ -427,7 +438,7 @@ def tip_jacobian(layout, values, rigid, target, payload, terms, compliances, n_p
     Returns:
         Poses, shape (3, 4, N), and Jacobian, shape (P, rows, N).
     """
-    N, K, n = len(target), len(values.constant), len(layout.masses)
+    N, K, n = len(places.tool), len(values.constant), len(layout.masses)
     x, c, s, R, p, W, O = _buffers(K)
     y, cy, sy, Rb, q, Wb, Ob = _buffers(K)
     M, B, mass = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES)
@@ -441,7 +452,7 @@ def tip_jacobian(layout, values, rigid, target, payload, terms, compliances, n_p
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
         _load(layout, values, start, m, x, c, s, start == 0)
-        _walk_arm(layout, target, start, m, x, c, s, R, p, W, O)
+        _walk_arm(layout, places, start, m, x, c, s, R, p, W, O)
         poses[:, :3, start : start + m] = R[:, :, :m]
         poses[:, 3, start : start + m] = p[:, :m]
         _kinematic_columns(layout, W, O, p, J)

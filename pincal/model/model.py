@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.effect import Effect, Term
-from pincal.model.kernels import Compliances, Payload, Terms, Values
+from pincal.model.kernels import Compliances, Payload, Places, Terms, Values
 from pincal.parameters import Parameter
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
@@ -112,14 +113,14 @@ class Model:
         """Return the target's poses in the instrument's frame.
 
         Args:
-            values: shape (P,), deviations from the nominal.
+            values: shape (P,), deviations from the nominal; of S set-ups shape (P, S).
             conditions: N poses.
 
         Returns:
             Shape (N, 3, 4): rotation and translation [m].
         """
         state = _State.at(self, values, conditions)
-        return np.moveaxis(kernels.tip_poses(self.chain.layout, state.deformed, state.target), -1, 0)
+        return np.moveaxis(kernels.tip_poses(self.chain.layout, state.deformed, state.places), -1, 0)
 
     def linearise(
         self, values: np.ndarray, conditions: Conditions, *, free: np.ndarray | None = None, rows: int = 3
@@ -127,7 +128,7 @@ class Model:
         """Return the target's poses and their exact derivative by the parameters.
 
         Args:
-            values: shape (P,).
+            values: shape (P,); of S set-ups shape (P, S).
             conditions: N poses.
             free: shape (P,), which parameters get a column; default: all.
             rows: 3 for the motion of the target, 6 for its motion and its turning, in the instrument's axes.
@@ -137,7 +138,7 @@ class Model:
         """
         state = _State.at(self, values, conditions)
         columns = np.arange(self.n_parameters) if free is None else np.where(free, np.cumsum(free) - 1, -1)
-        poses, jacobian = self._linearise(state, values, columns, [], rows)
+        poses, jacobian = self._linearise(state, columns, [], rows)
         return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
 
     def linearise_shared(
@@ -155,11 +156,11 @@ class Model:
         for group in shared:
             apart[group.parameters] = False
         columns = np.where(apart, np.cumsum(apart) - 1, -1)
-        poses, jacobian = self._linearise(state, values, columns, [group.coordinate for group in shared], rows)
+        poses, jacobian = self._linearise(state, columns, [group.coordinate for group in shared], rows)
         return np.moveaxis(poses, -1, 0), jacobian, shared
 
     def _linearise(
-        self, state: _State, values: np.ndarray, columns: np.ndarray, coordinates: list[int], rows: int
+        self, state: _State, columns: np.ndarray, coordinates: list[int], rows: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
         n_columns = int(columns.max(initial=-1)) + 1
@@ -167,10 +168,10 @@ class Model:
             self.chain.layout,
             state.deformed,
             state.rigid,
-            state.target,
+            state.places,
             state.payload,
             state.kernel_terms(columns, coordinates, n_columns),
-            state.compliances(values),
+            state.compliances(),
             n_columns + len(coordinates),
             rows,
             _SWEEPS if self.equilibrium else 0,
@@ -240,10 +241,11 @@ class _State:
 
     model: Model
     terms: list[tuple[int, Term]]
+    values: _RowValues
     rigid: Values
     deformed: Values
     moments: np.ndarray
-    target: np.ndarray
+    places: Places
     payload: Payload
 
     @classmethod
@@ -251,22 +253,35 @@ class _State:
         target = np.require(conditions.target, np.int64, ["C", "W"])
         if target.max(initial=0) >= len(model.chain.targets):
             raise ValueError(f"target {target.max()} of a chain with {len(model.chain.targets)} targets")
+        setup = conditions.setup
+        base = np.zeros(len(target), np.int64) if setup is None else np.require(setup, np.int64, ["C", "W"])
+        places = Places(base, target if setup is None else target + len(model.chain.targets) * base)
+        by_row = _RowValues.of(values, base)
         mass = np.require(conditions.payload, np.float64, ["C", "W"])
         payload = Payload(mass, np.array(conditions.payload_centre, float))
         plain = _terms(model, conditions, None)
-        rigid = _coordinates(model, values, conditions, plain)
+        rigid = _coordinates(model, by_row, conditions, plain)
         if not any(effect.uses_moments for effect in model.effects):
-            return cls(model, plain, rigid, rigid, np.empty((0, len(mass))), target, payload)
+            return cls(model, plain, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
         deformed = rigid
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
             moments = kernels.static_moments(model.chain.layout, deformed, payload)
             elastic = _terms(model, conditions, moments.T)
-            deformed = _coordinates(model, values, conditions, plain + elastic)
+            deformed = _coordinates(model, by_row, conditions, plain + elastic)
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
-        return cls(model, plain + elastic, deformed if model.equilibrium else rigid, deformed, moments, target, payload)
+        return cls(
+            model,
+            plain + elastic,
+            by_row,
+            deformed if model.equilibrium else rigid,
+            deformed,
+            moments,
+            places,
+            payload,
+        )
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
         """Return the terms of the parameters that have a column, and of coordinates, from column ``first`` on."""
@@ -279,7 +294,7 @@ class _State:
             parameter=np.array([column for column, _ in used], np.int64),
             slot=np.where(varies, np.cumsum(varies) - 1, -1),
             elastic=np.array([term.moment is not None for _, term in used], bool),
-            basis=_stack(bases, len(self.target)),
+            basis=_stack(bases, len(self.places.tool)),
         )
 
     def shared(self, free: np.ndarray) -> list[Shared]:
@@ -290,19 +305,20 @@ class _State:
             if free[p] and count[p] == 1 and term.basis is not None and term.moment is None:
                 found.setdefault(term.coordinate, []).append((p, term.basis))
         return [
-            Shared(k, np.array([p for p, _ in group]), _stack([basis for _, basis in group], len(self.target)))
+            Shared(k, np.array([p for p, _ in group]), _stack([basis for _, basis in group], len(self.places.tool)))
             for k, group in found.items()
             if len(group) >= _WORTH_SHARING
         ]
 
-    def compliances(self, values: np.ndarray) -> Compliances:
+    def compliances(self) -> Compliances:
         """Return how the coordinates follow the moments at these values."""
-        elastic = [(p, term) for p, term in self.terms if term.moment is not None and values[p] != 0.0]
-        if all(term.slope is None for _, term in elastic):
+        values, varied = self.values.of_parameter, self.values.varied
+        elastic = [(p, term) for p, term in self.terms if term.moment is not None and (p in varied or values[p] != 0.0)]
+        if all(term.slope is None and p not in varied for p, term in elastic):
             rate = np.array([values[p] for p, _ in elastic], float).reshape(-1, 1)
         else:
-            ones = np.ones(len(self.target))
-            rate = _stack([values[p] * (ones if t.slope is None else t.slope) for p, t in elastic], len(self.target))
+            n = len(self.places.tool)
+            rate = _stack([values[p] * (np.ones(n) if t.slope is None else t.slope) for p, t in elastic], n)
         return Compliances(
             coordinate=np.array([term.coordinate for _, term in elastic], np.int64),
             moment=np.array([term.moment for _, term in elastic], np.int64),
@@ -320,19 +336,42 @@ def _terms(model: Model, conditions: Conditions, moments: np.ndarray | None) -> 
     ]
 
 
-def _coordinates(model: Model, values: np.ndarray, conditions: Conditions, terms: list[tuple[int, Term]]) -> Values:
+class _RowValues(NamedTuple):
+    """Values of the parameters, where some may differ from row to row.
+
+    Attributes:
+        of_parameter: for each parameter its value, or its values at all rows, shape (N,).
+        varied: the parameters that have several.
+    """
+
+    of_parameter: Sequence[float | np.ndarray] | np.ndarray
+    varied: frozenset[int] = frozenset()
+
+    @classmethod
+    def of(cls, values: np.ndarray, setup: np.ndarray) -> _RowValues:
+        """Return the values at all rows, given for each set-up, and the set-up of each row."""
+        if values.ndim == 1:
+            return cls(values)
+        varied = np.any(values != values[:, :1], axis=1)
+        by_row = [value[setup] if varies else value[0] for value, varies in zip(values, varied, strict=True)]
+        return cls(by_row, frozenset(np.flatnonzero(varied).tolist()))
+
+
+def _coordinates(model: Model, by_row: _RowValues, conditions: Conditions, terms: list[tuple[int, Term]]) -> Values:
+    values, varied = by_row
     constant = model.chain.nominal.copy()
     for p, term in terms:
-        if term.basis is None:
+        if term.basis is None and p not in varied:
             constant[term.coordinate] += values[p]
     varying: dict[int, np.ndarray] = {}
     for i, k in enumerate(model.chain.drives):
         varying[int(k)] = constant[k] + conditions.q[:, i]
     for p, term in terms:
         # Candidates of a discovery stand at zero, hundreds of them.
-        if term.basis is not None and values[p]:
+        if p in varied or (term.basis is not None and values[p]):
             k = term.coordinate
-            varying[k] = (varying[k] if k in varying else constant[k]) + values[p] * term.basis
+            change = values[p] if term.basis is None else values[p] * term.basis
+            varying[k] = (varying[k] if k in varying else constant[k]) + change
     slot = np.full(len(constant), -1)
     slot[list(varying)] = np.arange(len(varying))
     return Values(constant, slot, _stack(list(varying.values()), len(conditions)))
