@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pincal.identify.normal import Normal, accumulate, beliefs_squared, block_rows
+from pincal.identify.batch import Batch
+from pincal.identify.normal import Normal, accumulate, accumulate_each, beliefs_squared, block_rows
 from pincal.identify.posterior import Contribution, Eliminated, Posterior, eliminate, posterior, posterior_step
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
@@ -23,55 +24,64 @@ from pincal.identify.station import Station
 
 @dataclass(frozen=True)
 class Squares:
-    """Squares of a station's residuals.
+    """Squares of the residuals of stations, one after the other.
 
     Attributes:
         blocks: shape (blocks,), weighted sums.
-        rows: shape (blocks, N), each row's weighted squared residual, robust weights left out.
-        beliefs: of what the sensor knows beside its readings, in units of the variances.
+        rows: of each station, shape (its blocks, its N rows), each row's weighted squared residual, robust weights left out.
+        beliefs: of what each station's sensor knows beside its readings, in units of the variances.
     """
 
     blocks: np.ndarray
-    rows: np.ndarray
-    beliefs: float
+    rows: tuple[np.ndarray, ...]
+    beliefs: np.ndarray
 
 
-def squares(station: Station, values: np.ndarray, robust: np.ndarray) -> Squares:
-    """Return the squares of a station's residuals at values of its parameters; ``robust`` as in :func:`contribution`."""
+def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray) -> Squares:
+    """Return the squares of stations' residuals; arguments as in :func:`pincal.identify.normal.accumulate_each`."""
     residuals = station.residuals(values)
     parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in block_rows(station)]
     rows = np.array(parts) * station.weights**2
-    return Squares(rows @ robust**2, rows, beliefs_squared(station, values))
+    each = np.split(rows, ends[1:-1], axis=1)
+    blocks = np.concatenate([of @ weights**2 for of, weights in zip(each, np.split(robust, ends[1:-1]), strict=True)])
+    known = [beliefs_squared(station, values)] if len(each) == 1 else np.zeros(len(each))
+    return Squares(blocks, tuple(each), np.asarray(known))
 
 
 def contribution(
     station: Station,
+    ends: np.ndarray,
     values: np.ndarray,
-    free: np.ndarray,
     robust: np.ndarray,
-    sigma: np.ndarray,
+    free: np.ndarray,
     own: np.ndarray,
+    sigma: np.ndarray,
     sizes: np.ndarray,
 ) -> tuple[Contribution, Squares]:
-    """Return what a station says of the free parameters that it shares with others, and the squares of its residuals.
+    """Return what stations say of the free parameters that they share with others, and the squares of their residuals.
 
     Args:
-        station: the station.
-        values: shape (P,), of its parameters, as are the others.
-        free: shape (P,), which of them may move.
+        station: the rows of S stations, one after the other.
+        ends: shape (S + 1,), where those of each begin and end.
+        values: shape (P,), or of several stations shape (P, S).
         robust: shape (N,), factor on each row's weight: 0 leaves a row out.
-        sigma: shape (blocks,), standard deviation of one component of each block of its readings.
-        own: shape (P,), which of them belong to the station alone.
-        sizes: shape (P,), standard deviations of the priors; inf for none.
+        free: shape (P,), which parameters may move.
+        own: shape (P,), which of them belong to a station alone.
+        sigma: shape (S, blocks), standard deviation of one component of each block of readings.
+        sizes: shape (S, P), standard deviations of the priors; inf for none.
     """
-    normal = accumulate(station, values, free, robust)
+    normal = accumulate_each(station, ends, values, free, robust)
     G, g = normal.at(sigma)
-    return eliminate(G, g, own[free], sizes[free], values[free]), squares_of(normal)
+    at = np.atleast_2d(values.T)[:, free]
+    return eliminate(G, g, own[free], sizes[:, free], at), squares_of(normal, ends)
 
 
-def squares_of(normal: Normal) -> Squares:
+def squares_of(normal: Normal, ends: np.ndarray) -> Squares:
     """Return the squares of residuals that normal equations came with."""
-    return Squares(normal.squares, normal.row_squares, 0.0 if normal.believed is None else normal.believed[2])
+    known = np.zeros(len(ends) - 1)
+    if normal.believed is not None:
+        known[:] = normal.believed[2]
+    return Squares(normal.squares.ravel(), tuple(np.split(normal.row_squares, ends[1:-1], axis=1)), known)
 
 
 @dataclass(frozen=True)
@@ -161,7 +171,7 @@ class Equations:
         for part in self.own:
             mine = inner[part.shared]
             own.append(
-                replace(part, places=rank[part.places], shared=slot[part.shared[mine]], carried=part.carried[:, mine])
+                replace(part, places=rank[part.places], shared=slot[part.shared[mine]], carried=part.carried[..., mine])
             )
         return Equations(
             G=self.G[np.ix_(inner, inner)],
@@ -176,11 +186,17 @@ class Equations:
 
 
 @dataclass(frozen=True)
-class Past:
-    """Sums over stations with other robust weights, shape (N,): equations and squares by the noise that they are for."""
+class Part:
+    """What a batch of stations contributes for one noise and for one set of robust weights."""
 
+    sigma: np.ndarray
     robust: np.ndarray
-    sums: dict[bytes, tuple[Equations, list[Squares]]]
+    found: Contribution
+    squares: Squares
+
+    def is_for(self, sigma: np.ndarray, robust: np.ndarray) -> bool:
+        """Return whether it is for this noise and these robust weights of its own readings."""
+        return np.array_equal(self.sigma, sigma) and np.array_equal(self.robust, robust)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +204,7 @@ class Linearised:
     """A problem at one set of values.
 
     With one station the Gram matrices are kept block by block of its readings, since another noise only weighs them anew.
-    Of several nothing is kept but squares and the sum for one noise.
+    Of several nothing is kept but squares and the sums over batches of stations for one noise.
 
     Attributes:
         problem: the stations.
@@ -199,7 +215,7 @@ class Linearised:
         executor: computes what stations contribute; default: one after the other, here.
         sigma: shape (blocks,), the noise for which equations will be wanted, where it is known before the residuals are:
             one pass over several stations then does for both.
-        past: the same values with other robust weights: most stations have the same ones, and contribute what they did.
+        past: sums over batches at the same values, perhaps with other robust weights.
     """
 
     problem: Problem
@@ -209,25 +225,36 @@ class Linearised:
     sizes: np.ndarray
     executor: Executor | None = None
     sigma: np.ndarray | None = None
-    past: Past | None = None
+    past: tuple[Part, ...] = ()
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
         """Return the same point with other robust weights; stations whose weights stay are not computed again."""
-        return replace(self, robust=robust, past=Past(self.robust, dict(self._sums)))
+        return replace(self, robust=robust, past=tuple(self._parts))
 
     @cached_property
     def _normal(self) -> Normal:
         return accumulate(self.problem.station, self.values, self.free, self.robust)
 
     @cached_property
+    def _batches(self) -> list[Batch]:
+        return [part for batch in self.problem.batches for part in batch.alike(self.free)]
+
+    @cached_property
+    def _parts(self) -> list[Part]:
+        """The latest sums, batch by batch; empty before there are any."""
+        return list(self.past)
+
+    @cached_property
     def _squares(self) -> list[Squares]:
         if len(self.problem.stations) == 1:
-            return [squares_of(self._normal)]
+            normal, ends = self._normal, np.array([0, len(self.problem)])
+            return [squares_of(normal, ends)]
         if self.sigma is not None:
             self.equations(self.sigma)
-            return self._sums[self.sigma.tobytes()][1]
-        stations = self.problem.stations
-        return list(self._map(squares, stations, self._local(self.values), self._by_rows(self.robust)))
+            return [part.squares for part in self._parts]
+        batches = self._batches
+        robust = (self.robust[batch.rows] for batch in batches)
+        return list(self._map(squares, *self._work(batches), robust))
 
     @property
     def squares(self) -> np.ndarray:
@@ -237,7 +264,7 @@ class Linearised:
     @property
     def row_squares(self) -> list[np.ndarray]:
         """For each station, each row's weighted squared residual, shape (its blocks, its rows), robust weights left out."""
-        return [found.rows for found in self._squares]
+        return [rows for found in self._squares for rows in found.rows]
 
     def chi2(self, sigma: np.ndarray) -> float:
         """Return the sum of squares in units of the variances, for standard deviations of all blocks."""
@@ -247,20 +274,21 @@ class Linearised:
         """Return the sum of squares of readings, of what sensors know beside them and of priors, in units of variances."""
         known = self.free & np.isfinite(self.sizes)
         prior = float(np.sum((self.values[known] / self.sizes[known]) ** 2))
-        return self.chi2(sigma) + sum(found.beliefs for found in self._squares) + prior + self._remembered_square()
+        beliefs = sum(float(found.beliefs.sum()) for found in self._squares)
+        return self.chi2(sigma) + beliefs + prior + self._remembered_square()
 
     @cached_property
-    def _sums(self) -> dict[bytes, tuple[Equations, list[Squares]]]:
+    def _equations(self) -> dict[bytes, Equations]:
         return {}
 
     def equations(self, sigma: np.ndarray) -> Equations:
         """Return the normal equations for standard deviations of all blocks of readings, shape (blocks,)."""
         key = sigma.tobytes()
-        if key not in self._sums:
-            found = (self._alone(sigma), []) if len(self.problem.stations) == 1 else self._sum(sigma)
-            self._sums.clear()
-            self._sums[key] = found
-        return self._sums[key][0]
+        if key not in self._equations:
+            found = self._alone(sigma) if len(self.problem.stations) == 1 else self._sum(sigma)
+            self._equations.clear()
+            self._equations[key] = found
+        return self._equations[key]
 
     def _alone(self, sigma: np.ndarray) -> Equations:
         G, g = self._normal.at(sigma)
@@ -284,56 +312,51 @@ class Linearised:
         places, earlier = self.problem.remembered
         return earlier.square(self.values[places], self.sizes[places])
 
-    def _sum(self, sigma: np.ndarray) -> tuple[Equations, list[Squares]]:
-        problem, free = self.problem, self.free
+    def _sum(self, sigma: np.ndarray) -> Equations:
+        free, batches = self.free, self._batches
         rank = np.cumsum(free) - 1
-        shared = problem.is_shared[free]
+        shared = self.problem.is_shared[free]
         slot = np.cumsum(shared) - 1
         n = int(shared.sum())
-        stations, robust = range(len(problem.stations)), self._by_rows(self.robust)
-        if self.past is None or sigma.tobytes() not in self.past.sums:
-            G, g, diagonal = np.zeros((n, n)), np.zeros(n), np.zeros(int(free.sum()))
-            known = self._remember(G, g)
-            diagonal[shared] += np.diag(G)
-            own: dict[int, Eliminated] = {}
-            residuals: dict[int, Squares] = {}
-            work = [(i, 1.0, robust[i]) for i in stations]
-        else:
-            before, squares_before = self.past.sums[sigma.tobytes()]
-            known = before.remembered
-            G, g, diagonal = before.G.copy(), before.g.copy(), before.diagonal.copy()
-            own, residuals = dict(enumerate(before.own)), dict(enumerate(squares_before))
-            pairs = zip(stations, self._by_rows(self.past.robust), robust, strict=True)
-            work = [job for i, old, new in pairs if np.any(old != new) for job in ((i, -1.0, old), (i, 1.0, new))]
-        places, local_free, sizes = problem.places, self._local(free), self._local(self.sizes)
-        values, spans = self._local(self.values), problem.block_spans
-        parts = self._map(
+        G, g, diagonal = np.zeros((n, n)), np.zeros(n), np.zeros(int(free.sum()))
+        known = self._remember(G, g)
+        diagonal[shared] += np.diag(G)
+        eliminated = []
+        self._contribute(sigma)
+        for batch, part in zip(batches, self._parts, strict=True):
+            moved = free[batch.places[0]]
+            mine, ours = batch.places[:, moved & batch.own], slot[rank[batch.places[0, moved & ~batch.own]]]
+            G[ours[:, None], ours] += part.found.G
+            g[ours] += part.found.g
+            np.add.at(diagonal, rank[batch.places[:, moved]], part.found.diagonal)
+            eliminated.append(part.found.eliminated(rank[mine], ours))
+        return Equations(G, g, shared, diagonal, tuple(eliminated), self.sizes[free], self.values[free], known)
+
+    def _contribute(self, sigma: np.ndarray) -> None:
+        """Compute the sums over those batches of which there are none yet for this noise and these robust weights."""
+        parts: list[Part | None] = list(self._parts) or [None] * len(self._batches)
+        wanted = [(sigma[batch.blocks], self.robust[batch.rows]) for batch in self._batches]
+        todo = [
+            k for k, (part, asked) in enumerate(zip(parts, wanted, strict=True)) if part is None or not part.is_for(*asked)
+        ]
+        batches = [self._batches[k] for k in todo]
+        found = self._map(
             contribution,
-            [problem.stations[i] for i, _, _ in work],
-            [values[i] for i, _, _ in work],
-            [local_free[i] for i, _, _ in work],
-            [weights for _, _, weights in work],
-            [sigma[spans[i]] for i, _, _ in work],
-            [problem.eliminated[i] for i, _, _ in work],
-            [sizes[i] for i, _, _ in work],
+            *self._work(batches),
+            (wanted[k][1] for k in todo),
+            (self.free[batch.places[0]] for batch in batches),
+            (batch.own for batch in batches),
+            (wanted[k][0].reshape(len(batch.stations), -1) for k, batch in zip(todo, batches, strict=True)),
+            (self.sizes[batch.places] for batch in batches),
         )
-        for (i, sign, _), (part, found) in zip(work, parts, strict=True):
-            is_own, moved = problem.eliminated[i], local_free[i]
-            mine, ours = rank[places[i][moved & is_own]], slot[rank[places[i][moved & ~is_own]]]
-            G[ours[:, None], ours] += sign * part.G
-            g[ours] += sign * part.g
-            diagonal[rank[places[i][moved]]] += sign * part.diagonal
-            own[i], residuals[i] = part.eliminated(mine, ours), found
-        eliminated, at = tuple(own.values()), self.values[free]
-        return Equations(G, g, shared, diagonal, eliminated, self.sizes[free], at, known), list(residuals.values())
+        for k, each in zip(todo, found, strict=True):
+            parts[k] = Part(*wanted[k], *each)
+        self._parts[:] = [part for part in parts if part is not None]
+
+    def _work(self, batches: list[Batch]) -> tuple[Iterable[Any], Iterable[Any], Iterable[Any]]:
+        """Return the stations of each batch as one, where the rows of each begin and end, and their values."""
+        values = (self.values[b.places].T if len(b.stations) > 1 else self.values[b.places[0]] for b in batches)
+        return (batch.together() for batch in batches), (batch.ends for batch in batches), values
 
     def _map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterable[Any]:
         return map(function, *arguments) if self.executor is None else self.executor.map(function, *arguments)
-
-    def _local(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Return each station's part of a vector over all parameters."""
-        return [vector[places] for places in self.problem.places]
-
-    def _by_rows(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Return each station's part of a vector over all rows."""
-        return [vector[rows] for rows in self.problem.rows]

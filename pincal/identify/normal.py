@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ class Normal:
     """Normal equations, block of readings by block (position, orientation), before division by their variances.
 
     Attributes:
-        G: shape (blocks, F, F).
+        G: shape (blocks, F, F); of each of S stations shape (S, blocks, F, F), and so on.
         g: shape (blocks, F).
         squares: shape (blocks,), weighted sums of squared residuals.
         row_squares: shape (blocks, N), each row's weighted squared residual, robust weights left out.
@@ -31,12 +32,12 @@ class Normal:
     def at(self, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return G and g for standard deviations of the blocks, shape (blocks,)."""
         weight = sigma**-2.0
-        G, g = np.einsum("b,bij->ij", weight, self.G), np.einsum("b,bi->i", weight, self.g)
+        G, g = np.einsum("...b,...bij->...ij", weight, self.G), np.einsum("...b,...bi->...i", weight, self.g)
         return (G, g) if self.believed is None else (G + self.believed[0], g + self.believed[1])
 
 
 def accumulate(station: Station, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
-    """Return the normal equations at ``values``.
+    """Return the normal equations of a station at ``values``.
 
     Args:
         station: the station.
@@ -44,21 +45,46 @@ def accumulate(station: Station, values: np.ndarray, free: np.ndarray, robust: n
         free: shape (P,), the F parameters that may move.
         robust: shape (N,), factor on each row's weight: 0 leaves a row out.
     """
-    blocks = station.sensor.blocks
-    n_free = int(free.sum())
-    G, g = np.zeros((len(blocks), n_free, n_free)), np.zeros((len(blocks), n_free))
-    squares, row_squares = np.zeros(len(blocks)), np.empty((len(blocks), len(station)))
+    found = accumulate_each(station, np.array([0, len(station)]), values, free, robust)
+    return replace(found, G=found.G[0], g=found.g[0], squares=found.squares[0])
+
+
+def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
+    """Return the normal equations of each of S stations whose rows follow each other in one.
+
+    Args:
+        station: the rows of all.
+        ends: shape (S + 1,), where those of each begin and end.
+        values: shape (P,), or of several stations shape (P, S).
+        free: shape (P,), the F parameters that may move.
+        robust: shape (N,), factor on each row's weight: 0 leaves a row out.
+    """
+    n, blocks, n_free = len(ends) - 1, block_rows(station), int(free.sum())
+    G, g = np.zeros((n, len(blocks), n_free, n_free)), np.zeros((n, len(blocks), n_free))
+    squares, row_squares = np.zeros((n, len(blocks))), np.empty((len(blocks), len(station)))
     for piece, residuals, jacobian in station.linearise_shared(values, free):
-        weights, outlying = station.weights[piece], robust[piece]
-        uniform = bool(np.all(weights == 1.0) and np.all(outlying == 1.0))
-        for b, rows in enumerate(block_rows(station)):
-            r, A = residuals[rows], jacobian.readings(rows)
-            row_squares[b, piece] = np.einsum("in,in->n", r, r) * weights**2
-            if not uniform:
-                A, r = A.weighted(weights * outlying), r * (weights * outlying)
-            A.add_gram(r, G[b], g[b])
-            squares[b] += np.vdot(r, r)
-    return Normal(G, g, squares, row_squares, believed(station, values, free))
+        weights = station.weights[piece]
+        for b, rows in enumerate(blocks):
+            row_squares[b, piece] = np.einsum("in,in->n", residuals[rows], residuals[rows]) * weights**2
+        weights = weights * robust[piece]
+        for s, here in _spans_within(ends, piece):
+            part, uniform = jacobian.poses(here), bool(np.all(weights[here] == 1.0))
+            for b, rows in enumerate(blocks):
+                r, A = residuals[rows, here], part.readings(rows)
+                if not uniform:
+                    A, r = A.weighted(weights[here]), r * weights[here]
+                A.add_gram(r, G[s, b], g[s, b])
+                squares[s, b] += np.vdot(r, r)
+    return Normal(G, g, squares, row_squares, believed(station, values, free) if n == 1 else None)
+
+
+def _spans_within(ends: np.ndarray, piece: slice) -> Iterator[tuple[int, slice]]:
+    """Yield the stations that have rows in a piece, with these rows counted from the start of the piece."""
+    first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
+    for s in range(first, last + 1):
+        start, stop = max(int(ends[s]), piece.start), min(int(ends[s + 1]), piece.stop)
+        if start < stop:
+            yield s, slice(start - piece.start, stop - piece.start)
 
 
 def believed(station: Station, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:

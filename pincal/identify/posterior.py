@@ -43,7 +43,7 @@ class Posterior:
         covariance: shape (F, F).
         information: eigenvalues of the data's information in units of the priors', ascending; 0 for what is unseen.
         directions: shape (H, H), their eigenvectors in units of the priors, as columns.
-        frame_rank: number of directions among base and tool that the data determine.
+        frame_rank: number of directions among base and tool that the data determine; of several stations each one's.
         has_prior: shape (F,), which parameters the H rows of ``directions`` belong to.
         own: the parameters of stations that were eliminated beforehand.
         remembered: number of parameters that were known from an earlier fit and not from these data.
@@ -53,7 +53,7 @@ class Posterior:
     covariance: np.ndarray
     information: np.ndarray
     directions: np.ndarray
-    frame_rank: int
+    frame_rank: int | np.ndarray
     has_prior: np.ndarray
     own: tuple[Eliminated, ...] = ()
     remembered: float = 0.0
@@ -61,13 +61,13 @@ class Posterior:
     @property
     def visible_rank(self) -> int:
         """Number of directions that the data see at all, however faintly."""
-        rank = self.frame_rank + int(np.count_nonzero(self.information))
+        rank = int(np.sum(self.frame_rank)) + int(np.count_nonzero(self.information))
         return rank + sum(part.alone.visible_rank for part in self.own)
 
     @property
     def identifiable_rank(self) -> int:
         """Number of directions that the data determine better than the priors do."""
-        rank = self.frame_rank + int(np.count_nonzero(self.information > 1.0))
+        rank = int(np.sum(self.frame_rank)) + int(np.count_nonzero(self.information > 1.0))
         return rank + sum(part.alone.identifiable_rank for part in self.own)
 
     @property
@@ -84,19 +84,20 @@ class Posterior:
     @property
     def shared_effective(self) -> float:
         """The same without the parameters of stations that were eliminated."""
-        return self.frame_rank + float(np.sum(self.information / (1.0 + self.information))) - self.remembered
+        spent = float(np.sum(self.information / (1.0 + self.information)))
+        return float(np.sum(self.frame_rank)) + spent - self.remembered
 
     @cached_property
     def own_effective(self) -> tuple[float, ...]:
         """The same of each station's own parameters."""
-        return tuple(part.effective(self.covariance) for part in self.own)
+        return tuple(float(n) for part in self.own for n in np.atleast_1d(part.effective(self.covariance)))
 
     @property
     def joint_covariance(self) -> Covariance:
         """The covariance of all parameters, those of stations included, in their order."""
         if not self.own:
             return Covariance.of(self.covariance)
-        n = len(self.covariance) + sum(len(part.places) for part in self.own)
+        n = len(self.covariance) + sum(part.places.size for part in self.own)
         shared = np.ones(n, bool)
         for part in self.own:
             shared[part.places] = False
@@ -105,18 +106,22 @@ class Posterior:
         factor[shared] = root
         for part in self.own:
             factor[part.places] = -part.carried @ root[part.shared]
-        return Covariance(factor, tuple((part.places, part.alone.covariance) for part in self.own))
+        groups: list[tuple[np.ndarray, np.ndarray]] = []
+        for part in self.own:
+            places, blocks = part.places, part.alone.covariance
+            groups += [(places, blocks)] if places.ndim == 1 else zip(places, blocks, strict=True)
+        return Covariance(factor, tuple(groups))
 
 
 @dataclass(frozen=True)
 class Eliminated:
-    """The E parameters of one station that were eliminated.
+    """The E parameters of one station, or of each of S stations (leading axis S), that were eliminated.
 
     Attributes:
         places: shape (E,), where they stand among all free parameters.
-        shared: shape (S,), where the parameters that this station shares with others stand among the shared ones.
+        shared: shape (C,), where the parameters that these stations share with others stand among the shared ones.
         information: shape (E, E), F'WF + P.
-        carried: shape (E, S), K F'WR: how far a step of the shared parameters moves them the other way.
+        carried: shape (E, C), K F'WR: how far a step of the shared parameters moves them the other way.
         alone: what the station says of them if the shared parameters stay where they are.
         precision: shape (E,), P.
     """
@@ -135,14 +140,14 @@ class Eliminated:
     def square(self, step: np.ndarray, shared_step: np.ndarray) -> float:
         """Return what they add to the square of a step, shape (E,), measured by the information of the data alone."""
         along = step + self.carried @ shared_step[self.shared]
-        return float(along @ self.information @ along - step @ (self.precision * step))
+        return float(np.sum(along * _times(self.information, along)) - np.sum(self.precision * step**2))
 
-    def effective(self, covariance: np.ndarray) -> float:
-        """Return how many parameters the data spend on them, for the covariance of all shared parameters."""
+    def effective(self, covariance: np.ndarray) -> np.ndarray:
+        """Return how many parameters the data spend on them, shape () or (S,), for the covariance of all shared ones."""
         mine = covariance[np.ix_(self.shared, self.shared)]
-        variance = np.diag(self.alone.covariance) + np.einsum("es,st,et->e", self.carried, mine, self.carried)
-        known = self.precision > 0.0
-        return self.alone.frame_rank + float(np.sum(1.0 - variance[known] * self.precision[known]))
+        variance = _diagonal(self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
+        # Without a prior a parameter is spent as far as the data determine it.
+        return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
 
 
 def posterior(
@@ -184,14 +189,15 @@ def posterior_step(
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one station says of the S parameters that it shares with others, its E own ones eliminated.
+    """What a station says of the C parameters that it shares with others, its E own ones eliminated.
 
     Attributes:
-        G: shape (S, S).
-        g: shape (S,).
-        diagonal: shape (S + E,), of the normal equations before, in the order of the station's free parameters.
+        G: shape (C, C), of several stations their sum.
+        g: shape (C,), likewise.
+        diagonal: shape (C + E,), of the normal equations before, in the order of the station's free parameters; that of each
+            of several, shape (S, C + E).
         information: shape (E, E), see :class:`Eliminated`; so are the others.
-        carried: shape (E, S).
+        carried: shape (E, C).
         alone: of the own parameters.
         precision: shape (E,).
     """
@@ -210,79 +216,97 @@ class Contribution:
 
 
 def eliminate(G: np.ndarray, g: np.ndarray, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarray) -> Contribution:
-    """Eliminate parameters from normal equations.
+    """Eliminate parameters from the normal equations of one station, or of each of S stations (leading axis S).
 
     Args:
         G: shape (F, F).
         g: shape (F,).
-        own: shape (F,), which parameters to eliminate.
+        own: shape (F,), which parameters to eliminate; of all stations the same.
         sizes: shape (F,), standard deviations of the priors; inf for none. Only those of eliminated parameters matter.
         offsets: shape (F,), present values minus the priors' centres.
     """
     shared, own = np.flatnonzero(~own), np.flatnonzero(own)
-    inner, across = G[own[:, None], own], G[own[:, None], shared]
-    precision = sizes[own] ** -2.0
-    alone, loose = _determined(inner, g[own], sizes[own], offsets[own], np.diag(inner))
+    inner, across = G[..., own[:, None], own], G[..., own[:, None], shared]
+    precision = sizes[..., own] ** -2.0
+    alone, loose = _determined(inner, g[..., own], sizes[..., own], offsets[..., own], _diagonal(inner))
     carried = alone.covariance @ across
+    several = tuple(range(G.ndim - 2))
     return Contribution(
-        G=G[shared[:, None], shared] - across.T @ carried,
-        g=g[shared] - across.T @ alone.step,
-        diagonal=np.diag(G).copy(),
-        information=inner + np.diag(precision),
+        G=np.sum(G[..., shared[:, None], shared] - _turned(across) @ carried, axis=several),
+        g=np.sum(g[..., shared] - _times(_turned(across), alone.step), axis=several),
+        diagonal=_diagonal(G).copy(),
+        information=inner + precision[..., None] * np.eye(len(own)),
         carried=carried,
         alone=_with_loose(alone, loose),
         precision=precision,
     )
 
 
+def _diagonal(matrix: np.ndarray) -> np.ndarray:
+    return np.diagonal(matrix, axis1=-2, axis2=-1)
+
+
+def _turned(matrix: np.ndarray) -> np.ndarray:
+    return matrix.swapaxes(-1, -2)
+
+
+def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+def _outer(vector: np.ndarray) -> np.ndarray:
+    return np.asarray(vector[..., :, None] * vector[..., None, :])
+
+
 def _determined(
     G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarray, diagonal: np.ndarray
 ) -> tuple[Posterior, np.ndarray]:
     """Return the posterior over what is determined, and the variances of the frames' directions that nothing determines."""
-    has_prior = np.isfinite(sizes)
+    has_prior = np.isfinite(sizes if sizes.ndim == 1 else sizes[0])
     prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
-    D = sizes[prior]
-    inverse, frame_rank, loose = _invert_frames(G[frames[:, None], frames])
-    F = inverse @ G[frames[:, None], prior]
-    S = (G[prior[:, None], prior] - G[prior[:, None], frames] @ F) * np.outer(D, D)
-    reduced = (g[prior] - F.T @ g[frames]) * D
-    information, V = np.linalg.eigh(0.5 * (S + S.T))
-    floor = max(_floor(diagonal, sizes), NULL * 1e-300)
-    information = np.where(information > floor, information, 0.0)
-    data = np.where(information > 0.0, V.T @ reduced, 0.0)
-    shift = D * (V @ ((data - V.T @ (offsets[prior] / D)) / (information + 1.0)))
-    step = np.empty(len(g))
-    step[prior] = shift
-    step[frames] = inverse @ g[frames] - F @ shift
-    C = (V / (information + 1.0)) @ V.T * np.outer(D, D)
+    D = sizes[..., prior]
+    inverse, frame_rank, loose = _invert_frames(G[..., frames[:, None], frames])
+    F = inverse @ G[..., frames[:, None], prior]
+    S = (G[..., prior[:, None], prior] - G[..., prior[:, None], frames] @ F) * _outer(D)
+    reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
+    information, V = np.linalg.eigh(0.5 * (S + _turned(S)))
+    floor = np.maximum(_floor(diagonal, sizes), NULL * 1e-300)
+    information = np.where(information > floor[..., None], information, 0.0)
+    data = np.where(information > 0.0, _times(_turned(V), reduced), 0.0)
+    shift = D * _times(V, (data - _times(_turned(V), offsets[..., prior] / D)) / (information + 1.0))
+    step = np.empty_like(g)
+    step[..., prior] = shift
+    step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
+    C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
     covariance = np.empty_like(G)
-    covariance[prior[:, None], prior] = C
-    covariance[frames[:, None], prior] = -F @ C
-    covariance[prior[:, None], frames] = -(F @ C).T
-    covariance[frames[:, None], frames] = inverse + F @ C @ F.T
+    covariance[..., prior[:, None], prior] = C
+    covariance[..., frames[:, None], prior] = -F @ C
+    covariance[..., prior[:, None], frames] = -_turned(F @ C)
+    covariance[..., frames[:, None], frames] = inverse + F @ C @ _turned(F)
     return Posterior(step, covariance, information, V, frame_rank, has_prior), loose
 
 
 def _with_loose(found: Posterior, loose: np.ndarray) -> Posterior:
     if not loose.any():
         return found
-    covariance = found.covariance.copy()
-    covariance[np.ix_(~found.has_prior, ~found.has_prior)] += loose
+    covariance, frames = found.covariance.copy(), np.flatnonzero(~found.has_prior)
+    covariance[..., frames[:, None], frames] += loose
     return replace(found, covariance=covariance)
 
 
-def _floor(diagonal: np.ndarray, sizes: np.ndarray) -> float:
+def _floor(diagonal: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Return the information, in units of the priors', below which a direction may be made up by rounding."""
-    prior = np.isfinite(sizes)
-    return NULL * float(np.max(diagonal[prior] * sizes[prior] ** 2, initial=0.0))
+    known = np.where(np.isfinite(sizes), sizes, 0.0)
+    return np.asarray(NULL * np.max(diagonal * known**2, axis=-1, initial=0.0))
 
 
-def _invert_frames(G: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
+def _invert_frames(G: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the inverse over what is determined, its rank, and variances of (1 m, 1 rad)^2 along the rest."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
-    values, vectors = np.linalg.eigh(G * np.outer(scale, scale))
-    seen = values > NULL * max(float(values.max(initial=0.0)), 1e-300)
-    U = scale[:, None] * vectors[:, seen]
-    rest = scale[:, None] * vectors[:, ~seen]
-    rest = rest / np.maximum(np.abs(rest).max(axis=0, initial=0.0), 1e-300)
-    return (U / values[seen]) @ U.T, int(seen.sum()), rest @ rest.T
+    scale = 1.0 / np.sqrt(np.maximum(_diagonal(G), 1e-300))
+    values, vectors = np.linalg.eigh(G * _outer(scale))
+    seen = (values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None])[..., None, :]
+    axes = scale[..., :, None] * vectors
+    inverse = np.where(seen, axes, 0.0) / np.where(seen, values[..., None, :], 1.0)
+    rest = np.where(seen, 0.0, axes)
+    rest = rest / np.maximum(np.abs(rest).max(axis=-2, keepdims=True, initial=0.0), 1e-300)
+    return inverse @ _turned(axes), np.sum(seen, axis=(-2, -1)), rest @ _turned(rest)

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identify.batch import Batch, runs
 from pincal.identify.earlier import Earlier
 from pincal.identify.station import Station
 from pincal.measure.sensor import Block
@@ -163,6 +164,20 @@ class Problem:
     def rows(self) -> tuple[slice, ...]:
         """For each station, where its rows stand among all rows."""
         return _spans(len(station) for station in self.stations)
+
+    @cached_property
+    def batches(self) -> tuple[Batch, ...]:
+        """The stations as they are evaluated, several small ones at a time."""
+        return tuple(
+            Batch(
+                self.stations[run.start : run.stop],
+                slice(self.rows[run[0]].start, self.rows[run[-1]].stop),
+                slice(self.block_spans[run[0]].start, self.block_spans[run[-1]].stop),
+                np.array(self.places[run.start : run.stop]),
+                self.eliminated[run[0]],
+            )
+            for run in runs(self.stations)
+        )
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:

@@ -19,7 +19,7 @@ from pincal.model.model import Model
 from pincal.parameters import Parameter
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
-_PIECE = 4096
+PIECE = 4096
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Station:
             yield piece, part.sensor.residuals(poses, own), jacobian
 
     def _pieces(self) -> Iterator[slice]:
-        size = max(len(self), 1) if self.sensor.is_whole else _PIECE
+        size = max(len(self), 1) if self.sensor.is_whole else PIECE
         for start in range(0, len(self), size):
             yield slice(start, min(start + size, len(self)))
 

@@ -10,7 +10,7 @@ What only some sensors have is a class of its own to inherit from: :class:`OwnPa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self, final
 
@@ -198,6 +198,13 @@ class Sensor(ABC):
         """Return the readings of some rows."""
         arrays = {name: getattr(self, name) for name in self.per_row}
         chosen: dict[str, Any] = {name: array[rows] for name, array in arrays.items() if array is not None}
+        return replace(self, **chosen)  # type: ignore[type-var]
+
+    @final
+    def joined(self, others: Sequence[Self]) -> Self:
+        """Return these readings and others of the same instrument, one after the other."""
+        names = [name for name in self.per_row if getattr(self, name) is not None]
+        chosen: dict[str, Any] = {n: np.concatenate([getattr(each, n) for each in (self, *others)]) for n in names}
         return replace(self, **chosen)  # type: ignore[type-var]
 
     @final

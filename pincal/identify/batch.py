@@ -1,0 +1,129 @@
+"""Stations that one pass evaluates: of one kind of sensor and one model but for where they stand.
+
+An evaluation has costs of its own beside those of its rows. Small stations that follow each other in a problem share them:
+the model is evaluated once over the rows of all, with the values of each station's own parameters at its rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from pincal.identify.station import PIECE, Station
+from pincal.measure.sensor import Grouped
+from pincal.model.effects import BaseFrame, ToolFrame
+
+
+@dataclass(frozen=True)
+class Batch:
+    """S stations that follow each other in a problem, with the same P parameters but for their names.
+
+    Attributes:
+        stations: the stations.
+        rows: where their N rows stand among all rows.
+        blocks: where their blocks of readings stand among all blocks.
+        places: shape (S, P), where their parameters stand in the problem's table.
+        own: shape (P,), which of them belong to one station alone.
+    """
+
+    stations: tuple[Station, ...]
+    rows: slice
+    blocks: slice
+    places: np.ndarray
+    own: np.ndarray
+
+    def alike(self, free: np.ndarray) -> Iterator[Batch]:
+        """Yield parts of it in each of which the same parameters are free, given those of all stations."""
+        changes = np.flatnonzero(np.any(np.diff(free[self.places].astype(int), axis=0), axis=1)) + 1
+        cuts = [0, *changes.tolist(), len(self.stations)]
+        size = (self.blocks.stop - self.blocks.start) // len(self.stations)
+        for a, b in pairwise(cuts):
+            yield Batch(
+                self.stations[a:b],
+                slice(self.rows.start + int(self.ends[a]), self.rows.start + int(self.ends[b])),
+                slice(self.blocks.start + size * a, self.blocks.start + size * b),
+                self.places[a:b],
+                self.own,
+            )
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """Where the rows of each station begin and end among theirs, shape (S + 1,)."""
+        return np.cumsum([0, *map(len, self.stations)])
+
+    def together(self) -> Station:
+        """Return one station with the rows of all, the parameters of each at its rows: values have shape (P, S)."""
+        first, n = self.stations[0], len(self.stations)
+        if n == 1:
+            return first
+        chains = [station.model.chain for station in self.stations]
+        bases, tools = [c.base_rotation for c in chains], [c.tool_rotations for c in chains]
+        chain = first.model.chain.with_references(np.array(bases), np.concatenate(tools))
+        parts = [station.conditions for station in self.stations]
+        columns = [f.name for f in fields(parts[0]) if f.name not in ("payload_centre", "setup")]
+        present = [name for name in columns if getattr(parts[0], name) is not None]
+        joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
+        setup = np.repeat(np.arange(n), np.diff(self.ends))
+        return Station(
+            model=first.model.with_chain(chain),
+            conditions=replace(parts[0], **joined, setup=setup),
+            sensor=first.sensor.joined([station.sensor for station in self.stations[1:]]),
+            weights=np.concatenate([station.weights for station in self.stations]),
+        )
+
+
+def runs(stations: Sequence[Station]) -> Iterator[range]:
+    """Yield the numbers of stations that can be evaluated together, small enough for it to be worth while."""
+    start, rows = 0, len(stations[0])
+    is_open = _is_plain(stations[0])
+    for i, station in enumerate(stations[1:], 1):
+        rows += len(station)
+        if rows > PIECE or not is_open or not _are_alike(stations[start], station):
+            yield range(start, i)
+            start, rows, is_open = i, len(station), _is_plain(station)
+    yield range(start, len(stations))
+
+
+def _are_alike(one: Station, other: Station) -> bool:
+    """Return whether one evaluation can serve two stations."""
+    a, b = one.model, other.model
+    return (
+        a.chain.robot is b.chain.robot
+        and a.chain.moment_frame == b.chain.moment_frame
+        and len(a.chain.targets) == len(b.chain.targets)
+        and np.array_equal(a.chain.gravity, b.chain.gravity)
+        and a.equilibrium == b.equilibrium
+        and len(a.effects) == len(b.effects)
+        and all(
+            x is y or (isinstance(x, BaseFrame | ToolFrame) and x == y) for x, y in zip(a.effects, b.effects, strict=True)
+        )
+        and _shape(one) == _shape(other)
+        and np.array_equal(one.conditions.payload_centre, other.conditions.payload_centre)
+    )
+
+
+def _shape(station: Station) -> tuple[object, ...]:
+    """Return what kind of readings a station has, and which columns are recorded."""
+    absent = [getattr(station.sensor, name) is None for name in station.sensor.per_row]
+    return (
+        type(station.sensor),
+        *absent,
+        *(getattr(station.conditions, f.name) is None for f in fields(station.conditions)),
+    )
+
+
+def _is_plain(station: Station) -> bool:
+    """Return whether a station's sensor is nothing but its rows, and its model the same however base and tool are turned."""
+    sensor, chain = station.sensor, station.model.chain
+    is_rows = {f.name for f in fields(sensor)} == set(sensor.per_row)  # type: ignore[arg-type]
+    if not is_rows or sensor.parameters or isinstance(sensor, Grouped) or not len(station):
+        return False
+    nowhere = chain.with_references(np.full((3, 3), np.nan), np.full_like(chain.tool_rotations, np.nan))
+    row, moments = station.conditions.select(slice(0, 1)), np.zeros((1, 3 * chain.robot.n_joints))
+    terms = (t for e in station.model.effects for t in e.terms(nowhere, row, moments if e.uses_moments else None))
+    return all(term.basis is None or bool(np.isfinite(term.basis).all()) for term in terms)
