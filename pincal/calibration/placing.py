@@ -106,7 +106,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     arm = known.with_effects(lambda effect: effect.scope == "robot")
     x, y, z = map(float, known.payload_centre)
     options = Options(payload_centre=(x, y, z), setup=setup)
-    station, start = place_arm(arm.model, arm.model_values, measurements, options=options)
+    ((station, start),) = place_arm(arm.model, arm.model_values, {"": measurements}, options=options)
     problem = Problem((station,))
     free = station.is_own.copy()
     station.split(free)[1][:] = ~station.sensor.fixed

@@ -56,6 +56,14 @@ class Batch:
         """Where the rows of each station begin and end among theirs, shape (S + 1,)."""
         return np.cumsum([0, *map(len, self.stations)])
 
+    def values(self, values: np.ndarray) -> np.ndarray:
+        """Return the values of its parameters, given those of all, as :meth:`together` wants them."""
+        return np.asarray(values[self.places].T if len(self.stations) > 1 else values[self.places[0]])
+
+    def residuals(self, values: np.ndarray) -> list[np.ndarray]:
+        """Return reading minus prediction of each station, shape (m, its rows), for values of all parameters."""
+        return np.split(self.together().residuals(self.values(values)), self.ends[1:-1], axis=1)
+
     def together(self) -> Station:
         """Return one station with the rows of all, the parameters of each at its rows: values have shape (P, S)."""
         first, n = self.stations[0], len(self.stations)

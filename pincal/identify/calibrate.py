@@ -166,11 +166,9 @@ def _begin(
 ) -> tuple[Problem, Solution, Priors, Noise]:
     """Return the problem, its fit of base and tool alone, the priors and the noise."""
     _refuse_massless(robot, options.effects)
-    names = list(tables) if len(tables) > 1 else [""]
-    placed = [
-        place(robot, table, options.at(station), name=name)
-        for (station, table), name in zip(tables.items(), names, strict=True)
-    ]
+    if len(tables) == 1:
+        tables = {"": next(iter(tables.values()))}
+    placed = place(robot, tables, options)
     earlier = None if options.earlier is None else Earlier.of(options.earlier)
     problem = Problem(tuple(station for station, _ in placed), earlier)
     values = np.zeros(len(problem.parameters))
@@ -264,16 +262,16 @@ def doubts_of_known(fit: Fit) -> tuple[str, ...]:
 
 def _refuse_too_few(tables: dict[str, Measurements], problem: Problem, fitted: Solution, noise: Noise) -> None:
     """Refuse a fit through all readings: it leaves nothing to estimate the noise from."""
-    counts = [int(np.sum(fitted.weights[rows] > 0.0)) for rows in problem.rows]
-    readings = int(np.dot(counts, [problem.block_sizes[span].sum() for span in problem.block_spans]))
+    counts = problem.counted_rows(fitted.weights)
+    readings = int(counts[problem.station_of_block] @ problem.block_sizes)
     spent = fitted.posterior.visible_rank
     if problem.earlier is not None:
         spent = _FEWEST_LEFT + int(np.sum(fitted.free & ~problem.is_remembered))
     if noise.declared[0] is None and spent >= readings:
         raise MeasurementError(
-            f"{', '.join(table.source for table in tables.values())}: {sum(counts)} training rows give {readings} readings, "
-            "no more than the parameters that they would fit, so nothing is left to tell the noise from; measure more "
-            "poses, declare the noise (--noise) or take the geometric model"
+            f"{', '.join(table.source for table in tables.values())}: {counts.sum()} training rows give {readings} "
+            "readings, no more than the parameters that they would fit, so nothing is left to tell the noise from; measure "
+            "more poses, declare the noise (--noise) or take the geometric model"
         )
 
 

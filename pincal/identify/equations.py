@@ -270,6 +270,26 @@ class Linearised:
         """Return the sum of squares in units of the variances, for standard deviations of all blocks."""
         return float(np.sum(self.squares / sigma**2))
 
+    @cached_property
+    def group_of(self) -> np.ndarray:
+        """For each parameter, shape (P,), the fit that it belongs to: stations that share nothing have one each."""
+        found = np.zeros(len(self.values), int)
+        if len(self.problem.stations) > 1 and not np.any(self.free & self.problem.is_shared):
+            for i, (places, own) in enumerate(zip(self.problem.places, self.problem.eliminated, strict=True)):
+                found[places[own]] = i
+        return found
+
+    def objectives(self, sigma: np.ndarray) -> np.ndarray:
+        """Return the sums of squares of the fits that the parameters belong to, each as in :meth:`objective`."""
+        n = int(self.group_of.max(initial=0)) + 1
+        if n == 1:
+            return np.array([self.objective(sigma)])
+        starts = [span.start for span in self.problem.block_spans]
+        known = np.flatnonzero(self.free & np.isfinite(self.sizes))
+        prior = np.bincount(self.group_of[known], (self.values[known] / self.sizes[known]) ** 2, minlength=n)
+        beliefs = np.concatenate([found.beliefs for found in self._squares])
+        return np.asarray(np.add.reduceat(self.squares / sigma**2, starts) + beliefs + prior)
+
     def objective(self, sigma: np.ndarray) -> float:
         """Return the sum of squares of readings, of what sensors know beside them and of priors, in units of variances."""
         known = self.free & np.isfinite(self.sizes)
@@ -355,7 +375,7 @@ class Linearised:
 
     def _work(self, batches: list[Batch]) -> tuple[Iterable[Any], Iterable[Any], Iterable[Any]]:
         """Return the stations of each batch as one, where the rows of each begin and end, and their values."""
-        values = (self.values[b.places].T if len(b.stations) > 1 else self.values[b.places[0]] for b in batches)
+        values = (batch.values(self.values) for batch in batches)
         return (batch.together() for batch in batches), (batch.ends for batch in batches), values
 
     def _map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterable[Any]:

@@ -26,38 +26,69 @@ from pincal.robot.robot import Robot
 _ROWS = 2000
 
 
-def place(robot: Robot, measurements: Measurements, options: Options, *, name: str = "") -> tuple[Station, np.ndarray]:
-    """Return a station with base and tool about where they are, and the values to start from.
+def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
+    """Return stations with base and tool about where they are, and the values to start from.
 
     Args:
         robot: the arm, taken as nominal.
-        measurements: the station's table.
-        options: how to calibrate, as they are for this station.
-        name: of the station, where there are several.
+        tables: each station's table by its name, "" for one that is alone.
+        options: how to calibrate.
     """
     gravity = None if options.gravity is None else np.array(options.gravity)
     arm = Model(Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity), ())
-    station, values = place_arm(arm, np.zeros(0), measurements, options=options, name=name)
-    model = replace(station.model, effects=(*station.model.effects, *options.effects), equilibrium=options.equilibrium)
-    index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
-    whole = station.with_model(model)
-    return whole, carried_over(values, index, whole.parameters)
+    found, models = [], _Models()
+    for station, values in place_arm(arm, np.zeros(0), tables, options=options):
+        model = replace(station.model, effects=(*station.model.effects, *options.effects), equilibrium=options.equilibrium)
+        index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
+        whole = station.with_model(models.same(model))
+        found.append((whole, carried_over(values, index, whole.parameters)))
+    return found
+
+
+class _Models:
+    """Models of stations; what depends only on the kinds of their frames and targets is found out once for all."""
+
+    def __init__(self) -> None:
+        self._first: dict[tuple[object, ...], Model] = {}
+
+    def same(self, model: Model) -> Model:
+        """Return the model, sharing with an earlier one that differs by where base and tool stand what both have."""
+        frames = tuple(effect for effect in model.effects if isinstance(effect, BaseFrame | ToolFrame))
+        first = self._first.setdefault((model.chain.targets, frames), model)
+        if first is model:
+            assert model.parameters and model.of_station is not None
+        return first.with_chain(model.chain)
 
 
 def place_arm(
-    arm: Model, values: np.ndarray, measurements: Measurements, *, options: Options, name: str = ""
-) -> tuple[Station, np.ndarray]:
-    """Return the station of an arm whose deviations are known, with base and tool about where they are, and its values.
+    arm: Model, values: np.ndarray, tables: Mapping[str, Measurements], *, options: Options
+) -> list[tuple[Station, np.ndarray]]:
+    """Return the stations of an arm whose deviations are known, with base and tool about where they are, and their values.
 
     Of the closed-form candidates the one whose fit of base and tool leaves least is taken.
 
     Args:
         arm: the arm's chain and effects, without base and tool; its targets and reference orientations don't count.
         values: shape (P,), of its parameters.
-        measurements: the station's table.
-        options: what is known of the station.
-        name: of the station, where there are several.
+        tables: each station's table by its name, "" for one that is alone.
+        options: what is known of the stations.
     """
+    models = _Models()
+    candidates = [_candidates(arm, values, table, name, options.at(name), models) for name, table in tables.items()]
+    best: list[tuple[float, Station, np.ndarray]] = [(np.inf, *starts[0]) for starts in candidates]
+    for k in range(max(map(len, candidates))):
+        those = [i for i, starts in enumerate(candidates) if k < len(starts)]
+        settled = _settled([candidates[i][k] for i in those], options)
+        for i, (rest, found) in zip(those, settled, strict=True):
+            if rest < best[i][0]:
+                best[i] = rest, candidates[i][k][0], found
+    return [(station, found) for _, station, found in best]
+
+
+def _candidates(
+    arm: Model, values: np.ndarray, measurements: Measurements, name: str, options: Options, models: _Models
+) -> list[tuple[Station, np.ndarray]]:
+    """Return where a station may stand, and the values there."""
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     targets = tuple(str(t) for t in np.unique(measurements.target))
@@ -71,12 +102,9 @@ def place_arm(
     if not rows.sensor.base_symbols:
         candidates = [replace(candidate, base=np.eye(4)) for candidate in candidates]
     frames = (BaseFrame(rows.sensor.base_symbols), ToolFrame(rows.sensor.tool_symbols))
-    whole = rows.with_model(arm.with_effects([*frames, *arm.effects]))
+    whole = rows.with_model(models.same(arm.with_effects([*frames, *arm.effects])))
     deviations = dict(zip(arm.names, values, strict=True))
-    starts = [_at(whole, placement, deviations) for placement in candidates]
-    settled = [_settled(*start, options) for start in starts]
-    best = int(np.argmin([rest for _, rest in settled]))
-    return starts[best][0], settled[best][0]
+    return [_at(whole, placement, deviations) for placement in candidates]
 
 
 def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
@@ -109,11 +137,15 @@ def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]
     return station, values
 
 
-def _settled(station: Station, values: np.ndarray, options: Options) -> tuple[np.ndarray, float]:
-    """Return the values after a short fit of base and tool, and the median row residual; outliers don't vote."""
-    sample = station.select(some_rows(len(station), 500, station.sensor.groups))
-    problem = Problem((sample,))
+def _settled(starts: list[tuple[Station, np.ndarray]], options: Options) -> list[tuple[float, np.ndarray]]:
+    """Return the median row residual and the values after a short fit of base and tool; outliers don't vote."""
+    samples = [station.select(some_rows(len(station), 500, station.sensor.groups)) for station, _ in starts]
+    problem = Problem(tuple(samples))
+    values = np.zeros(len(problem.parameters))
+    for (_, local), places in zip(starts, problem.places, strict=True):
+        values[places] = local
     free = released_of(problem, options) & frames_of(problem)
     priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
     values = most_probable(problem, values, free, priors, noise_of(problem, options), loss="huber")
-    return values, float(np.median(np.linalg.norm(sample.residuals(values), axis=0)))
+    left = [np.linalg.norm(residuals, axis=0) for batch in problem.batches for residuals in batch.residuals(values)]
+    return [(float(np.median(size)), values[places]) for size, places in zip(left, problem.places, strict=True)]

@@ -57,15 +57,14 @@ class Jacobian:
         families = tuple(replace(f, column=f.column * weights) for f in self.families)
         return replace(self, dense=self.dense * weights, families=families)
 
-    def readings(self, rows: slice) -> Jacobian:
-        """Return the part of some of the m readings."""
-        families = tuple(replace(f, column=f.column[rows]) for f in self.families)
-        return replace(self, dense=self.dense[:, rows], families=families)
+    def part(self, readings: slice, poses: slice) -> Jacobian:
+        """Return the part of some of the m readings at some poses."""
+        families = tuple(SharedColumns(f.places, _poses(f.basis, poses), f.column[readings, poses]) for f in self.families)
+        return Jacobian(self.size, self.places, self.dense[:, readings, poses], families)
 
     def poses(self, rows: slice) -> Jacobian:
         """Return the part of some poses."""
-        families = tuple(replace(f, column=f.column[:, rows], basis=_poses(f.basis, rows)) for f in self.families)
-        return replace(self, dense=self.dense[:, :, rows], families=families)
+        return self.part(slice(None), rows)
 
     def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray) -> None:
         """Add J J^T to G, shape (F, F), and J r to g, shape (F,), for residuals of shape (m, n)."""

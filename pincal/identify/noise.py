@@ -103,11 +103,8 @@ class Judge:
 
     def counted(self, robust: np.ndarray) -> np.ndarray:
         """Return the number of readings that count in each block, shape (blocks,)."""
-        counts = [
-            np.full(span.stop - span.start, max(int(np.sum(robust[rows] > 0.0)), 1))
-            for span, rows in zip(self.problem.block_spans, self.problem.rows, strict=True)
-        ]
-        return np.asarray(np.concatenate(counts) * self.problem.block_sizes)
+        counts = np.maximum(self.problem.counted_rows(robust), 1)
+        return np.asarray(counts[self.problem.station_of_block] * self.problem.block_sizes)
 
     def degrees(self, robust: np.ndarray, found: Posterior) -> np.ndarray:
         """Return the degrees of freedom that a fit leaves to each block, shape (blocks,)."""
@@ -119,20 +116,22 @@ class Judge:
         self, counted: np.ndarray, shared: float, own: list[int] | tuple[float, ...], *, most: float = np.inf
     ) -> np.ndarray:
         """Return how many parameters each block pays for: its part of the shared ones and of those of its station."""
-        spent = min(shared, most * counted.sum()) * counted / counted.sum()
-        for number, span in zip(own, self.problem.block_spans, strict=False):
-            whole = counted[span].sum()
-            spent[span] += min(number, most * whole) * counted[span] / whole
-        return np.asarray(spent)
+        of = self.problem.station_of_block
+        whole = np.bincount(of, counted)
+        numbers = np.zeros(len(whole))
+        numbers[: len(own)] = own
+        shared = min(shared, most * counted.sum())
+        return np.asarray(counted * (shared / counted.sum() + (np.minimum(numbers, most * whole) / whole)[of]))
 
     def _weigh(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
         if self.loss == "none":
             return np.ones(len(self.problem))
-        weights = []
-        for rows, span in zip(point.row_squares, self.problem.block_spans, strict=True):
-            distance2 = np.einsum("b,bn->n", sigma[span] ** -2.0, rows)
-            limit2 = outlier_limit(len(distance2), int(self.problem.block_sizes[span].sum()))
-            outside = distance2 > limit2
-            lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
-            weights.append(np.where(outside, lighter, 1.0))
-        return np.concatenate(weights)
+        spans = self.problem.block_spans
+        pairs = zip(point.row_squares, spans, strict=True)
+        distance2 = np.concatenate([np.einsum("b,bn->n", sigma[span] ** -2.0, rows) for rows, span in pairs])
+        counts = [rows.shape[1] for rows in point.row_squares]
+        sizes = np.add.reduceat(self.problem.block_sizes, [span.start for span in spans])
+        limits = [outlier_limit(n, int(size)) if n else np.inf for n, size in zip(counts, sizes, strict=True)]
+        limit2 = np.repeat(limits, counts)
+        lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
+        return np.where(distance2 > limit2, lighter, 1.0)

@@ -68,10 +68,10 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
             row_squares[b, piece] = np.einsum("in,in->n", residuals[rows], residuals[rows]) * weights**2
         weights = weights * robust[piece]
         for s, here in _spans_within(ends, piece):
-            part, uniform = jacobian.poses(here), bool(np.all(weights[here] == 1.0))
+            is_uniform = bool(np.all(weights[here] == 1.0))
             for b, rows in enumerate(blocks):
-                r, A = residuals[rows, here], part.readings(rows)
-                if not uniform:
+                r, A = residuals[rows, here], jacobian.part(rows, here)
+                if not is_uniform:
                     A, r = A.weighted(weights[here]), r * weights[here]
                 A.add_gram(r, G[s, b], g[s, b])
                 squares[s, b] += np.vdot(r, r)

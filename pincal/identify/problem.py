@@ -195,6 +195,17 @@ class Problem:
         return _spans(len(station.sensor.blocks) for station in self.stations)
 
     @cached_property
+    def station_of_block(self) -> np.ndarray:
+        """The station that each block of readings belongs to, shape (blocks,)."""
+        return np.repeat(np.arange(len(self.stations)), [len(station.sensor.blocks) for station in self.stations])
+
+    def counted_rows(self, robust: np.ndarray) -> np.ndarray:
+        """Return how many rows of each station count by robust weights of all rows, shape (stations,)."""
+        so_far = np.concatenate([[0], np.cumsum(robust > 0.0)])
+        ends = [0, *(span.stop for span in self.rows)]
+        return np.asarray(np.diff(so_far[ends]))
+
+    @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """What may deviate, beside base and tool."""
         return tuple(e for e in self.stations[0].model.effects if not isinstance(e, BaseFrame | ToolFrame))

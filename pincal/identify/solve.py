@@ -357,20 +357,26 @@ class _Fit:
 
     def _readings(self, robust: np.ndarray) -> float:
         """Return the number of readings that count, 1 if none does."""
-        sizes = [self.problem.block_sizes[span].sum() for span in self.problem.block_spans]
-        counts = [np.sum(robust[rows] > 0.0) for rows in self.problem.rows]
-        return max(float(np.dot(sizes, counts)), 1.0)
+        counts = self.problem.counted_rows(robust)[self.problem.station_of_block]
+        return max(float(counts @ self.problem.block_sizes), 1.0)
 
     def _moved(self, state: _State, steps: list[np.ndarray]) -> Linearised:
-        """Take the first of the steps, or of the halves of the last, that does not make things worse."""
+        """Take the first of the steps, or of the halves of the last, that does not make things worse.
+
+        Stations that share nothing that is free are fits of their own: each takes what does not make it worse.
+        """
         here, sigma = state.point, state.judged.sigma
-        limit = here.objective(sigma) * (1.0 + 1e-9) + 1e-6 * self._readings(here.robust)
-        plain = steps[-1]
+        spare = 1e-6 * self._readings(here.robust)
+        limits = here.objectives(sigma) * (1.0 + 1e-9) + spare
+        plain, group = steps[-1], here.group_of[self.free]
         tried = steps[:-1] if steps[0] is not plain else []
+        values, is_open = here.values.copy(), np.ones(len(limits), bool)
         for step in [*tried, *(plain * 0.5**k for k in range(_HALVINGS))]:
-            values = here.values.copy()
-            values[self.free] += step
+            values = values.copy()
+            values[self.free] = np.where(is_open[group], here.values[self.free] + step, values[self.free])
             there = self._linearised(values, here.robust, sigma)
-            if there.objective(sigma) <= limit:
+            is_open &= there.objectives(sigma) > limits
+            if not is_open.any():
                 return there
-        return here
+        values[self.free] = np.where(is_open[group], here.values[self.free], values[self.free])
+        return here if is_open.all() else self._linearised(values, here.robust, sigma)

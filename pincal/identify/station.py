@@ -55,9 +55,7 @@ class Station:
     @cached_property
     def is_own(self) -> np.ndarray:
         """Which parameters are the station's own, shape (P,); the others are the robot's."""
-        chain = self.model.chain
-        own = [effect.scope == "station" for effect in self.model.effects for _ in effect.parameters(chain)]
-        return np.array(own + [True] * len(self.sensor.parameters), bool)
+        return np.concatenate([self.model.of_station, np.ones(len(self.sensor.parameters), bool)])
 
     def __len__(self) -> int:
         return len(self.conditions)

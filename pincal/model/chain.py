@@ -80,7 +80,9 @@ class Chain:
 
     def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
         """Return the same chain about other reference orientations of base and tools."""
-        return replace(self, base_rotation=np.array(base_rotation), tool_rotations=np.array(tool_rotations))
+        found = replace(self, base_rotation=np.array(base_rotation), tool_rotations=np.array(tool_rotations))
+        found.__dict__.update({name: self.__dict__[name] for name in ("nominal", "drives") if name in self.__dict__})
+        return found
 
     @property
     def size(self) -> int:

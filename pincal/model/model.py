@@ -25,6 +25,8 @@ _SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 # Parameters that act on one coordinate by a basis function from which their column is shared.
 _WORTH_SHARING = 6
+# What a model keeps of its parameters once it has been asked for it.
+_OF_PARAMETERS = ("parameters", "names", "spans", "of_station")
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,14 @@ class Model:
         return len(self.parameters)
 
     @cached_property
+    def of_station(self) -> np.ndarray:
+        """Which parameters belong to a station, shape (P,); the others are the robot's."""
+        return np.array(
+            [e.scope == "station" for e, of in zip(self.effects, self.spans, strict=True) for _ in range(of.start, of.stop)],
+            bool,
+        )
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
@@ -107,7 +117,11 @@ class Model:
 
     def with_chain(self, chain: Chain) -> Model:
         """Return the model of the same effects on another chain."""
-        return replace(self, chain=chain)
+        found, own = replace(self, chain=chain), self.chain
+        if chain.robot is own.robot and (chain.moment_frame, chain.targets) == (own.moment_frame, own.targets):
+            # Parameters don't depend on how base and tool stand: models of many stations have the same.
+            found.__dict__.update({name: self.__dict__[name] for name in _OF_PARAMETERS if name in self.__dict__})
+        return found
 
     def predict(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the target's poses in the instrument's frame.
@@ -212,20 +226,32 @@ class Model:
         Returns:
             Sizes and whether excited, both of shape (P,).
         """
+        largest, excited = self.largest_bases(conditions, np.zeros(1, int))
+        return largest[0], excited[0]
+
+    def largest_bases(self, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what :meth:`largest_basis` does of each of S parts of the rows, given where they start, shape (S, P)."""
         state = _State.at(self, np.zeros(self.n_parameters), conditions)
-        heaviest = np.abs(state.moments).max(initial=0.0)
-        largest, excited = np.zeros(self.n_parameters), np.zeros(self.n_parameters, bool)
+
+        def most(of_rows: np.ndarray) -> np.ndarray:
+            return np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))
+
+        moments = np.array([most(moment) for moment in state.moments]).reshape(-1, len(starts))
+        heaviest = moments.max(axis=0, initial=0.0)
+        largest = np.zeros((len(starts), self.n_parameters))
+        excited = np.zeros(largest.shape, bool)
         for p, term in state.terms:
-            size = 1.0 if term.basis is None else float(np.abs(term.basis).max(initial=0.0))
+            size = np.ones(len(starts)) if term.basis is None else most(term.basis)
             if term.moment is not None:
-                excited[p] |= bool(np.abs(state.moments[term.moment]).max(initial=0.0) > UNFELT * heaviest)
-                size = size if term.slope is not None else max(size, 0.1 * heaviest)
+                excited[:, p] |= moments[term.moment] > UNFELT * heaviest
+                size = size if term.slope is not None else np.maximum(size, 0.1 * heaviest)
             else:
-                excited[p] |= size > 0.0
-            largest[p] = max(largest[p], size)
-        for own, effect in zip(self.spans, self.effects, strict=True):
+                excited[:, p] |= size > 0.0
+            largest[:, p] = np.maximum(largest[:, p], size)
+        for span, effect in zip(self.spans, self.effects, strict=True):
             if effect.alike:
-                largest[own], excited[own] = largest[own].max(), excited[own].any()
+                largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
+                excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
         return np.where(largest > 0.0, largest, 1.0), excited
 
 

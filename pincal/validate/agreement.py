@@ -84,7 +84,7 @@ def _typical(station: Station, values: np.ndarray) -> float:
 
 
 def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
-    station, values = place(robot, measurements, options)
+    ((station, values),) = place(robot, {"": measurements}, options)
     problem = Problem((station,))
     frames = frames_of(problem) & released_of(problem, options)
     priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
