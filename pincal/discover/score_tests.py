@@ -60,7 +60,8 @@ class ScoreTests:
         columns: for each candidate, its columns, counted from the first column of all candidates.
         n_model: the columns before, those of the model and of nuisance effects.
         sizes: shape (P,), standard deviations of the priors.
-        pull: shape (n_model,), present deviations of the model's parameters over their priors' variances.
+        known: shape (n_model, n_model), inverse covariance of what was known of the model's parameters before.
+        pull: shape (n_model,), slope of the sum of squares by it at the present values.
         blocks_S, blocks_b: shape (B, P, P), (B, P), S and b by block of poses.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
@@ -71,6 +72,7 @@ class ScoreTests:
     columns: tuple[np.ndarray, ...]
     n_model: int
     sizes: np.ndarray
+    known: np.ndarray
     pull: np.ndarray
     blocks_S: np.ndarray
     blocks_b: np.ndarray
@@ -102,7 +104,7 @@ class ScoreTests:
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """S' and b' of all candidate columns."""
         N, C = slice(0, self.n_model), slice(self.n_model, None)
-        scale, L = _scaled_factor(self.S[N, N] + np.diag(self.precision[N]))
+        scale, L = _scaled_factor(self.S[N, N] + self.known)
         left = solve_triangular(L, scale[:, None] * self.S[N, C], lower=True, check_finite=False)
         slope = solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
         return self.S[C, C] - left.T @ left, self.b[C] - left.T @ slope
@@ -173,7 +175,7 @@ class ScoreTests:
         """Scale and factor of the model's information without each block, and the step of its parameters."""
         N, found = slice(0, self.n_model), []
         for S, b in zip(self.blocks_S, self.blocks_b, strict=True):
-            scale, factor = _scaled_factor(self.S[N, N] - S[N, N] + np.diag(self.precision[N]))
+            scale, factor = _scaled_factor(self.S[N, N] - S[N, N] + self.known)
             slope = scale * (self.b[N] - b[N] - self.pull)
             found.append((scale, factor, scale * cho_solve((factor, True), slope, check_finite=False)))
         return found
@@ -216,17 +218,19 @@ def score_test(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect
     ends = np.cumsum([0, *map(len, tested)])
     n_model = len(kept) - int(ends[-1])
     model = kept[:n_model]
-    counts = [int(np.sum(fit.solution.weights[rows] > 0)) for rows in problem.rows]
+    beyond, slope = problem.beyond_priors(model, values, sizes)
+    counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
     return ScoreTests(
         effects=tuple(candidates),
         columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
         n_model=n_model,
         sizes=sizes[kept],
-        pull=values[model] * np.where(np.isfinite(sizes[model]), sizes[model] ** -2.0, 0.0),
+        known=np.diag(sizes[model] ** -2.0) + beyond,
+        pull=values[model] * sizes[model] ** -2.0 - slope,
         blocks_S=blocks_S,
         blocks_b=blocks_b,
         squares=squares,
-        readings=int(np.dot(counts, [problem.block_sizes[span].sum() for span in problem.block_spans])),
+        readings=int(counts @ problem.block_sizes),
         spent=fit.solution.posterior.effective,
     )
 
