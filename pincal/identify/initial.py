@@ -15,15 +15,15 @@ from pincal.identify.solve import Priors, most_probable
 from pincal.identify.station import Station, station_of
 from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.measurements import Measurements
-from pincal.measure.rows import some_rows
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import carried_over
 from pincal.robot.robot import Robot
 
-# More rows than these add nothing to a start.
+# More rows than these add nothing to a start, or to its short fit.
 _ROWS = 2000
+_SETTLED_ROWS = 500
 
 
 def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
@@ -95,7 +95,7 @@ def _candidates(
     chain = replace(arm.chain, targets=targets).with_references(np.eye(3), np.tile(np.eye(3), (len(targets), 1, 1)))
     arm = arm.with_chain(chain)
     rows = station_of(arm, measurements, np.array(options.payload_centre), options.setup, name=name)
-    some = rows.select(some_rows(len(rows), _ROWS, rows.sensor.groups))
+    some = rows.sample(_ROWS)
     tips = np.ascontiguousarray(arm.predict(values, some.conditions))
     found = some.sensor.starts(tips, some.conditions.target, len(targets))
     candidates = [_known(placement, chain, options) for placement in found]
@@ -139,7 +139,7 @@ def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]
 
 def _settled(starts: list[tuple[Station, np.ndarray]], options: Options) -> list[tuple[float, np.ndarray]]:
     """Return the median row residual and the values after a short fit of base and tool; outliers don't vote."""
-    samples = [station.select(some_rows(len(station), 500, station.sensor.groups)) for station, _ in starts]
+    samples = [station.sample(_SETTLED_ROWS) for station, _ in starts]
     problem = Problem(tuple(samples))
     values = np.zeros(len(problem.parameters))
     for (_, local), places in zip(starts, problem.places, strict=True):

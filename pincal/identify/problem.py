@@ -230,10 +230,13 @@ class Problem:
         """Return the problem of some rows (a mask over all rows, or indices)."""
         if len(self.stations) == 1:
             return replace(self, stations=(self.station.select(rows),))
-        chosen = np.flatnonzero(rows) if rows.dtype == bool else rows
-        parts = [chosen[(chosen >= span.start) & (chosen < span.stop)] - span.start for span in self.rows]
-        stations = (station.select(part) for station, part in zip(self.stations, parts, strict=True))
-        return replace(self, stations=tuple(stations))
+        if rows.dtype == bool:
+            parts = [rows[span] for span in self.rows]
+        else:
+            parts = [rows[(rows >= span.start) & (rows < span.stop)] - span.start for span in self.rows]
+        whole = [part.dtype == bool and bool(part.all()) for part in parts]
+        pairs = zip(self.stations, parts, whole, strict=True)
+        return replace(self, stations=tuple(s if is_whole else s.select(part) for s, part, is_whole in pairs))
 
     def extended(self, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
         """Return the problem with further effects, and where its parameters stand in the new table, shape (P,)."""

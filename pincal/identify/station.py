@@ -11,6 +11,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns, split_by_density
 from pincal.measure.measurements import Measurements
+from pincal.measure.rows import some_rows
 from pincal.measure.sensing import sensor_of
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
@@ -68,6 +69,10 @@ class Station:
             sensor=self.sensor.select(rows),
             weights=self.weights[rows],
         )
+
+    def sample(self, most: int) -> Station:
+        """Return the station with at most so many of its rows, and some of everything; itself if it has no more."""
+        return self if len(self) <= most else self.select(some_rows(len(self), most, self.sensor.groups))
 
     def with_model(self, model: Model) -> Station:
         """Return the same readings under another model."""
