@@ -10,23 +10,22 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.parameters import parameter_rows
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.errors import BadInputError
+from pincal.identify.batch import Batch
 from pincal.identify.calibrate import calibrate
 from pincal.identify.equations import Linearised
-from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
+from pincal.identify.initial import place
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.posterior import Posterior, eliminate, posterior
 from pincal.identify.problem import Problem
-from pincal.identify.reasons import Status
 from pincal.identify.solve import solve
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays
 from pincal.measure.setup import Setup
 from pincal.measure.stations import stations_of
-from pincal.model.catalogue import BaseDrift, GearEccentricity
+from pincal.model.catalogue import BaseDrift, GearEccentricity, ThermalExpansion
 from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
 from pincal.robot.robot import Robot
 
@@ -436,19 +435,59 @@ def test_stations_of_one_name_are_refused(machine: sim.TrueMachine, kuka: Robot)
             stations_of(pairs)
 
 
-def test_reasons_are_those_of_one_table(machine: sim.TrueMachine, kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows divided among stations identify what they do as one table, for the same reasons, in whatever groups."""
-    table = tracked(machine, kuka, 0, poses=160)
-    parts = {f"s{k}": table.select(slice(40 * k, 40 * k + 40)) for k in range(4)}
-    options = Options(effects=(*GEOMETRIC, JointElasticity()), sigma=NOISE)
-    whole = {f.name: (f.status, f.reason.cause) for f in explain(calibrate(kuka, table, options))}
-    fit = calibrate(kuka, parts, options)
-    found = explain(fit)
-    monkeypatch.setattr("pincal.identify.explain._TOGETHER", 2)
-    assert [(f.name, f.status, f.reason.cause) for f in explain(fit)] == [(f.name, f.status, f.reason.cause) for f in found]
-    robots = {f.name: (f.status, f.reason.cause) for f in found if "/" not in f.name}
-    same = sum(robots[name] == whole[name] for name in robots)
-    # Four bases instead of one leave a little less for what is barely identified.
-    assert len(robots) > 30 and same >= len(robots) - 1
-    assert {f.status for f in found if "/" in f.name} <= {Status.IDENTIFIED, Status.PRIOR}
-    assert [row.name for row in parameter_rows(fit)] == [f.name for f in found]
+def test_small_stations_are_evaluated_together(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """One pass over the rows of several, of different lengths and of whatever stands between them, is a pass over each."""
+    tables = {name: tracked(machine, kuka, i % 2, poses=30 + 5 * i, seed=i) for i, name in enumerate("abcd")}
+    camera = seen(machine, kuka, pixels=False, noise=5e-5)
+    tables = {"a": tables["a"], "b": tables["b"], "c": tables["c"], "camera": camera, "d": tables["d"]}
+    tables["camera"] = replace(camera, time=np.linspace(0.0, 3600.0, len(camera)))
+    known = {"b": StationOptions(base=BASES[1])}
+    fit = calibrate(kuka, tables, Options(effects=(*GEOMETRIC, BaseDrift(1800.0)), sigma=NOISE, stations=known))
+    problem, free, sizes = fit.problem, fit.solution.free, fit.priors.sizes
+    assert [len(batch.stations) for batch in problem.batches] == [3, 1, 1]
+    apart = Problem(problem.stations)
+    apart.__dict__["batches"] = tuple(
+        Batch((station,), rows, blocks, places[None], own)
+        for station, rows, blocks, places, own in zip(
+            problem.stations, problem.rows, problem.block_spans, problem.places, problem.eliminated, strict=True
+        )
+    )
+    there = fit.values + np.where(free, fit.estimate.sigma, 0.0)
+    robust = np.where(np.arange(len(problem)) % 7 == 3, 0.25, 1.0)
+    points = [Linearised(each, there, free, robust, sizes) for each in (problem, apart)]
+    for one, other in zip(*(point.row_squares for point in points), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+    found, expected = (point.equations(np.full(5, NOISE)) for point in points)
+    scale = expected.metric[expected.shared]
+    np.testing.assert_allclose(found.G / np.outer(scale, scale), expected.G / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(found.g / scale, expected.g / scale, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.diagonal, expected.diagonal, rtol=1e-12)
+    steps = [each.step(np.full(int(free.sum()), np.inf))[0] * each.metric for each in (found, expected)]
+    np.testing.assert_allclose(*steps, rtol=0.0, atol=1e-8)
+    posteriors = [each.posterior() for each in (found, expected)]
+    assert len({each.visible_rank for each in posteriors}) == 1
+    np.testing.assert_allclose(*(each.own_effective for each in posteriors), rtol=1e-9)
+
+
+def test_stations_are_evaluated_apart_where_an_effect_follows_how_they_stand(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """The way from the base to the first joint grows with temperature along the axes of the instrument."""
+    tables = [tracked(machine, kuka, s, poses=30) for s in (0, 1)]
+    tables = [replace(table, temperature=np.linspace(18.0, 26.0, 30)) for table in tables]
+    problem = calibrate(kuka, tables, Options(effects=GEOMETRIC, sigma=NOISE)).problem
+    assert len(problem.batches) == 1
+    grown = problem.with_effects([*problem.effects, ThermalExpansion(None, 20.0)])
+    assert len(grown.batches) == 2
+
+
+def test_stations_are_placed_side_by_side_as_each_by_itself(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Fits that share nothing don't hold each other up, not even one whose table is nonsense."""
+    tables = {"a": tracked(machine, kuka, 0, poses=30), "b": tracked(machine, kuka, 1, poses=40)}
+    rng = np.random.default_rng(3)
+    q = kuka.random_configurations(30, rng)
+    nonsense = measurements_from_arrays(kuka.joint_names, q, position=rng.normal(size=(30, 3)))
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    placed = place(kuka, {"c": nonsense, **tables}, options)[1:]
+    for (station, values), table in zip(placed, tables.values(), strict=True):
+        ((alone, expected),) = place(kuka, {"": table}, options)
+        np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-5)
+        np.testing.assert_array_equal(station.model.chain.base_rotation, alone.model.chain.base_rotation)
