@@ -87,13 +87,13 @@ class Batch:
 
 def runs(stations: Sequence[Station]) -> Iterator[range]:
     """Yield the numbers of stations that can be evaluated together, small enough for it to be worth while."""
-    start, rows = 0, len(stations[0])
-    is_open = _is_plain(stations[0])
+    start, rows, is_plain = 0, len(stations[0]), None
     for i, station in enumerate(stations[1:], 1):
         rows += len(station)
-        if rows > PIECE or not is_open or not _are_alike(stations[start], station):
+        is_plain = _is_plain(stations[start]) if is_plain is None else is_plain
+        if rows > PIECE or not is_plain or not _are_alike(stations[start], station):
             yield range(start, i)
-            start, rows, is_open = i, len(station), _is_plain(station)
+            start, rows, is_plain = i, len(station), None
     yield range(start, len(stations))
 
 

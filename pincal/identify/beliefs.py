@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options, known_frames
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors
-from pincal.identify.station import Station
-from pincal.measure.rows import some_rows
 
 # A point that seems farther away than this [m] was seen from too much the same side.
 _FARTHEST = 50.0
-# Rows by which sizes are judged.
-_ROWS = 1000
 
 
 def frames_of(problem: Problem) -> np.ndarray:
@@ -47,30 +41,16 @@ def released_of(problem: Problem, options: Options) -> np.ndarray:
 
 def excited_of(problem: Problem) -> np.ndarray:
     """Return which parameters act at all at the nominal geometry, or did so: not the compliance about a vertical axis."""
-    return np.asarray(problem.is_remembered | _largest(problem)[1])
+    return np.asarray(problem.is_remembered | problem.largest_basis[1])
 
 
 def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
-    sizes = np.array([parameter.size for parameter in problem.parameters]) / _largest(problem)[0]
+    sizes = np.array([parameter.size for parameter in problem.parameters]) / problem.largest_basis[0]
     if problem.remembered is not None:
         known, earlier = problem.remembered
         sizes[known] = earlier.widened(sizes[known])
     return Priors(sizes, bounds_of(problem, options))
-
-
-def _largest(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far a unit of each parameter moves its coordinate at most, and whether it does at all, shape (P,)."""
-    largest, excited = np.zeros(len(problem.parameters)), np.zeros(len(problem.parameters), bool)
-    for batch in problem.batches:
-        sample = replace(batch, stations=tuple(map(_sample, batch.stations)))
-        model = sample.stations[0].model
-        size, acts = model.largest_bases(sample.together().conditions, sample.ends[:-1])
-        n_sensor = batch.places.shape[1] - model.n_parameters
-        size, acts = (np.pad(of, ((0, 0), (0, n_sensor)), constant_values=1) for of in (size, acts))
-        np.maximum.at(largest, batch.places, size)
-        np.logical_or.at(excited, batch.places, acts)
-    return largest, excited
 
 
 def bounds_of(problem: Problem, options: Options) -> np.ndarray:
@@ -88,8 +68,3 @@ def noise_of(problem: Problem, options: Options) -> Noise:
         own = options.at(station.name)
         declared += [own.sigma_orientation if b.unit == "rad" else own.sigma for b in station.sensor.blocks]
     return Noise(tuple(declared))
-
-
-def _sample(station: Station) -> Station:
-    """Return the station with rows spread over the table, enough to judge sizes by."""
-    return station if len(station) <= _ROWS else station.select(some_rows(len(station), _ROWS))

@@ -18,11 +18,15 @@ from pincal.errors import BadInputError
 from pincal.identify.batch import Batch, runs
 from pincal.identify.earlier import Earlier
 from pincal.identify.station import Station
+from pincal.measure.rows import some_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined
 from pincal.model.effects import BaseFrame, Effect, ToolFrame
 from pincal.parameters import Parameter, carried_over
+
+# Rows by which sizes are judged.
+_ROWS = 1000
 
 
 @dataclass(frozen=True)
@@ -201,9 +205,22 @@ class Problem:
 
     def counted_rows(self, robust: np.ndarray) -> np.ndarray:
         """Return how many rows of each station count by robust weights of all rows, shape (stations,)."""
-        so_far = np.concatenate([[0], np.cumsum(robust > 0.0)])
-        ends = [0, *(span.stop for span in self.rows)]
-        return np.asarray(np.diff(so_far[ends]))
+        counts = robust > 0.0
+        return np.array([np.count_nonzero(counts[rows]) for rows in self.rows])
+
+    @cached_property
+    def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
+        """How far a unit of each parameter moves its coordinate at most, and whether it does at all, shape (P,)."""
+        largest, excited = np.zeros(len(self.parameters)), np.zeros(len(self.parameters), bool)
+        for batch in self.batches:
+            sample = replace(batch, stations=tuple(map(_sample, batch.stations)))
+            model = sample.stations[0].model
+            found = model.largest_bases(sample.together().conditions, sample.ends[:-1])
+            n_sensor = batch.places.shape[1] - model.n_parameters
+            size, acts = (np.pad(of, ((0, 0), (0, n_sensor)), constant_values=1) for of in found)
+            np.maximum.at(largest, batch.places, size)
+            np.logical_or.at(excited, batch.places, acts)
+        return largest, excited
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -264,3 +281,8 @@ class Problem:
 def _spans(lengths: Iterable[int]) -> tuple[slice, ...]:
     ends = np.cumsum([0, *lengths]).tolist()
     return tuple(slice(a, b) for a, b in pairwise(ends))
+
+
+def _sample(station: Station) -> Station:
+    """Return the station with rows spread over the table, enough to judge sizes by."""
+    return station if len(station) <= _ROWS else station.select(some_rows(len(station), _ROWS))
