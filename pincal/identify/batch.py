@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.identify.station import PIECE, Station
 from pincal.measure.sensor import Grouped
-from pincal.model.effects import BaseFrame, ToolFrame
+from pincal.model.effect import Family
 
 
 @dataclass(frozen=True)
@@ -107,9 +107,7 @@ def _are_alike(one: Station, other: Station) -> bool:
         and np.array_equal(a.chain.gravity, b.chain.gravity)
         and a.equilibrium == b.equilibrium
         and len(a.effects) == len(b.effects)
-        and all(
-            x is y or (isinstance(x, BaseFrame | ToolFrame) and x == y) for x, y in zip(a.effects, b.effects, strict=True)
-        )
+        and all(x is y or (x.family is Family.EXTRINSICS and x == y) for x, y in zip(a.effects, b.effects, strict=True))
         and _shape(one) == _shape(other)
         and np.array_equal(one.conditions.payload_centre, other.conditions.payload_centre)
     )

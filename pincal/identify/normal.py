@@ -80,6 +80,9 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
 
 def _spans_within(ends: np.ndarray, piece: slice) -> Iterator[tuple[int, slice]]:
     """Yield the stations that have rows in a piece, with these rows counted from the start of the piece."""
+    if len(ends) == 2:
+        yield 0, slice(0, piece.stop - piece.start)
+        return
     first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
     for s in range(first, last + 1):
         start, stop = max(int(ends[s]), piece.start), min(int(ends[s + 1]), piece.stop)

@@ -166,6 +166,15 @@ def _apply(R, p, F):
 @njit(**_COMPILE)
 def _turn(rotations, index, start, m, R):
     """Turn each frame by the reference orientation that holds at its pose."""
+    if len(rotations) == 1:
+        A = rotations[0]
+        for r in range(3):
+            for i in range(R.shape[2]):
+                a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+                R[r, 0, i] = a * A[0, 0] + b * A[1, 0] + d * A[2, 0]
+                R[r, 1, i] = a * A[0, 1] + b * A[1, 1] + d * A[2, 1]
+                R[r, 2, i] = a * A[0, 2] + b * A[1, 2] + d * A[2, 2]
+        return
     for i in range(m):
         A = rotations[index[start + i]]
         for r in range(3):
