@@ -723,4 +723,4 @@ def test_each_target_has_its_own_place(tmp_path: Path, kuka: Robot, rng: np.rand
     write_table(tmp_path / "program.csv", columns | {"target": np.array(["near", "nowhere"] * 4)})
     assert run("compensate", tmp_path / "model.json", tmp_path / "program.csv", "--out", tmp_path / "other.csv") == 3
     with pytest.raises(BadInputError, match="target 'nowhere' is not in the model; expected one of near, far"):
-        read_targets(tmp_path / "program.csv", kuka).conditions(calibrated, np.zeros(6))
+        calibrated.conditions(read_targets(tmp_path / "program.csv", kuka).rows)

@@ -106,8 +106,9 @@ def compensate_poses(
         >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))
         (['ok'], -0.002)
     """
-    _check_choice("frame", frame, get_args(Frame))
-    _check_choice("orientation", orientation, get_args(Orientation))
+    for name, value, known in (("frame", frame, get_args(Frame)), ("orientation", orientation, get_args(Orientation))):
+        if value not in known:
+            raise BadInputError(f"{name} {value!r}; expected one of {', '.join(known)}")
     n = calibrated.model.chain.robot.n_joints
     if conditions.q.ndim != 2 or conditions.q.shape[1] != n or not np.isfinite(conditions.q).all():
         raise BadInputError(f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers")
@@ -117,15 +118,15 @@ def compensate_poses(
         if frame == "instrument":
             meant = compose(base_in_instrument(calibrated, conditions), meant)
         poses[:, :, :3] = meant[:, :, :3]
-    known = in_base_frame(calibrated) if frame == "base" else calibrated
+    placed = in_base_frame(calibrated) if frame == "base" else calibrated
     problem = IkProblem.of(
-        known.model,
-        known.model_values,
+        placed.model,
+        placed.model_values,
         conditions=conditions,
         wanted=poses,
         with_orientation=np.ndim(wanted) == 3 or orientation == "keep",
     )
-    robot = known.model.chain.robot
+    robot = placed.model.chain.robot
     bounds = Bounds(robot.lower, robot.upper) if limits else Bounds.none(robot.n_joints)
     q, status = np.empty_like(conditions.q, dtype=float), np.empty(len(conditions), dtype="<U12")
     for start in range(0, len(problem), _PIECE):
@@ -149,8 +150,8 @@ def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, l
 
 def middle_of_range(robot: Robot) -> np.ndarray:
     """Return a seed for poses without one, shape (n,): the middle of each joint's limits, 0 where it has none."""
-    bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
-    return np.where(bounded, (np.where(bounded, robot.lower, 0.0) + np.where(bounded, robot.upper, 0.0)) / 2.0, 0.0)
+    lower, upper = np.where(np.isfinite(robot.lower) & np.isfinite(robot.upper), (robot.lower, robot.upper), 0.0)
+    return np.asarray((lower + upper) / 2.0)
 
 
 def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
@@ -161,19 +162,10 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     if not np.isfinite(given).all():
         row = int(np.flatnonzero(~np.isfinite(given.reshape(count, -1)).all(axis=1))[0])
         raise BadInputError(f"wanted pose {row} is not finite; expected numbers")
-    poses = np.zeros((count, 3, 4))
-    poses[:, :, :3] = np.eye(3)
-    if given.ndim == 3:
-        turns = given[:, :, :3]
-        off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turns) - 1.0)
-        if off.max(initial=0.0) > _ORTHONORMAL:
-            raise BadInputError(f"wanted pose {int(off.argmax())}: its first three columns are no rotation; expected one")
-        poses[:] = given
-    else:
-        poses[:, :, 3] = given
-    return poses
-
-
-def _check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise BadInputError(f"{name} {value!r}; expected one of {', '.join(known)}")
+    if given.ndim == 2:
+        return np.concatenate([np.tile(np.eye(3), (count, 1, 1)), given[:, :, None]], axis=2)
+    turns = given[:, :, :3]
+    off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turns) - 1.0)
+    if off.max(initial=0.0) > _ORTHONORMAL:
+        raise BadInputError(f"wanted pose {int(off.argmax())}: its first three columns are no rotation; expected one")
+    return given.copy()

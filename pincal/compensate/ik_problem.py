@@ -102,20 +102,15 @@ class IkProblem:
         """Equations per pose: 3 or 6."""
         return 6 if self.with_orientation else 3
 
+    @property
+    def n_spare(self) -> int:
+        """Joints beyond the equations of a pose: an arm with spare joints is redundant; below 0 it has too few."""
+        return self.model.chain.robot.n_joints - self.n_equations
+
     @cached_property
     def length(self) -> float:
         """Weight of a rotation against a translation [m]: a rotation by 1 rad counts as much as this distance."""
         return max(_LEVER * self.model.chain.robot.reach, 1e-3)
-
-    @cached_property
-    def is_redundant(self) -> bool:
-        """Whether the arm has more joints than a pose has equations."""
-        return self.model.chain.robot.n_joints > self.n_equations
-
-    @cached_property
-    def is_overdetermined(self) -> bool:
-        """Whether the arm has too few joints for an arbitrary orientation."""
-        return self.with_orientation and self.model.chain.robot.n_joints < self.n_equations
 
     def residuals(self, q: np.ndarray) -> np.ndarray:
         """Return wanted minus actual pose at joint positions of shape (N, n).
@@ -127,9 +122,7 @@ class IkProblem:
 
     def linearise(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals, shape (N, n_equations), and how the joints reduce them, shape (N, n_equations, n)."""
-        n = q.shape[1]
-        free = np.zeros(len(self.values), bool)
-        free[-n:] = True
+        free = np.arange(len(self.values)) >= len(self.values) - q.shape[1]
         there = replace(self.conditions, q=q)
         poses, J = self.model.linearise(self.values, there, free=free, rows=self.n_equations)
         J = np.ascontiguousarray(J)

@@ -50,9 +50,9 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
     rows, part = np.arange(len(problem)), problem
     for _ in range(_NEWTON_STEPS):
         residuals, J = part.linearise(q[rows])
-        step = _step_near(seed[rows] - q[rows] if problem.is_redundant else None, residuals, J=J)
-        settled = np.abs(step).max(axis=1) < _SETTLED if problem.is_redundant else True
-        done = part.is_reached(residuals) & settled
+        is_redundant = problem.n_spare > 0
+        step = _step_near(seed[rows] - q[rows] if is_redundant else None, residuals, J=J)
+        done = part.is_reached(residuals) & (np.abs(step).max(axis=1) < (_SETTLED if is_redundant else np.inf))
         reached[rows[done]] = True
         if done.any():
             rows, step = rows[~done], step[~done]
@@ -111,7 +111,7 @@ def bounded_search(
                              bounds=limits)  # fmt: skip
         trial = np.clip(q[rows] + _shortened(step), limits.lower, limits.upper)
         tried, slope = problem.select(rows).linearise(trial)
-        before, after = _squares(residuals[rows] * weight), _squares(tried * weight)
+        before, after = (np.einsum("ni,ni->n", r, r) for r in (residuals[rows] * weight, tried * weight))
         better, moves = after < before, np.abs(step).max(axis=1) > _STILL
         idle[rows] = np.where(after < (1.0 - _ARRIVED) * before, 0, idle[rows] + better)
         damping[rows] = np.maximum(damping[rows] * np.where(better, _SHRINK, _GROW), _LEAST_DAMPING)
@@ -122,24 +122,16 @@ def bounded_search(
     return q, problem.is_reached(residuals)
 
 
-def _squares(residuals: np.ndarray) -> np.ndarray:
-    return np.asarray(np.einsum("ni,ni->n", residuals, residuals))
-
-
 def _bounded_step(J: np.ndarray, residuals: np.ndarray, *, damping: np.ndarray, q: np.ndarray, bounds: Bounds) -> np.ndarray:
     """Return damped steps in which joints at a bound do not push beyond it, shape (N, n)."""
     square, slope = J.swapaxes(1, 2) @ J, (J.swapaxes(1, 2) @ residuals[..., None])[..., 0]
-    at_bound = np.zeros(q.shape, bool)
+    at_bound, joints = np.zeros(q.shape, bool), range(q.shape[1])
+    damped = damping + _floor(square)
     while True:
-        step = _step_of_free(square, slope, damping=damping, at_bound=at_bound)
+        system = np.where(at_bound[:, :, None] | at_bound[:, None, :], 0.0, square)
+        system[:, joints, joints] += np.where(at_bound, 1.0, damped[:, None])
+        step = np.linalg.solve(system, np.where(at_bound, 0.0, slope)[..., None])[..., 0]
         pushes = ((q <= bounds.lower) & (step < 0.0) | (q >= bounds.upper) & (step > 0.0)) & ~at_bound
         if not pushes.any():
-            return step
+            return np.asarray(step)
         at_bound |= pushes
-
-
-def _step_of_free(square: np.ndarray, slope: np.ndarray, *, damping: np.ndarray, at_bound: np.ndarray) -> np.ndarray:
-    n = at_bound.shape[1]
-    system = np.where(at_bound[:, :, None] | at_bound[:, None, :], 0.0, square)
-    system[:, range(n), range(n)] += np.where(at_bound, 1.0, (damping + _floor(square))[:, None])
-    return np.asarray(np.linalg.solve(system, np.where(at_bound, 0.0, slope)[..., None])[..., 0])

@@ -47,7 +47,7 @@ def solve_ik(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[n
     Returns:
         Joint positions within the limits, shape (N, n), and statuses, shape (N,).
     """
-    if problem.is_overdetermined:
+    if problem.with_orientation and problem.n_spare < 0:
         return _solve_with_few_joints(problem, seed, limits=limits)
     distance, angle = problem.distances(problem.residuals(seed))
     near = (distance <= _NEAR) & (angle <= _NEAR_ANGLE)
@@ -111,7 +111,7 @@ def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> t
         aside = seed[rows] + _ASIDE * np.where(np.arange(seed.shape[1]) % 2, -1.0, 1.0)
         found, ended = bounded_search(problem.select(rows), aside, bounds=bounds.select(rows))
         q[rows[ended]], reached[rows[ended]] = found[ended], True
-    rows = np.flatnonzero(reached) if problem.is_redundant else np.arange(0)
+    rows = np.flatnonzero(reached & (problem.n_spare > 0))
     if len(rows):
         # Redundant arms move on to the solution closest to their seed.
         closer, arrived = newton(problem.select(rows), q[rows], seed=seed[rows])

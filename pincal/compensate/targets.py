@@ -43,15 +43,6 @@ class Targets:
     rows: Measurements
     has_joints: bool
 
-    def conditions(self, calibrated: CalibratedModel, seed: np.ndarray) -> Conditions:
-        """Return the conditions of the rows, with ``seed``, shape (n,), as joint positions if the table has none.
-
-        Raises:
-            BadInputError: for a target that the model does not have.
-        """
-        found = calibrated.conditions(self.rows)
-        return found if self.has_joints else replace(found, q=np.tile(seed, (len(self.rows), 1)))
-
 
 @dataclass(frozen=True)
 class CompensatedTable:
@@ -132,11 +123,13 @@ def run_compensation(
         limits: whether to stay within the joint limits of the URDF.
 
     Raises:
-        BadInputError: as :func:`pincal.compensate.compensation.compensate_poses`.
+        BadInputError: as :func:`pincal.compensate.compensation.compensate_poses`, or for a target that the model lacks.
         MeasurementError: if the wanted positions are evidently in another unit.
     """
-    robot = calibrated.model.chain.robot
-    seeds = targets.conditions(calibrated, middle_of_range(robot) if seed is None else seed)
+    robot, seeds = calibrated.model.chain.robot, calibrated.conditions(targets.rows)
+    if not targets.has_joints:
+        start = middle_of_range(robot) if seed is None else seed
+        seeds = replace(seeds, q=np.tile(start, (len(targets.rows), 1)))
     has_orientation = targets.rows.quaternion is not None or targets.has_joints or seed is not None
     orientation: Orientation = "keep" if has_orientation and not any_orientation else "free"
     if targets.rows.kind == "none":
