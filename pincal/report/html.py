@@ -23,7 +23,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     sections.basis,
     sections.glossary,
 )
-"""The page, in order. A section is a function from what is reported to blocks; None leaves it out."""
+"""The page, in order; a function that returns None leaves its section out."""
 
 
 def report_page(subject: Subject, *, layout: tuple[Callable[[Subject], Section | None], ...] = SECTIONS) -> str:

@@ -138,16 +138,13 @@ def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
 def accuracy(subject: Subject) -> Section:
     """Errors before and after, and their distribution."""
     result = subject.result
-    blocks: list[Block] = [
-        paragraph(
-            rich(
-                "The error at a pose is the distance from the predicted to the measured target: the <b>accuracy</b> of a "
-                "single measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between repeated "
-                "measurements of a pose, which no calibration improves. “Nominal” is the robot as in its URDF, with only "
-                "the placement of instrument and target fitted."
-            )
-        )
-    ]
+    intro = rich(
+        "The error at a pose is the distance from the predicted to the measured target: the <b>accuracy</b> of a single "
+        "measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between repeated measurements of a pose, "
+        "which no calibration improves. “Nominal” is the robot as in its URDF, with only the placement of instrument and "
+        "target fitted."
+    )
+    blocks: list[Block] = [paragraph(intro)]
     if not result.rows["test"]:
         text = (
             "No rows were held out: the errors are those of the poses that were fitted. Expect somewhat larger ones at new "
@@ -172,8 +169,8 @@ def _replicates(result: Result) -> list[Block]:
         )
         blocks += [paragraph(text), iso9283_table(iso)]
     if lack:
-        scatter = f"Repeated measurements of a pose scatter by {lack.scatter}, whatever the model."
-        blocks.append(paragraph(rich("{} {} {}.", Markup("<b>Lack of fit.</b>"), scatter, lack)))
+        sentence = "<b>Lack of fit.</b> Repeated measurements of a pose scatter by {}, whatever the model. {}."
+        blocks.append(paragraph(rich(sentence, lack.scatter, lack)))
     return blocks
 
 

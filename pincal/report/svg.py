@@ -29,10 +29,8 @@ def inline_svg(figure: Figure, *, key: str, title: str) -> str:
     with warnings.catch_warnings(), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
         warnings.filterwarnings("ignore", message=".*[Gg]lyph.*")
         figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None})
-    svg = drawn.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, count=1, flags=re.DOTALL)
-    svg = re.sub(r"<!--.*?-->\s*", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
+    svg = drawn.getvalue()[drawn.getvalue().index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->\s*", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
     svg = _with_own_identifiers(svg, key)
     for colour, name in style.VARIABLES.items():
         svg = svg.replace(colour.lower(), f"var(--{name})")

@@ -21,9 +21,6 @@ from pincal.units import Quantity, fixed, format_digits, show_percent, show_plai
 _JOINTS_ABREAST = 7
 
 
-# Discovery
-
-
 def location_table(where: Sequence[Disagreement]) -> Table:
     """Return where model and data disagreed before anything was named, with the share of what is beyond the noise."""
     columns = (
@@ -103,9 +100,6 @@ def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> 
     }
 
 
-# Before a calibration
-
-
 def coverage_table(report: DataReport) -> Table:
     """Return how much of its range each joint covers [rad or m]."""
     columns = (
@@ -176,9 +170,6 @@ def smallest_size(entries: Sequence[Detectable]) -> Quantity | str | None:
 
 def _show_size(size: Quantity | str | None) -> str:
     return format_digits(size.value * small_unit(size.unit).factor) if isinstance(size, Quantity) else show_plainly(size)
-
-
-# Design of poses
 
 
 def pose_count_table(found: Design) -> Table:

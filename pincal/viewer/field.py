@@ -12,7 +12,7 @@ from pincal.errors import BadInputError
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors, most_probable
-from pincal.identify.station import Station, conditions_of
+from pincal.identify.station import Station
 from pincal.io.discovery_file import EffectName
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensing import ideal_readings
@@ -52,8 +52,7 @@ class Layer:
     """One field of arrows.
 
     Attributes:
-        name: its path in the control tree: "deviations/before", "deviations/after", "deviations/explained by ...",
-            "workspace/nominal to calibrated" or "workspace/explained by ...".
+        name: its path in the control tree, such as "deviations/before" or "workspace/explained by ...".
         poses: name of the poses that it stands on.
         points: shape (N, 3), tails, in the instrument's frame [m].
         vectors: shape (N, 3), from tail to head [m], true to scale.
@@ -125,18 +124,17 @@ def deviation_fields(
     layers: list[Layer] = []
     poses: list[Poses] = []
     notes: list[str] = []
-    measured = None
+    conditions = position = None
     if measurements is not None and len(measurements):
-        conditions = conditions_of(calibrated.model, measurements, np.array(calibrated.payload_centre))
-        measured = Poses("measured", measurements.q, conditions.target, measurements.rows, held_out, measurements.position)
+        conditions, position = calibrated.conditions(measurements), measurements.position
+        poses.append(Poses("measured", measurements.q, conditions.target, measurements.rows, held_out, position))
         nominal, note = _nominal_from_data(calibrated, measurements, held_out)
         notes += note
         layers += _measured_layers(calibrated, measurements, conditions, nominal)
-        poses.append(measured)
     if grid > 0:
-        over, part, note = _workspace(calibrated, grid, seed, None if measured is None else conditions)
+        over, part, note = _workspace(calibrated, grid, seed, conditions)
         # Distances and contacts leave room in where the base stands, which would show as deviations where nobody measured.
-        if measured is None or measured.position is None:
+        if position is None:
             nominal = _nominal_from_predictions(part, over)
         notes += note
         layers += _workspace_layers(part, over, part.model.own(nominal))
