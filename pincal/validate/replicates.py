@@ -123,20 +123,14 @@ def _same_joints(q: np.ndarray) -> np.ndarray:
 def _same_climate(temperature: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Return, within each pose, the number of the window of temperature that a row falls into."""
     window = np.zeros(len(poses), int)
-    order = np.lexsort((temperature, poses))
-    lowest = np.inf
-    for before, row in zip(np.r_[-1, order[:-1]], order, strict=True):
-        if before < 0 or poses[before] != poses[row]:
-            lowest = temperature[row]
+    pose, lowest, number = -1, 0.0, 0
+    for row in np.lexsort((temperature, poses)):
+        if poses[row] != pose:
+            pose, lowest, number = poses[row], temperature[row], 0
         elif temperature[row] - lowest > _SAME_CLIMATE:
-            lowest, window[row] = temperature[row], window[before] + 1
-            continue
-        else:
-            window[row] = window[before]
+            lowest, number = temperature[row], number + 1
+        window[row] = number
     return window
-
-
-# Accuracy and repeatability
 
 
 def position_accuracy(residuals: np.ndarray) -> tuple[float, float]:
@@ -179,14 +173,14 @@ def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> di
     poses = by_model[list(models)[-1]]
     if not poses:
         return None
-    cycles = [pose["cycles"] for pose in poses]
-    found: dict[str, Any] = {
-        "poses": {part: sum(pose["rows"] == part for pose in poses) for part in dict.fromkeys(p["rows"] for p in poses)},
+    cycles, rows = [pose["cycles"] for pose in poses], [pose["rows"] for pose in poses]
+    counts = {part: rows.count(part) for part in dict.fromkeys(rows)}
+    return {
+        "poses": counts,
         "cycles": {"min": min(cycles), "max": max(cycles), "standard": CYCLES},
+        **{m: {part: _summary([e for e in found if e["rows"] == part]) for part in counts} for m, found in by_model.items()},
+        "per_pose": poses,
     }
-    for model, entries in by_model.items():
-        found[model] = {part: _summary([e for e in entries if e["rows"] == part]) for part in found["poses"]}
-    return found | {"per_pose": poses}
 
 
 def _all_poses(parts: Sequence[Replicates], values: np.ndarray) -> list[dict[str, Any]]:

@@ -9,7 +9,6 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.chain import Chain
 from pincal.robot.kinematics import Kinematics
-from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation, translation
 
 # Angle [rad] as which the largest tilt of an axis is drawn, at most; and part of the reach for the largest offset.
@@ -47,12 +46,13 @@ def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[t
     """
     chain = calibrated.model.chain
     coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
-    heights = _heights(chain.robot)
-    found = [_distortion(chain, coordinates, i, heights[i]) for i in range(len(heights))]
+    # Where along its own axis the URDF has each joint, from the foot of its Denavit-Hartenberg frame [m].
+    after = Kinematics.of(chain.robot).after
+    heights = [float((B @ T)[2, 3]) for B, T in zip(after, chain.robot.T_link_joint, strict=True)]
+    found = [_distortion(chain, coordinates, i, height) for i, height in enumerate(heights)]
     reach = chain.robot.reach
     if factor is None:
-        tilt = max(float(np.linalg.norm(tilt)) for _, tilt, _ in found)
-        offset = max(float(np.linalg.norm(offset)) for _, _, offset in found)
+        tilt, offset = (max(float(np.linalg.norm(change[k])) for change in found) for k in (1, 2))
         room = [_DRAWN_TILT / tilt] if tilt > _NO_TILT else []
         room += [_DRAWN_OFFSET * reach / offset] if offset > _NO_TILT else []
         factor = round_down(min(room, default=1.0))
@@ -79,12 +79,6 @@ def round_down(value: float) -> float:
     power = 10.0 ** np.floor(np.log10(value) + 1e-9)
     step = max(digit for digit in (1.0, 2.0, 5.0) if digit * power <= value * (1.0 + 1e-9))
     return float(step * power)
-
-
-def _heights(robot: Robot) -> list[float]:
-    """Return where along its own axis the URDF has each joint, from the foot of its Denavit-Hartenberg frame [m]."""
-    after = Kinematics.of(robot).after
-    return [float((B @ T)[2, 3]) for B, T in zip(after, robot.T_link_joint, strict=True)]
 
 
 def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,6 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
-from pincal.model.chain import Chain
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.se3 import placed, shortest_turn
@@ -124,7 +123,7 @@ def build_scene(
         joints=chain.robot.joint_names,
         lower=lower,
         upper=upper,
-        q=_first_pose(chain, fields.poses, q),
+        q=_first_pose(chain.robot.joint_names, fields.poses, q),
         T_scene_base=upright,
         kinematics=Kinematics.of(chain.robot),
         shapes=shapes,
@@ -138,14 +137,11 @@ def build_scene(
     )
 
 
-def _first_pose(chain: Chain, poses: tuple[Poses, ...], q: np.ndarray | None) -> np.ndarray:
-    n = chain.robot.n_joints
-    if q is None:
-        return np.asarray(poses[0].q[0], float)
-    q = np.asarray(q, float)
-    if q.shape != (n,) or not np.isfinite(q).all():
-        raise BadInputError(f"a pose of {q.size} values ({q.tolist()}); expected {n}: {', '.join(chain.robot.joint_names)}")
-    return q
+def _first_pose(names: tuple[str, ...], poses: tuple[Poses, ...], q: np.ndarray | None) -> np.ndarray:
+    found = np.asarray(poses[0].q[0] if q is None else q, float)
+    if found.shape != (len(names),) or not np.isfinite(found).all():
+        raise BadInputError(f"a pose of {found.size} values ({found.tolist()}); expected {len(names)}: {', '.join(names)}")
+    return found
 
 
 def _slider_ends(calibrated: CalibratedModel, poses: tuple[Poses, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -108,16 +108,12 @@ def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     base = data.oMf[model.getFrameId(robot.base, pin.BODY)]
     bodies = {model.getJointId(name): i + 1 for i, name in enumerate(robot.joint_names)}
-    found = {}
-    for frame in model.frames:
-        if frame.type != pin.BODY:
-            continue
-        if frame.parentJoint == 0:
-            found[frame.name] = (0, (base.inverse() * frame.placement).homogeneous)
-        elif frame.parentJoint in bodies:
-            body = bodies[frame.parentJoint]
-            found[frame.name] = (body, robot.T_link_joint[body - 1] @ frame.placement.homogeneous)
-    return found
+    before = {0: (0, base.inverse().homogeneous)} | {joint: (i, robot.T_link_joint[i - 1]) for joint, i in bodies.items()}
+    return {
+        frame.name: (before[frame.parentJoint][0], before[frame.parentJoint][1] @ frame.placement.homogeneous)
+        for frame in model.frames
+        if frame.type == pin.BODY and frame.parentJoint in before
+    }
 
 
 _Mesh = tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None]
