@@ -136,7 +136,11 @@ class _Handler(BaseHTTPRequestHandler):
         if host not in (_HOST, "localhost"):
             self.send_error(403)
         elif self.path == "/":
-            self._send(self.server.view._page)
+            content = self.server.view._page
+            self._begin(
+                "text/html; charset=utf-8", {"Content-Length": str(len(content)), "X-Content-Type-Options": "nosniff"}
+            )
+            self.wfile.write(content)
         elif self.path == "/events":
             with suppress(OSError):
                 self._events()
@@ -147,21 +151,14 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self.send_error(404)
 
-    def _send(self, content: bytes) -> None:
+    def _begin(self, kind: str, more: dict[str, str]) -> None:
         self.send_response(200)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.send_header("Content-Length", str(len(content)))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
+        for name, value in ({"Content-Type": kind, "Cache-Control": "no-store"} | more).items():
+            self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(content)
 
     def _events(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Connection", "close")
-        self.end_headers()
+        self._begin("text/event-stream", {"Connection": "close"})
         self.close_connection = True
         with self.server.view._listening() as messages:
             self.wfile.write(b": here\n\n")
