@@ -40,7 +40,7 @@ def test_scatter_of_a_joint_is_found_with_its_size(size: float, kuka: Robot) -> 
     found = find_scatter(calibrate(kuka, measured(kuka, size, seed=3), Options(effects=GEOMETRIC, sigma=NOISE)))
 
     assert found is not None and found.joint == "joint_3"
-    assert found.sigma == pytest.approx(size, rel=0.3)
+    assert found.sigma_rad == pytest.approx(size, rel=0.3)
 
 
 @pytest.mark.parametrize("seed", range(4))

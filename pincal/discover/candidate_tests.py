@@ -59,7 +59,7 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
     """
     policy = search.policy
     # Blocks of rows would take as many times the memory, so they wait for the few of which it is asked what they predict.
-    tests = score_test_beside_masses(fit, np.zeros_like(search.groups), effects)
+    tests = score_test_beside_masses(fit, effects)
     count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
     rows = []
     for i, effect in enumerate(effects):
@@ -70,7 +70,7 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
         )
 
     def predicts(i: int) -> bool:
-        gain, error = score_test_beside_masses(fit, search.groups, [effects[i]]).cross_validated_gain([0])
+        gain, error = score_test_beside_masses(fit, [effects[i]], search.groups).cross_validated_gain([0])
         return gain > error
 
     return CandidateTable(

@@ -10,11 +10,10 @@ from scipy.special import chdtrc
 from pincal.calibration.run import Calibration
 from pincal.discover.history import History, Step
 from pincal.discover.power import ABSORBED, deciding_measurement
-from pincal.discover.scatter import Scatter, find_scatter
+from pincal.discover.scatter import find_scatter
 from pincal.discover.shrink import PartialResidual, gap_of, period_of
 from pincal.discover.where import noise_floor, sure_compliances, where_of
-from pincal.identify.fit import Fit
-from pincal.io.discovery_file import EffectName, Findings, FoundEffect, FoundParameter, ScatteringJoint, Untestable, Verdict
+from pincal.io.discovery_file import EffectName, Findings, FoundEffect, FoundParameter, Untestable, Verdict
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect
 from pincal.parameters import Estimate
@@ -44,7 +43,7 @@ def findings_of(calibration: Calibration, trail: History, traces: tuple[PartialR
         gap={"before": gap_of(trail.first, calibration.test), "after": gap_of(final, calibration.test)},
         where=where_of(trail, scatter, is_misfit=is_misfit),
         effects=tuple(found for step in trail.steps for found in _found(calibration, trail, step, periods)),
-        scatter=() if scatter is None else (_scattering(scatter, final),),
+        scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
         verdict=Verdict.NOT_ADEQUATE if is_misfit or scatter else Verdict.ADEQUATE,
         unexplained_mm=float(np.sqrt(max(final.solution.estimated[0] ** 2 - sigma**2, 0.0) * size) * to_mm),
@@ -83,15 +82,6 @@ def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParame
         p.name: FoundParameter(p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None, p.unit)
         for p, value, sigma in zip(estimate.parameters, estimate.values, sigmas, strict=True)
     }
-
-
-def _scattering(scatter: Scatter, fit: Fit) -> ScatteringJoint:
-    """Name the column that could explain a scattering joint."""
-    conditions = fit.station.conditions
-    missing = f"approach_{scatter.joint}"
-    if conditions.approach is not None:
-        missing = "temperature" if conditions.temperature is None else "time"
-    return ScatteringJoint(scatter.joint, scatter.sigma, missing)
 
 
 def _not_testable(trail: History) -> Iterator[tuple[Effect, str]]:

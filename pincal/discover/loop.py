@@ -40,7 +40,7 @@ def discover_effects(
     for step_on in PASSES:
         state = step_on(state, search)
     few, _ = sampled(state.fit, policy)
-    last = score_test_beside_masses(few, search.groups, addable(state.fit, search))
+    last = score_test_beside_masses(few, addable(state.fit, search))
     return History(fit, state.steps, state.fit, last)
 
 
@@ -59,7 +59,7 @@ def add_effects(state: State, search: Search) -> State:
 def _next_step(fit: Fit, search: Search) -> Step | None:
     if search.elastic and not has_compliance(fit.model.effects):
         block = elasticity(situation_of(fit))
-        found = score_test_beside_masses(fit, search.groups, block)
+        found = score_test_beside_masses(fit, block)
         score = found.score(range(len(block)), 1)
         if score.p_value < search.policy.elastic:
             after = refit(fit, [*fit.options.effects, *block])
@@ -71,7 +71,7 @@ def _next_step(fit: Fit, search: Search) -> Step | None:
 def _decided(fit: Fit, decision: Decision, search: Search) -> Step:
     """Return the step that adds what was decided, a curve as fine as the data can tell."""
     tested = decision.effect
-    estimate = score_test_beside_masses(fit, np.zeros_like(search.groups), [tested]).estimate([0])
+    estimate = score_test_beside_masses(fit, [tested]).estimate([0])
     effect = resolved(fit, tested, search.groups) if isinstance(tested, Curve) else tested
     after = refit(fit, [*fit.options.effects, effect])
     return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate)
@@ -104,7 +104,7 @@ def drop_needless(state: State, search: Search) -> State:
         smaller = state.fit
         for effect in step.effects:
             smaller = without(smaller, effect)
-        tested = score_test_beside_masses(smaller, search.groups, list(step.effects))
+        tested = score_test_beside_masses(smaller, step.effects)
         limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
         if tested.score(range(len(step.effects)), 1).p_value > limit:
             log.info("dropped %s: what was found later explains it", _listed(step.effects))

@@ -117,7 +117,7 @@ def situation_of(fit: Fit) -> Situation:
     return Situation(fit.problem.chain, fit.problem.conditions, compliances)
 
 
-def score_test_beside_masses(fit: Fit, groups: np.ndarray, effects: Sequence[Effect]) -> ScoreTests:
+def score_test_beside_masses(fit: Fit, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
     """Test effects against a fit with masses and first moments projected out; see :func:`score_test`."""
     masses = MassError.of(*fit.arm)
     return score_test(fit, effects, [masses] if masses else [], groups)

@@ -89,7 +89,7 @@ def minimum_detectable(
     tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
-    found = score_test_beside_masses(quiet, np.zeros(len(fit.problem), int), tested)
+    found = score_test_beside_masses(quiet, tested)
     if found.dof < FEWEST:
         return [Detectable(effect, reason=_too_few(found)) for effect in effects]
     groups = len({effect.identity for effect in effects})
@@ -218,7 +218,7 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
 
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
         problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        return score_test(replace(fit, problem=problem), [effect, rival], [], np.zeros(len(problem), int))
+        return score_test(replace(fit, problem=problem), [effect, rival])
 
     here = tests_at(station.conditions for station in stations)
     again = _separation(here, 2.0 * here.blocks_S, value)

@@ -38,5 +38,5 @@ def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> Curve:
 
 def _gains(fit: Fit, curves: Sequence[Curve], groups: np.ndarray) -> np.ndarray:
     """Return by how much each curve lowers the squared error on each block left out, shape (curves, blocks)."""
-    found = score_test_beside_masses(fit, groups, curves)
+    found = score_test_beside_masses(fit, curves, groups)
     return np.array([found.gains_by_block([i]) for i in range(len(curves))])

@@ -195,16 +195,19 @@ def _scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return scale, cholesky(H, lower=True, overwrite_a=True, check_finite=False)
 
 
-def score_test(fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect], groups: np.ndarray) -> ScoreTests:
+def score_test(
+    fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect] = (), groups: np.ndarray | None = None
+) -> ScoreTests:
     """Test candidates against a fit.
 
     Args:
         fit: the fitted model.
         candidates: effects to test, none of them in the model.
         nuisance: effects that are projected out but not tested.
-        groups: shape (N,), the block of each training row, for cross-validation.
+        groups: shape (N,), the block of each training row, for cross-validation; default: one block.
     """
     problem, known = fit.problem.extended([*nuisance, *candidates])
+    groups = np.zeros(len(problem), int) if groups is None else groups
     first = len(fit.problem.effects)
     added = [problem.places_of(first + k) for k in range(len(nuisance) + len(candidates))]
     sizes = priors_of(problem, fit.options).sizes

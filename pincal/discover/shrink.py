@@ -12,6 +12,7 @@ from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import Gap
 from pincal.measure.measurements import Measurements
+from pincal.model.catalogue.places import drive_unit
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
@@ -86,8 +87,8 @@ class PartialResidual:
 
 def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
     """Return what each step's effect explains in the final model."""
-    left = set(trail.final.model.effects)
-    kept = [[effect for effect in step.effects if effect in left] for step in trail.steps]
+    present = trail.final.model.effects
+    kept = [[effect for effect in step.effects if effect in present] for step in trail.steps]
     return tuple(partial_residual(trail.final, effects[0]) for effects in kept if effects)
 
 
@@ -102,7 +103,7 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
         found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
         surest = found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))]
         effect = replace(effect, joints=(surest.rsplit(".", 1)[0],))
-    joint, station = effect.locus.joint, fit.station
+    station = fit.station
     idle = fit.values.copy()
     idle[[fit.model.index(parameter.name) for parameter in effect.parameters(fit.model.chain)]] = 0.0
     rows = fit.solution.weights > 0.0
@@ -119,15 +120,10 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
         lever = levers(fit, (coordinate,))[0][:, rows] * scale
         weights = np.sum(lever**2, axis=0)
         unit_errors = lever / np.maximum(weights, 1e-300)
-        unit = "m" if joint is not None and _is_prismatic(fit, joint) else "rad"
+        unit = "rad" if effect.locus.joint is None else drive_unit(fit.model.chain, effect.locus.joint)
     before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, left, without - left))
     variable, x_unit, x = _explaining(fit, effect)
     return PartialResidual(effect, variable, x_unit, x[rows], before, after, fitted, weights, unit)
-
-
-def _is_prismatic(fit: Fit, joint: str) -> bool:
-    robot = fit.model.chain.robot
-    return robot.joint_types[robot.joint_names.index(joint)] == "prismatic"
 
 
 def _coordinate(fit: Fit, effect: Effect) -> int | None:
@@ -150,7 +146,7 @@ def _explaining(fit: Fit, effect: Effect) -> tuple[str, str, np.ndarray]:
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
         return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]
     name = at.follows or at.joint or names[0]
-    unit = COLUMN_UNITS.get(name) if name not in names else "m" if _is_prismatic(fit, name) else "rad"
+    unit = drive_unit(chain, name) if name in names else COLUMN_UNITS.get(name)
     return name, unit or "", recorded_variable(chain, conditions, name, joint=at.joint)
 
 

@@ -10,9 +10,8 @@ from scipy.special import chdtrc
 from pincal.discover.history import History
 from pincal.discover.levers import levers
 from pincal.discover.locate import Place, locate
-from pincal.discover.scatter import Scatter
 from pincal.identify.fit import Fit
-from pincal.io.discovery_file import Disagreement
+from pincal.io.discovery_file import Disagreement, ScatteringJoint
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
 from pincal.parameters import Estimate
@@ -29,7 +28,7 @@ def noise_floor(fit: Fit) -> np.ndarray:
     return np.array([estimated if declared is None else declared for declared, estimated in pairs])
 
 
-def where_of(trail: History, scatter: Scatter | None, *, is_misfit: bool) -> tuple[Disagreement, ...]:
+def where_of(trail: History, scatter: ScatteringJoint | None, *, is_misfit: bool) -> tuple[Disagreement, ...]:
     """Return where model and data disagree, the share that of the excess over the noise.
 
     The disagreement is located in the first fit that has elasticity, if the arm is elastic, else in the first of all,
@@ -78,12 +77,12 @@ def _elastic(before: Fit, after: Fit, sigma: np.ndarray) -> Disagreement:
     return Disagreement(statement, float(np.clip(share, 0.0, 1.0)), joint)
 
 
-def _scattered(fit: Fit, scatter: Scatter, sigma: np.ndarray) -> Disagreement:
+def _scattered(fit: Fit, scatter: ScatteringJoint, sigma: np.ndarray) -> Disagreement:
     """Say how much of what is left in the end is scatter of one joint."""
     chain = fit.model.chain
     lever = levers(fit, (int(chain.drives[chain.robot.joint_names.index(scatter.joint)]),))[0]
     rows = fit.solution.weights > 0.0
-    made = scatter.sigma**2 * float(np.sum(lever[: fit.station.sensor.blocks[0].size, rows] ** 2)) / float(sigma[0]) ** 2
+    made = scatter.sigma_rad**2 * float(np.sum(lever[: fit.station.sensor.blocks[0].size, rows] ** 2)) / float(sigma[0]) ** 2
     share = made / max(_excess(fit, sigma), made)
     statement = f"{scatter.joint} is somewhere else about its own axis each time, whatever pose and recorded columns are"
     return Disagreement(statement, share, scatter.joint)
@@ -120,13 +119,14 @@ _FOLLOWED = {
 
 def _words(place: Place, robot: Robot) -> str:
     """Return where a disagreement acts, what it follows, and the range in which most of it sits."""
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
     if place.acts_on == "base":
         moves = "the whole arm moves on its base"
     elif place.acts_on == "lengths":
         moves = f"all lengths grow by {format_small(place.size, '1')} rms"
     elif place.acts_on != "drive":
         moves = f"the axis of {place.joint} tilts by {format_small(place.size, 'rad')} rms"
-    elif _slides(robot, place.joint):
+    elif units[place.joint or ""] == "m":
         moves = f"{place.joint} is off along its axis by {format_small(place.size, 'm')} rms"
     else:
         moves = f"{place.joint} is off about its own axis by {format_small(place.size, 'rad')} rms"
@@ -134,10 +134,6 @@ def _words(place: Place, robot: Robot) -> str:
     text = f"{moves}, {_FOLLOWED.get(place.depends_on, f'following {whose}')}"
     if place.window is None:
         return text
-    slides = _slides(robot, place.depends_on)
-    low, high = (f"{x:.3f}" if slides else f"{np.degrees(x):.0f}" for x in place.window)
-    return f"{text}; {100 * place.inside:.0f} % of it between {low} and {high} {'m' if slides else 'deg'}"
-
-
-def _slides(robot: Robot, joint: str | None) -> bool:
-    return joint is not None and robot.joint_types[robot.joint_names.index(joint)] == "prismatic"
+    form, unit, factor = (".3f", "m", 1.0) if units[place.depends_on] == "m" else (".0f", "deg", np.degrees(1.0))
+    low, high = (f"{x * factor:{form}}" for x in place.window)
+    return f"{text}; {100 * place.inside:.0f} % of it between {low} and {high} {unit}"
