@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
+from placed_arms import FIRST, MOVE, NOISE, TOOL, measured, transform
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
@@ -12,53 +13,16 @@ from pincal.calibration.fit import Fit, calibrate
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options
-from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.catalogue import BaseDrift
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_table
-
-NOISE = 5e-5
-TOOL = np.array([0.1, 0.05, 0.2])
-
-
-def transform(angles: tuple[float, float, float], place: tuple[float, float, float]) -> np.ndarray:
-    """Return a transform by angles about x, y, z [rad] and a place [m]."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", angles).as_matrix(), place
-    return T
-
-
-FIRST = transform((0.1, -0.2, 1.0), (2.0, 0.5, -0.3))
-MOVE = transform((0.02, -0.01, 0.3), (0.3, -0.4, 1.2))
 
 
 @pytest.fixture(scope="module")
 def machine() -> sim.TrueMachine:
     """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
     return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
-
-
-def measured(
-    machine: sim.TrueMachine,
-    robot: Robot,
-    *,
-    poses: int = 40,
-    T_instrument_base: np.ndarray = FIRST,
-    tool: np.ndarray = TOOL,
-    seed: int = 1,
-    kind: str = "position",
-    turn: float = 1.0,
-    **columns: np.ndarray,
-) -> Measurements:
-    """Return what an instrument reads of a reflector in random poses, joints within a part ``turn`` of their limits."""
-    rng = np.random.default_rng(seed)
-    q = turn * robot.random_configurations(poses, rng)
-    tip = T_instrument_base @ machine.equilibrium(machine.poses(q)).tip
-    at = tip[:, :3, :3] @ tool + tip[:, :3, 3]
-    reading = at if kind == "position" else np.linalg.norm(at, axis=1)
-    reading = reading + rng.normal(size=reading.shape) * NOISE
-    return measurements_from_arrays(robot.joint_names, q, **{kind: reading}, **columns)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,8 @@ from pincal.model.effects import Conditions
 from pincal.model.model import Model
 from pincal.report.verdict import verdict_of
 from pincal.robot.se3 import quaternions
-from pincal.validate.lack_of_fit import explained_by_uncertainty, lack_of_fit
+from pincal.validate.lack_of_fit import lack_of_fit
+from pincal.validate.misfit import explained_by_uncertainty
 from pincal.validate.pure_error import evenness, spread_of, squares_of
 from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy, replicate_groups
 

@@ -314,13 +314,17 @@ class CalibratedModel(Calibrated):
         Raises:
             MeasurementError: if they are of another kind than those of the calibration, or of points that it did not have.
         """
-        has_own = bool(self.setup.points) or len(self.values) > self.model.n_parameters
-        if has_own and self.sensor_kind != measurements.kind:
+        if not self.reads(measurements):
             raise MeasurementError(
                 f"{measurements.source}: measurements of kind {measurements.kind}; expected {self.sensor_kind}, "
                 "as this model was calibrated with"
             )
         return station_of(self.model, measurements, self.payload_centre, self.setup)
+
+    def reads(self, measurements: Measurements) -> bool:
+        """Return whether it predicts measurements of this kind: its own, or any if it needs no sensor's parameters."""
+        has_own = bool(self.setup.points) or len(self.values) > self.model.n_parameters
+        return not has_own or self.sensor_kind == measurements.kind
 
     def conditions(self, measurements: Measurements) -> Conditions:
         """Return the conditions of a table's rows, with the payload's centre of mass that the calibration assumed.

@@ -13,7 +13,8 @@ from pincal.identify.fit import Fit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.validate.accuracy import pose_errors
-from pincal.validate.lack_of_fit import MISFIT, LackOfFit
+from pincal.validate.lack_of_fit import LackOfFit
+from pincal.validate.misfit import MISFIT
 
 # A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
 _FAR = 10.0

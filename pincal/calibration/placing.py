@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Estimate
 from pincal.robot.se3 import placed as frame_at
 from pincal.robot.se3 import rotation_vectors
+from pincal.units import format_readable
 from pincal.validate.misfit import Misfit, misfit
 
 # Rows that leave a reading elsewhere open by more than this many times its noise have not told where things stand.
@@ -52,6 +54,15 @@ class Moved:
     turned: float | None
     target: float | None
 
+    def __str__(self) -> str:
+        ways = (
+            ("the instrument moved by", self.instrument, "m"),
+            ("it turned by", self.turned, "rad"),
+            ("the target moved by", self.target, "m"),
+        )
+        told = [f"{words} {format_readable(way, unit, '.4g')}" for words, way, unit in ways if way is not None]
+        return ", ".join(told) or "how far they moved can't be told from such readings"
+
 
 @dataclass(frozen=True)
 class Placed:
@@ -62,19 +73,33 @@ class Placed:
         station: that model over the station's rows.
         solution: the fit of the station's own parameters.
         moved: how far instrument and target are from where they were.
-        misfit: what is left, against what noise and the calibration's uncertainty allow.
     """
 
     model: CalibratedModel
     station: Station
     solution: Solution
     moved: Moved
-    misfit: Misfit
 
     @property
     def values(self) -> np.ndarray:
         """Values of the station's parameters, shape (P,)."""
         return self.model.values
+
+    def misfit_of(self, rows: np.ndarray) -> Misfit:
+        """Return what is left at some of the rows, a mask of shape (N,)."""
+        return misfit(
+            self.station,
+            self.values,
+            covariance=self.model.covariance,
+            found=self.solution.free,
+            sigma=self.model.sigma,
+            robust=rows.astype(float),
+        )
+
+    @cached_property
+    def misfit(self) -> Misfit:
+        """What is left, against what noise and the calibration's uncertainty allow; outliers left out."""
+        return self.misfit_of(self.solution.weights > 0.0)
 
 
 def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
@@ -124,13 +149,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         nominal_values=None,
     )
     _refuse_untold(model, station, solution, source=measurements.source)
-    left = misfit(station, solution.values, covariance=of_arm, found=free, sigma=sigma, robust=_sound(solution))
-    return Placed(model, station, solution, moved(known, model), left)
-
-
-def _sound(solution: Solution) -> np.ndarray:
-    """Return 1 for rows that are no outliers, shape (N,)."""
-    return (solution.weights > 0.0).astype(float)
+    return Placed(model, station, solution, moved(known, model))
 
 
 def _setup_over(setup: Setup, measurements: Measurements) -> Setup:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel, estimate_at
+from pincal.calibration.calibrated import CalibratedModel, estimate_at, load_model
 from pincal.errors import BadInputError
 from pincal.identify.fit import Fit
 from pincal.io.entries import ChainEntry, ParameterEntry, RobotEntry
@@ -18,6 +18,7 @@ from pincal.io.model_file import (
     CovarianceEntry,
     StationEntry,
     StationsFile,
+    has_stations,
     read_stations_file,
     write_model_file,
 )
@@ -68,6 +69,8 @@ class CalibratedStations:
         Raises:
             BadInputError: if there is no such station.
         """
+        if name not in self.models and self.names == ("",):
+            raise BadInputError(f"station {name!r} is not in the model, which was calibrated at a single one; name none")
         if name not in self.models:
             raise BadInputError(f"station {name!r} is not in the model; expected one of {', '.join(self.names)}")
         return self.models[name]
@@ -117,11 +120,15 @@ def save_stations(path: str | os.PathLike[str], calibrated: CalibratedStations) 
 
 
 def load_stations(path: str | os.PathLike[str]) -> CalibratedStations:
-    """Read ``model.json`` with several stations.
+    """Read ``model.json`` with one station, which then has no name, or several.
 
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
+    if not has_stations(path):
+        only = load_model(path)
+        nominal = np.full(len(only.values), np.nan) if only.nominal_values is None else only.nominal_values
+        return CalibratedStations({"": only}, only.estimate, nominal, only.provenance)
     file = read_stations_file(path)
     parameters = tuple(entry.parameter() for entry in file.parameters)
     prior = np.array([parameter.size for parameter in parameters])

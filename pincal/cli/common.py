@@ -91,6 +91,7 @@ tip_option = partial(option, "Last link of the arm.", metavar="LINK")
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
 robot_argument = partial(argument, "ROBOT.urdf", "URDF file, or the name of a robot that comes with example-robot-data.")
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
+station_option = partial(option, "Take the place of instrument and targets at this station of the model.", metavar="NAME")
 
 
 def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -4,11 +4,27 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
 
 from pincal.cli.arguments import argument, group, verb
-from pincal.cli.common import GeneralOptions, ignore_option, max_error_option, model_argument
+from pincal.cli.common import GeneralOptions, ignore_option, max_error_option, model_argument, station_option
 from pincal.cli.outputs import extrapolation, print_json, print_notes, require_accuracy
 from pincal.errors import Exit
+
+if TYPE_CHECKING:
+    from pincal.calibration.validation import Validation
+
+_EXAMPLES = """
+Examples:
+  pincal validate results/model.json new_measurements.csv --max-error 0.1mm
+  pincal validate results/model.json monday.csv tuesday.csv
+
+Instrument and target stand as they were calibrated unless the rows call for another place; then it is
+found from them, and how far they moved is told. The errors are those at this place. If no place
+explains the rows, they are of another robot, or it has changed: exit code 6; ask pincal diagnose.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,50 +32,117 @@ class ValidateArguments:
     """Arguments of validate."""
 
     model: Path = model_argument()
-    data: Path = argument("DATA.csv", "Measurements that the calibration did not use.")
+    data: tuple[Path, ...] = argument(
+        "DATA.csv...", "Measurements that the calibration did not use. Several tables are a station each."
+    )
+    station: str | None = station_option(words="the nearest, or a new place if the rows call for it")
     ignore: tuple[str, ...] = ignore_option()
     max_error: float | None = max_error_option()
     general: GeneralOptions = group("General")
 
 
-@verb(
-    ValidateArguments,
-    examples="Example:\n  pincal validate results/model.json new_measurements.csv --max-error 0.1mm",
-    exits=(Exit.INACCURATE,),
-)
+@verb(ValidateArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE, Exit.CHANGED))
 def validate(arguments: ValidateArguments) -> Exit:
-    """Report the accuracy of a calibrated model on new measurements."""
-    from pincal.calibration.calibrated import load_model
+    """Report the accuracy of a calibrated model on new measurements, wherever the instrument stands."""
+    from pincal.calibration.stations import load_stations
+    from pincal.calibration.validation import validate_rows
     from pincal.cli.inputs import load_table
-    from pincal.measure.admit import scorable_rows
     from pincal.measure.checks import check_table
-    from pincal.validate.accuracy import error_table
-    from pincal.validate.lack_of_fit import replicate_statistics
+    from pincal.measure.stations import stations_of
 
-    calibrated = load_model(arguments.model)
-    robot = calibrated.model.chain.robot
-    table = load_table(robot, arguments.data, ignore=arguments.ignore)
-    calibrated.conditions(table)
-    if calibrated.setup.points and calibrated.sensor_kind == table.kind:
-        table = scorable_rows(table, calibrated.setup)
-    check_table(robot, table, minimum=1)
-    problem = calibrated.readings(table)
-    error = {"calibrated": {"test": error_table(problem, calibrated.values)}}
-    iso, lack = replicate_statistics(
-        problem, calibrated.values, table, sigma=calibrated.sigma, covariance=calibrated.covariance
-    )
-    beyond, notes = extrapolation(calibrated, problem.conditions, table.rows)
+    calibrated = load_stations(arguments.model)
+    chosen = arguments.station
+    models = list(calibrated.models.values()) if chosen is None else [calibrated.at(chosen)]
+    robot = models[0].model.chain.robot
+    tables = stations_of([(path.stem, load_table(robot, path, ignore=arguments.ignore)) for path in arguments.data])
+    for table in tables.values():
+        check_table(robot, table, minimum=1)
+    found = [validate_rows(models, table, name=name, refit=chosen is None) for name, table in tables.items()]
+    result, notes = _result(found)
     if arguments.general.as_json:
-        repeated = {} if iso is None else {"iso9283": iso}
-        repeated |= {} if lack is None else {"lack_of_fit": asdict(lack)}
-        print_json({"rows": {"test": len(table)}, "error": error} | repeated | beyond)
+        print_json(result)
     else:
-        from pincal.calibration.tables import error_table as as_table
-        from pincal.cli.progress import console
-        from pincal.cli.tables import print_replicates
-
-        console().print(as_table(error))
-        print_replicates(iso, lack, console())
-    print_notes(notes, quiet=arguments.general.quiet)
-    require_accuracy(error["calibrated"]["test"]["mean_mm"], arguments.max_error, rows="new")
+        _print(found, result)
+    print_notes([*(note for each in found for note in each.notes), *notes], quiet=arguments.general.quiet)
+    doubts = [each.doubt for each in found if each.doubt]
+    if doubts:
+        click.echo(
+            f"pincal: {'; '.join(doubts)}. They are not of this robot, or it has changed since it was calibrated. Check "
+            f"joint columns, units and times; then see what changed: pincal diagnose {arguments.model} DATA.csv --out DIR",
+            err=True,
+        )
+        return Exit.CHANGED
+    require_accuracy(result["mean_mm"], arguments.max_error, rows="new")
     return Exit.DONE
+
+
+def _result(found: list[Validation]) -> tuple[dict[str, Any], list[str]]:
+    """Return the outcome for programs, and notes on rows beyond the calibrated range."""
+    from pincal.validate.accuracy import error_statistics
+
+    error = error_statistics((each.station, each.values) for each in found)
+    stations = list(map(_station, found))
+    ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
+    beyond = {
+        "outside": sum(part["outside"] for part, _ in ranges),
+        "curves": [curve for part, _ in ranges for curve in part["curves"]],
+    }
+    # Of a single station what it says stands at the top as well.
+    alone = {key: stations[0][key] for key in ("iso9283", "lack_of_fit") if len(found) == 1 and key in stations[0]}
+    contents = {
+        "rows": {"test": sum(len(each.table) for each in found)},
+        "mean_mm": error["mean_mm"],
+        "stations": stations,
+        "error": {"calibrated": {"test": error}},
+    }
+    return contents | alone | beyond, [note for _, notes in ranges for note in notes]
+
+
+def _station(found: Validation) -> dict[str, Any]:
+    """Return what is said of one station."""
+    from pincal.validate.accuracy import error_table
+
+    iso, lack = found.replicate_statistics()
+    moved = found.moved
+    return (
+        {
+            "name": found.name,
+            "kind": found.table.kind,
+            "rows": len(found.table),
+            "placed": found.placed,
+            "moved_mm": _scaled(moved.instrument),
+            "turned_mrad": _scaled(moved.turned),
+            "target_moved_mm": _scaled(moved.target),
+            "error": error_table(found.station, found.values),
+            "misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value},
+            "doubt": found.doubt or None,
+        }
+        | ({} if iso is None else {"iso9283": iso})
+        | ({} if lack is None else {"lack_of_fit": asdict(lack)})
+    )
+
+
+def _scaled(way: float | None) -> float | None:
+    return None if way is None else 1e3 * way
+
+
+def _print(found: list[Validation], result: dict[str, Any]) -> None:
+    """Print where the stations are, and the errors there."""
+    from pincal.calibration.tables import error_table
+    from pincal.cli.progress import console
+    from pincal.cli.tables import print_replicates
+    from pincal.tables import hanging
+
+    out = console()
+    for each in found:
+        out.print(hanging(f"{each.name}:", _place_words(each)))
+    parts = {part["name"]: part["error"] for part in result["stations"]}
+    out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
+    for each in found:
+        print_replicates(*each.replicate_statistics(), out)
+
+
+def _place_words(found: Validation) -> str:
+    if found.placed == "as calibrated":
+        return "instrument and target stand as calibrated"
+    return f"instrument and target were placed again from these rows: {found.moved}"

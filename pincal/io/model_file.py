@@ -210,13 +210,22 @@ def _version_of(path: str | os.PathLike[str]) -> int:
     return version
 
 
+def has_stations(path: str | os.PathLike[str]) -> bool:
+    """Return whether ``model.json`` holds several stations.
+
+    Raises:
+        ModelFileError: if the file can't be read, is cut off or newer than this version.
+    """
+    return _version_of(path) == STATIONS_VERSION
+
+
 def read_model_file(path: str | os.PathLike[str]) -> ModelFile:
     """Read ``model.json`` of one station.
 
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    if _version_of(path) == STATIONS_VERSION:
+    if has_stations(path):
         names = ", ".join(entry.name for entry in read_json(path, _Stations, MODEL_FILE).stations)
         raise MODEL_FILE.error(
             f"{os.fspath(path)}: holds several stations: {names}; expected one: choose it by load_stations(path).at(name)"

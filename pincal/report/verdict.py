@@ -13,7 +13,7 @@ from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
 from pincal.report.advice import narrow_joints
 from pincal.report.words import effect_words
-from pincal.validate.lack_of_fit import MISFIT
+from pincal.validate.misfit import MISFIT
 
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
 # sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.

@@ -27,6 +27,8 @@ _SUSPICIOUS = 0.01
 _HOPELESS = 0.2
 # Factor by which undoing a mix-up has to reduce the error before it is named.
 _CURED = 4.0
+# A correction by the calibration that is smaller than so many times what is left of it anyway tells no robots apart.
+_TELLING = 2.0
 # Rows that are looked at; every trial of a mix-up is a fit.
 _ROWS = 300
 
@@ -83,10 +85,35 @@ def _typical(station: Station, values: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
 
 
+def is_anothers(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:
+    """Return whether rows speak against a calibration as such: the nominal robot is no farther from them.
+
+    With d the correction that it makes, the rows show (|nominal|^2 - |left|^2 + |d|^2) / 2 |d|^2 of it: all of it for
+    the robot that was calibrated, none for any other of its type, less than a half if left is larger than nominal.
+
+    Args:
+        left: shape (N, 3), how far the rows are off the calibrated robot, instrument and targets placed [m].
+        nominal: shape (N, 3), the same of the nominal robot [m].
+        allowed: what noise and the calibration's uncertainty leave, root mean square [m].
+    """
+    rest, before, correction = (float(np.sqrt(np.mean(np.sum(way**2, axis=1)))) for way in (left, nominal, nominal - left))
+    return rest >= before and correction > _TELLING * allowed
+
+
+def nominal_displacements(robot: Robot, measurements: Measurements, options: Options) -> np.ndarray:
+    """Return which way and how far rows are off the nominal robot, instrument and targets placed, shape (N, 3) [m]."""
+    station, values = _nominal_placement(robot, measurements, options)
+    return station.displacements(values)
+
+
 def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
+    return _typical(*_nominal_placement(robot, measurements, options))
+
+
+def _nominal_placement(robot: Robot, measurements: Measurements, options: Options) -> tuple[Station, np.ndarray]:
     ((station, values),) = place(robot, {"": measurements}, options)
     problem = Problem((station,))
     frames = frames_of(problem) & released_of(problem, options)
     priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
     noise = Noise((None,) * len(problem.blocks))
-    return _typical(station, most_probable(problem, values, frames, priors, noise, loss="huber", rough=True))
+    return station, most_probable(problem, values, frames, priors, noise, loss="huber", rough=True)

@@ -14,18 +14,13 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
-from pincal.identify.normal import accumulate
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.units import format_readable
+from pincal.validate.misfit import MISFIT, misfit
 from pincal.validate.pure_error import Squares, evenness, squares_of
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
 
-MISFIT = 1e-3
-"""Significance level at which residuals count as too large for the noise, in every test of this kind.
-
-One false alarm in a thousand calibrations. tests/test_replicates.py checks level and power of the test for lack of fit.
-"""
 # Replicates that differ by less than this many rounding errors of a reading carry no information on the noise.
 _ROUNDINGS = 10.0
 
@@ -103,7 +98,7 @@ def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarr
 
 
 def lack_of_prediction(
-    rows_of: Replicates, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray
+    rows_of: Replicates, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray, *, found: np.ndarray | None = None
 ) -> LackOfFit | None:
     r"""Test whether the residuals of rows that were not fitted exceed what noise and calibration uncertainty allow.
 
@@ -115,25 +110,23 @@ def lack_of_prediction(
         values: shape (P,), the calibrated values.
         sigma: shape (blocks,), standard deviations of one component in the calibration; only their ratio counts.
         covariance: shape (P, P), of the values.
+        found: shape (P,), parameters that were found from these rows; default: none.
     """
-    found = squares_of(rows_of, values, sigma)
-    if not _is_enough([found], rows_of.station):
+    squares = squares_of(rows_of, values, sigma)
+    if not _is_enough([squares], rows_of.station):
         return None
-    scale = found.pure / found.degrees
-    free = np.diag(covariance) > 0.0
-    normal = accumulate(rows_of.station, values, free, rows_of.counted.astype(float))
-    G = np.einsum("b,bij->ij", 1.0 / (scale * sigma**2), normal.G)
-    g = np.einsum("b,bi->i", 1.0 / (scale * sigma**2), normal.g)
-    explained = explained_by_uncertainty(G, g, covariance[np.ix_(free, free)])
-    return _f_test([found], rows_of.station, found.total - found.pure - scale * explained, found.readings - found.degrees)
-
-
-def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarray) -> float:
-    """Return by how much r' r exceeds r' (1 + J C J')^-1 r, for G = J' J and g = J' r, by Woodbury's identity."""
-    size, axes = np.linalg.eigh(covariance)
-    root = axes * np.sqrt(np.maximum(size, 0.0))
-    inner = np.eye(len(size)) + root.T @ G @ root
-    return float((root.T @ g) @ np.linalg.solve(inner, root.T @ g))
+    scale = squares.pure / squares.degrees
+    left = misfit(
+        rows_of.station,
+        values,
+        covariance=covariance,
+        found=np.zeros(len(values), bool) if found is None else found,
+        sigma=sigma * np.sqrt(scale),
+        robust=rows_of.counted.astype(float),
+    )
+    return _f_test(
+        [squares], rows_of.station, scale * left.square - squares.pure, squares.readings - left.found - squares.degrees
+    )
 
 
 def _is_enough(parts: Sequence[Squares], station: Station) -> bool:
@@ -164,7 +157,13 @@ def _f_test(parts: Sequence[Squares], station: Station, misfit: float, degrees: 
 
 
 def replicate_statistics(
-    station: Station, values: np.ndarray, table: Measurements, *, sigma: np.ndarray, covariance: np.ndarray
+    station: Station,
+    values: np.ndarray,
+    table: Measurements,
+    *,
+    sigma: np.ndarray,
+    covariance: np.ndarray,
+    found: np.ndarray | None = None,
 ) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     """Return accuracy, repeatability and lack of fit of rows that a model has not seen, where they hold replicates.
 
@@ -174,9 +173,11 @@ def replicate_statistics(
         table: the rows.
         sigma: shape (blocks,), noise of one component of each block of readings.
         covariance: shape (P, P), of the values.
+        found: shape (P,), parameters that were found from these rows; default: none.
 
     Returns:
         ``iso9283`` as in ``result.json``, and the test of lack of fit; None for what the rows do not show.
     """
     rows_of = Replicates("test", table, station, replicate_groups([table])[0], np.ones(len(table), bool))
-    return iso9283([rows_of], {"calibrated": values}), lack_of_prediction(rows_of, values, sigma, covariance)
+    lack = lack_of_prediction(rows_of, values, sigma, covariance, found=found)
+    return iso9283([rows_of], {"calibrated": values}), lack

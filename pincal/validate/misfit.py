@@ -11,15 +11,28 @@ of a joint fit, see :mod:`pincal.identify.posterior`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, fdtrc
 
 from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate
 from pincal.identify.station import Station
-from pincal.validate.lack_of_fit import explained_by_uncertainty
+
+MISFIT = 1e-3
+"""Significance level at which residuals count as too large for the noise, in every test of this kind.
+
+One false alarm in a thousand calibrations. tests/test_replicates.py checks level and power of the test for lack of fit.
+"""
+# What real arms leave on another day, in units of what noise and uncertainty allow: a UR10 discovered in one month leaves
+# 1.7 times as much in the next. Beyond this, something else is at work.
+_FAR = 5.0
+# Part of the squares by which a station must fit better elsewhere for the move to matter: a tenth in the error.
+_MATTERS = 0.2
+# What an arm leaves beside noise is a field over the poses. A few rows in a corner of the workspace may call for another
+# place to explain it, by so many times its square: in blocks of 12 to 400 rows of a UR10 under its geometry up to 2.2.
+_LOCAL = 3.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +45,8 @@ class Misfit:
         expected: what that is on average if noise and the calibration's uncertainty are all there is.
         degrees: degrees of freedom of both.
         found: number of directions that were found from the very rows.
+        systematic: part of the noise's squares that is probably none, but what the model leaves: noise was estimated from
+            residuals, and good instruments have less.
     """
 
     square: float
@@ -39,6 +54,7 @@ class Misfit:
     expected: float
     degrees: int
     found: int
+    systematic: float = 0.0
 
     @property
     def ratio(self) -> float:
@@ -46,9 +62,38 @@ class Misfit:
         return float(np.sqrt(self.plain / self.expected)) if self.degrees else 1.0
 
     @property
+    def allowed(self) -> float:
+        """What is expected of residuals in units of the noise, root mean square."""
+        return float(np.sqrt(self.expected / self.degrees)) if self.degrees else 1.0
+
+    @property
     def p_value(self) -> float:
         """Probability of a chi-square as large if noise and the calibration's uncertainty are all there is."""
         return float(chdtrc(self.degrees, self.square)) if self.degrees else 1.0
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether there is more than noise and the calibration's uncertainty."""
+        return self.p_value < MISFIT
+
+    def is_far(self, factor: float = 1.0) -> bool:
+        """Return whether there is more, by a factor, than a robot leaves that is still as it was calibrated."""
+        return self.is_significant and self.ratio > factor * _FAR
+
+
+def has_moved(before: Misfit, after: Misfit) -> bool:
+    """Return whether rows call for another place of instrument and targets.
+
+    Args:
+        before: the misfit of the rows to the calibrated station.
+        after: the same with its place found from the rows.
+    """
+    # A field over the poses, not scatter from row to row.
+    field = after.systematic * after.degrees + max(after.square - after.degrees, 0.0)
+    gain = before.square - after.square - _MATTERS * after.degrees - _LOCAL * field
+    scale = max(after.square / max(after.degrees, 1), 1.0)
+    more = max(after.found - before.found, 1)
+    return bool(fdtrc(more, max(after.degrees, 1), max(gain, 0.0) / more / scale) < MISFIT)
 
 
 def misfit(
@@ -72,23 +117,44 @@ def misfit(
     """
     free = found | (np.diag(covariance) > 0.0)
     normal = accumulate(station, values, free, robust)
-    counts = np.array([block.size for block in station.sensor.blocks]) * int(np.sum(robust > 0.0))
-    G, g = normal.at(sigma) if found.any() else (_weighed(normal.G, sigma), _weighed(normal.g, sigma))
+    readings = sum(block.size for block in station.sensor.blocks) * int(np.sum(robust > 0.0))
+    squares = float(np.sum(normal.squares / sigma**2))
+    if normal.believed is not None and found.any():
+        # What the sensor knows of its own parameters counts as readings where these are found.
+        G, g = normal.at(sigma)
+        squares, readings = squares + normal.believed[2], readings + _facts(station, values)
+    else:
+        G, g = replace(normal, believed=None).at(sigma)
     sizes = np.array([parameter.size for parameter in station.parameters])[free]
     part = eliminate(G, g, found[free], sizes, values[free])
     directions = part.alone.visible_rank
-    plain = float(np.sum(normal.squares / sigma**2) - g[found[free]] @ part.alone.step)
+    plain = squares - float(g[found[free]] @ part.alone.step)
     known = free & ~found
     C = covariance[np.ix_(known, known)]
-    degrees = int(counts.sum()) - directions
+    degrees = max(readings - directions, 0)
     return Misfit(
         square=max(plain - explained_by_uncertainty(part.G, part.g, C), 0.0),
         plain=max(plain, 0.0),
-        expected=max(degrees, 0) + float(np.sum(C * part.G)),
-        degrees=max(degrees, 0),
+        expected=degrees + float(np.sum(C * part.G)),
+        degrees=degrees,
         found=directions,
+        systematic=_systematic(station, sigma),
     )
 
 
-def _weighed(by_block: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    return np.asarray(np.einsum("b,b...->...", sigma**-2.0, by_block))
+def _systematic(station: Station, sigma: np.ndarray) -> float:
+    size, noise = np.array([(block.size, block.noise) for block in station.sensor.blocks]).T
+    return float(np.average(np.maximum(1.0 - (noise / sigma) ** 2, 0.0), weights=size))
+
+
+def _facts(station: Station, values: np.ndarray) -> int:
+    facts = station.sensor.constraints(station.split(values)[1])
+    return 0 if facts is None else len(facts.residuals)
+
+
+def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarray) -> float:
+    """Return by how much r' r exceeds r' (1 + J C J')^-1 r, for G = J' J and g = J' r, by Woodbury's identity."""
+    size, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(size, 0.0))
+    inner = np.eye(len(size)) + root.T @ G @ root
+    return float((root.T @ g) @ np.linalg.solve(inner, root.T @ g))

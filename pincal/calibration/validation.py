@@ -1,0 +1,231 @@
+"""A calibrated robot judged by rows that its calibration did not use: where they were measured, whether they fit it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.covered import inside_curves
+from pincal.calibration.placing import Moved, Placed, expected_noise, place_station
+from pincal.errors import BadInputError
+from pincal.identify.options import Options
+from pincal.identify.station import Station
+from pincal.measure.admit import scorable_rows, usable_rows
+from pincal.measure.measurements import Measurements
+from pincal.validate.accuracy import pose_errors
+from pincal.validate.agreement import is_anothers, nominal_displacements
+from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
+from pincal.validate.misfit import Misfit, has_moved, misfit
+
+Placement = Literal["as calibrated", "refitted"]
+# Residuals over what is expected of them from which on that is worth a note; UR10 tables of one series have up to 1.1.
+_NOTED = 1.3
+# Where nobody saw a drive's curve, a robot may be off by so many times as much and still be the same.
+_UNSEEN = 4.0
+
+
+@dataclass(frozen=True)
+class Validation:
+    """A calibrated robot on rows that its calibration did not use.
+
+    Attributes:
+        name: of the rows' station.
+        placed: whether its instrument and targets stand as they were calibrated, or their place was found from the rows.
+        table: the rows that can be judged.
+        model: the calibrated model that predicts them.
+        station: that model over them.
+        found: shape (P,), parameters that were found from the rows.
+        moved: how far instrument and targets are from the calibrated ones.
+        misfit: what is left, against what noise and the calibration's uncertainty allow.
+        doubt: why these rows can't be of the robot as it was calibrated; empty if they can.
+        note: what else the user should know of the place; empty for nothing.
+    """
+
+    name: str
+    placed: Placement
+    table: Measurements
+    model: CalibratedModel
+    station: Station
+    found: np.ndarray
+    moved: Moved
+    misfit: Misfit
+    doubt: str = ""
+    note: str = ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know beside the errors."""
+        rest = (
+            f"{self.table.source}: off by {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
+        )
+        rest += "allow, as arms may be on another day; pincal diagnose tells whether something has changed"
+        is_noted = self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt
+        return ((self.note,) if self.note else ()) + ((rest,) if is_noted else ())
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values of the station's parameters, shape (P,)."""
+        return self.model.values
+
+    def replicate_statistics(self) -> tuple[dict[str, Any] | None, LackOfFit | None]:
+        """Return accuracy and repeatability, and lack of fit; None where the rows hold no replicates."""
+        return replicate_statistics(
+            self.station,
+            self.values,
+            self.table,
+            sigma=self.model.sigma,
+            covariance=self.model.covariance,
+            found=self.found,
+        )
+
+
+@dataclass(frozen=True)
+class _Stand:
+    """Rows at a calibrated station."""
+
+    model: CalibratedModel
+    table: Measurements
+    station: Station
+    sigma: np.ndarray
+
+    @property
+    def distance(self) -> float:
+        """How far typical rows are off, in units of the noise."""
+        sigma = np.repeat(self.sigma, [block.size for block in self.station.sensor.blocks])
+        return float(np.median(np.linalg.norm(self.station.residuals(self.model.values) / sigma[:, None], axis=0)))
+
+    def misfit(self, robust: np.ndarray) -> Misfit:
+        """Return what is left at this station."""
+        none = np.zeros(len(self.model.values), bool)
+        known = self.model
+        return misfit(self.station, known.values, covariance=known.covariance, found=none, sigma=self.sigma, robust=robust)
+
+
+def validate_rows(
+    models: Sequence[CalibratedModel], measurements: Measurements, *, name: str = "", refit: bool = True
+) -> Validation:
+    """Judge a calibrated robot by rows of one station, that of the calibration or another.
+
+    Instrument and targets stand as they were calibrated unless the rows call for another place more loudly than noise and
+    the calibration's uncertainty explain.
+
+    Args:
+        models: the calibrated robot at each station that it was calibrated at.
+        measurements: the rows.
+        name: of their station.
+        refit: whether another place may be found; else they are judged at the nearest calibrated station.
+
+    Returns:
+        The judgement; look at ``doubt``.
+
+    Raises:
+        BadInputError: if the rows are not of a calibrated station, and too few to find another from.
+    """
+    stands = list(_stands(models, measurements))
+    if not stands:
+        if not refit:
+            raise BadInputError(
+                f"{measurements.source}: these rows can't be of the chosen station: sensor, target, points or columns differ"
+            )
+        rows = usable_rows(measurements, models[0].setup.over(measurements))
+        return _refitted(name, rows, place_station(models[0], rows))
+    here = min(stands, key=lambda stand: stand.distance)
+    try:
+        placed = place_station(here.model, here.table)
+    except BadInputError as error:
+        return _where_it_was(name, here, why=str(error), refit=refit)
+    robust = (placed.solution.weights > 0.0).astype(float)
+    before = here.misfit(robust)
+    is_moved = has_moved(before, placed.misfit)
+    if is_moved and refit:
+        if len(here.table) < len(measurements):
+            rows = usable_rows(measurements, here.model.setup.over(measurements))
+            return _refitted(name, rows, place_station(here.model, rows))
+        return _refitted(name, here.table, placed)
+    note = f"{name or here.table.source}: these rows fit another place of instrument and target: {placed.moved}"
+    return Validation(
+        name=name,
+        placed="as calibrated",
+        table=here.table,
+        model=here.model,
+        station=here.station,
+        found=np.zeros(len(here.model.values), bool),
+        moved=Moved(0.0, 0.0, 0.0),
+        misfit=before,
+        doubt=_doubt(here.table, placed),
+        note=note if is_moved else "",
+    )
+
+
+def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> Iterator[_Stand]:
+    """Yield the stations that rows may be of: same sensor, targets and points, and the columns that their effects need."""
+    for model in models:
+        chain = model.model.chain
+        if len(chain.targets) > 1 and not set(map(str, measurements.target)) <= set(chain.targets):
+            continue
+        needs = {column for effect in model.model.effects if effect.scope == "station" for column in effect.needs}
+        if any(getattr(measurements, column) is None for column in needs):
+            continue
+        if not model.reads(measurements) or (
+            measurements.point_names is not None and model.sensor_kind != measurements.kind
+        ):
+            continue
+        table = scorable_rows(measurements, model.setup) if model.setup.points else measurements
+        if len(table):
+            station = model.readings(table)
+            yield _Stand(model, table, station, expected_noise(model, station.sensor.blocks, table))
+
+
+def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
+    found = placed.solution.free
+    doubt = _doubt(table, placed)
+    return Validation(name, "refitted", table, placed.model, placed.station, found, placed.moved, placed.misfit, doubt=doubt)
+
+
+def _where_it_was(name: str, here: _Stand, *, why: str, refit: bool) -> Validation:
+    """Return the judgement of rows that can't tell another place than the calibrated one."""
+    before = here.misfit(np.ones(len(here.table)))
+    errors = next(iter(pose_errors(here.station, here.model.values).values()))
+    if refit and before.is_far():
+        raise BadInputError(f"{why}; as calibrated, they are off by {errors.mean():.4g} mm")
+    none = np.zeros(len(here.model.values), bool)
+    still = Moved(0.0, 0.0, 0.0)
+    return Validation(name, "as calibrated", here.table, here.model, here.station, none, still, before)
+
+
+def _doubt(table: Measurements, placed: Placed) -> str:
+    """Return why rows can't be of the robot as it was calibrated, wherever the instrument stands; empty if they can.
+
+    Loads that it never carried prove nothing, and drives where nobody saw their curves little.
+    """
+    known, station, values = placed.model, placed.station, placed.values
+    sound = (placed.solution.weights > 0.0) & known.covered.carries(station.conditions.payload)
+    seen = sound & inside_curves(known.model, station.conditions)
+    for rows, factor in ((seen, 1.0), (sound, _UNSEEN)):
+        left = placed.misfit_of(rows)
+        if not left.is_significant:
+            continue
+        errors = next(iter(pose_errors(station.select(rows), values).values()))
+        off = f"{table.source}: off by {errors.mean():.3g} mm wherever instrument and target stand"
+        if left.is_far(factor):
+            return f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
+        if rows is seen and (nominal := _as_good(table, placed, left=left, rows=rows)) is not None:
+            return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"
+    return ""
+
+
+def _as_good(table: Measurements, placed: Placed, *, left: Misfit, rows: np.ndarray) -> float | None:
+    """Return the nominal robot's mean error [m] if it explains rows as well as the calibrated one; else None."""
+    known, station = placed.model, placed.station
+    x, y, z = map(float, known.payload_centre)
+    options = Options(effects=(), payload_centre=(x, y, z), setup=known.setup)
+    nominal = nominal_displacements(known.model.chain.robot, table, options)[rows]
+    size = station.sensor.blocks[0].size
+    allowed = left.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
+    if is_anothers(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
+        return float(np.linalg.norm(nominal, axis=1).mean())
+    return None
