@@ -1,10 +1,15 @@
 """A simulated arm and what an instrument reads of it at stations that tests choose."""
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
+from pincal.cli import main
 from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.table import write_table
 from pincal.robot.robot import Robot
 
 NOISE = 5e-5
@@ -42,3 +47,17 @@ def measured(
     reading = at if kind == "position" else np.linalg.norm(at, axis=1)
     reading = reading + rng.normal(size=reading.shape) * NOISE
     return measurements_from_arrays(robot.joint_names, q, **{kind: reading}, **columns)
+
+
+def written(path: Path, table: Measurements) -> Path:
+    """Write the joints and positions of a table."""
+    columns = dict(zip(table.joint_names, table.q.T, strict=True)) | dict(zip("xyz", table.position.T, strict=True))
+    write_table(path, columns)
+    return path
+
+
+def run(*arguments: object) -> int:
+    """Return the exit code of the command."""
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return int(end.value.code or 0)

@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
-from placed_arms import FIRST, MOVE, measured, transform
+from placed_arms import FIRST, MOVE, measured, run, transform, written
 
 from pincal import simulate as sim
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.fit import calibrate
 from pincal.calibration.validation import validate_rows
-from pincal.cli import main
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
-from pincal.measure.table import read_measurements, write_table
+from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
 from pincal.robot.robot import Robot
 from pincal.validate.agreement import is_anothers
@@ -125,20 +124,6 @@ def test_the_nearest_station_is_taken(machine: sim.TrueMachine, kuka: Robot) -> 
 
 
 ENDS = (("monday", FIRST), ("tuesday", AWAY))
-
-
-def written(path: Path, table: Measurements) -> Path:
-    """Write the joints and positions of a table."""
-    columns = dict(zip(table.joint_names, table.q.T, strict=True)) | dict(zip("xyz", table.position.T, strict=True))
-    write_table(path, columns)
-    return path
-
-
-def run(*arguments: object) -> int:
-    """Return the exit code of the command."""
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)
 
 
 def test_the_command_tells_places_and_exits(

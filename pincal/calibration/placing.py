@@ -54,6 +54,11 @@ class Moved:
     turned: float | None
     target: float | None
 
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the entries of files: ``moved_mm``, ``turned_mrad``, ``target_moved_mm``."""
+        ways = {"moved_mm": self.instrument, "turned_mrad": self.turned, "target_moved_mm": self.target}
+        return {name: None if way is None else 1e3 * way for name, way in ways.items()}
+
     def __str__(self) -> str:
         ways = (
             ("the instrument moved by", self.instrument, "m"),
@@ -219,6 +224,25 @@ def _refuse_untold(model: CalibratedModel, station: Station, solution: Solution,
             f"{source}: {len(station)} rows leave the place of instrument and target open: in other poses of the robot by "
             f"{1e3 * worst:.3g} mm; add rows in different poses and with the tool turned in different ways"
         )
+
+
+def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[CalibratedModel, tuple[str, ...]]:
+    """Return the model without what belonged to its station and can't be told of rows, such as a drift without times.
+
+    Returns:
+        The model, and notes on what was left out.
+    """
+    absent = {
+        effect: [column for column in effect.needs if getattr(rows, column) is None]
+        for effect in calibrated.model.effects
+        if effect.scope == "station"
+    }
+    gone = [effect for effect, columns in absent.items() if columns]
+    notes = tuple(
+        f"{effect.name} of the calibration's station is left out: {rows.source} has no column {', '.join(absent[effect])}"
+        for effect in gone
+    )
+    return (calibrated.with_effects(lambda effect: effect not in gone) if gone else calibrated), notes
 
 
 def moved(before: CalibratedModel, after: CalibratedModel) -> Moved:

@@ -156,7 +156,7 @@ def validate_rows(
         found=np.zeros(len(here.model.values), bool),
         moved=Moved(0.0, 0.0, 0.0),
         misfit=before,
-        doubt=_doubt(here.table, placed),
+        doubt=doubt_of(here.table, placed),
         note=note if is_moved else "",
     )
 
@@ -182,7 +182,7 @@ def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> It
 
 def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
     found = placed.solution.free
-    doubt = _doubt(table, placed)
+    doubt = doubt_of(table, placed)
     return Validation(name, "refitted", table, placed.model, placed.station, found, placed.moved, placed.misfit, doubt=doubt)
 
 
@@ -197,7 +197,7 @@ def _where_it_was(name: str, here: _Stand, *, why: str, refit: bool) -> Validati
     return Validation(name, "as calibrated", here.table, here.model, here.station, none, still, before)
 
 
-def _doubt(table: Measurements, placed: Placed) -> str:
+def doubt_of(table: Measurements, placed: Placed) -> str:
     """Return why rows can't be of the robot as it was calibrated, wherever the instrument stands; empty if they can.
 
     Loads that it never carried prove nothing, and drives where nobody saw their curves little.

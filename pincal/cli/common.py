@@ -135,6 +135,16 @@ class InputOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlaceOptions:
+    """Where instrument and target stand, if that is not where they were calibrated."""
+
+    placement: Path | None = option(
+        "Find where instrument and target stand now from these few measured rows.", metavar="FEW.csv"
+    )
+    station: str | None = station_option(words="the only one")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ModelOptions:
     """The model and the loads that bend it."""
 

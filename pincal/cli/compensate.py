@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, ignore_option, model_argument
+from pincal.cli.common import GeneralOptions, PlaceOptions, ignore_option, model_argument
 from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
 
@@ -31,6 +31,7 @@ _EXAMPLES = """
 Examples:
   pincal compensate results/model.json program.csv --out corrected.csv
   pincal compensate results/model.json program.csv --out corrected.csv --false-targets tip
+  pincal compensate results/model.json program.csv --out corrected.csv --placement ten_rows_of_today.csv
   pincal compensate results/model.json poses.csv --out joints.csv --seed-joints "0 -90 90 0 90 0 deg"
 
 TARGETS.csv has the wanted target position x y z (and orientation qx qy qz qw) in the instrument's
@@ -75,22 +76,28 @@ class CompensateArguments:
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
     strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
     ignore: tuple[str, ...] = ignore_option()
+    place: PlaceOptions = group("Place of instrument and target")
     general: GeneralOptions = group("General")
 
 
-@verb(CompensateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED,))
+@verb(CompensateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
 def compensate(arguments: CompensateArguments) -> Exit:
     """Find the joint positions that reach wanted poses.
 
     Of all that bring the real robot there, the closest to those given are chosen.
     """
-    from pincal.calibration.calibrated import load_model
+    from pincal.cli.places import find_place, tell_doubt
     from pincal.compensate.targets import read_targets, run_compensation
     from pincal.measure.table import write_table
 
-    calibrated = load_model(arguments.model)
-    robot = calibrated.model.chain.robot
+    place = find_place(arguments.model, arguments.place)
+    if place.doubt:
+        tell_doubt(place.doubt, arguments.model)
+        return Exit.CHANGED
+    robot = place.model.model.chain.robot
     table = read_targets(arguments.targets, robot, ignore=arguments.ignore)
+    place = place.over(table.rows)
+    calibrated = place.model
     done = run_compensation(
         calibrated,
         table,
@@ -101,12 +108,12 @@ def compensate(arguments: CompensateArguments) -> Exit:
     )
     write_table(arguments.out, _columns(calibrated, done, arguments.false_targets))
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
-    result = _result(robot, done, beyond) | {"out": str(arguments.out)}
+    result = _result(robot, done, beyond) | place.contents | {"out": str(arguments.out)}
     if arguments.general.as_json:
         print_json(result)
     else:
         click.echo("\n".join(_summary(result)))
-    print_notes([*_failures(result), *notes], quiet=arguments.general.quiet)
+    print_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
 

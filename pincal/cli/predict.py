@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, model_argument
+from pincal.cli.common import GeneralOptions, PlaceOptions, model_argument
 from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
 
@@ -21,22 +21,35 @@ class PredictArguments:
     model: Path = model_argument()
     poses: Path = argument("POSES.csv", "Joint positions and conditions; other columns are ignored.")
     out: Path = option("Table to write.", MISSING)
+    place: PlaceOptions = group("Place of instrument and target")
     general: GeneralOptions = group("General")
 
 
-@verb(PredictArguments, examples="Example:\n  pincal predict results/model.json poses.csv --out predicted.csv")
+_EXAMPLES = """
+Examples:
+  pincal predict results/model.json poses.csv --out predicted.csv
+  pincal predict results/model.json poses.csv --out predicted.csv --placement ten_rows_of_today.csv
+"""
+
+
+@verb(PredictArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
 def predict(arguments: PredictArguments) -> Exit:
     """Predict target positions at given joint positions.
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
+    from pincal.cli.places import find_place, tell_doubt
     from pincal.measure.table import write_table
 
-    calibrated = load_model(arguments.model)
-    chain = calibrated.model.chain
+    place = find_place(arguments.model, arguments.place)
+    if place.doubt:
+        tell_doubt(place.doubt, arguments.model)
+        return Exit.CHANGED
+    chain = place.model.model.chain
     table = load_table(chain.robot, arguments.poses, joints_only=True)
+    place = place.over(table)
+    calibrated = place.model
     conditions = calibrated.conditions(table)
     found = calibrated.predict(conditions)
     columns: dict[str, np.ndarray] = dict(zip(table.joint_names, table.q.T, strict=True))
@@ -47,8 +60,8 @@ def predict(arguments: PredictArguments) -> Exit:
     write_table(arguments.out, columns)
     beyond, notes = extrapolation(calibrated, conditions, table.rows)
     if arguments.general.as_json:
-        print_json({"rows": len(table), "out": str(arguments.out)} | beyond)
+        print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
-    print_notes(notes, quiet=arguments.general.quiet)
+    print_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE

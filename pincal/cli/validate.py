@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from pincal.cli.arguments import argument, group, verb
 from pincal.cli.common import GeneralOptions, ignore_option, max_error_option, model_argument, station_option
 from pincal.cli.outputs import extrapolation, print_json, print_notes, require_accuracy
@@ -47,6 +45,7 @@ def validate(arguments: ValidateArguments) -> Exit:
     from pincal.calibration.stations import load_stations
     from pincal.calibration.validation import validate_rows
     from pincal.cli.inputs import load_table
+    from pincal.cli.places import tell_doubt
     from pincal.measure.checks import check_table
     from pincal.measure.stations import stations_of
 
@@ -66,11 +65,7 @@ def validate(arguments: ValidateArguments) -> Exit:
     print_notes([*(note for each in found for note in each.notes), *notes], quiet=arguments.general.quiet)
     doubts = [each.doubt for each in found if each.doubt]
     if doubts:
-        click.echo(
-            f"pincal: {'; '.join(doubts)}. They are not of this robot, or it has changed since it was calibrated. Check "
-            f"joint columns, units and times; then see what changed: pincal diagnose {arguments.model} DATA.csv --out DIR",
-            err=True,
-        )
+        tell_doubt("; ".join(doubts), arguments.model)
         return Exit.CHANGED
     require_accuracy(result["mean_mm"], arguments.max_error, rows="new")
     return Exit.DONE
@@ -103,27 +98,11 @@ def _station(found: Validation) -> dict[str, Any]:
     from pincal.validate.accuracy import error_table
 
     iso, lack = found.replicate_statistics()
-    moved = found.moved
-    return (
-        {
-            "name": found.name,
-            "kind": found.table.kind,
-            "rows": len(found.table),
-            "placed": found.placed,
-            "moved_mm": _scaled(moved.instrument),
-            "turned_mrad": _scaled(moved.turned),
-            "target_moved_mm": _scaled(moved.target),
-            "error": error_table(found.station, found.values),
-            "misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value},
-            "doubt": found.doubt or None,
-        }
-        | ({} if iso is None else {"iso9283": iso})
-        | ({} if lack is None else {"lack_of_fit": asdict(lack)})
-    )
-
-
-def _scaled(way: float | None) -> float | None:
-    return None if way is None else 1e3 * way
+    contents = {"name": found.name, "kind": found.table.kind, "rows": len(found.table), "placed": found.placed}
+    contents |= found.moved.to_dict() | {"error": error_table(found.station, found.values)}
+    contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
+    contents |= {} if iso is None else {"iso9283": iso}
+    return contents | ({} if lack is None else {"lack_of_fit": asdict(lack)})
 
 
 def _print(found: list[Validation], result: dict[str, Any]) -> None:

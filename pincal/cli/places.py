@@ -1,0 +1,84 @@
+"""A calibrated model at the place where it is used: the calibrated one, a station of several, or a new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.placing import place_station, without_absent
+from pincal.calibration.stations import load_stations
+from pincal.calibration.validation import doubt_of
+from pincal.cli.common import PlaceOptions
+from pincal.cli.inputs import load_table
+from pincal.errors import BadInputError
+from pincal.measure.admit import usable_rows
+from pincal.measure.checks import check_table
+from pincal.measure.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class Place:
+    """A calibrated model at a place.
+
+    Attributes:
+        model: the model.
+        notes: what the user should know of the place.
+        contents: how the place was found, for programs; empty for one of the calibration.
+        doubt: why it can't be found: the rows are of another robot; empty if they are not.
+    """
+
+    model: CalibratedModel
+    notes: tuple[str, ...] = ()
+    contents: dict[str, Any] = field(default_factory=dict)
+    doubt: str = ""
+
+    def over(self, rows: Measurements) -> Place:
+        """Return the place for some rows: what they lack columns for and belonged to the calibrated station is left out."""
+        model, notes = without_absent(self.model, rows)
+        return Place(model, (*self.notes, *notes), self.contents, self.doubt)
+
+
+def find_place(path: Path, chosen: PlaceOptions) -> Place:
+    """Return the model of a file at the place that the command line asks for.
+
+    Raises:
+        BadInputError: if the station is not in the model, none is chosen of several, or rows don't tell a new place.
+    """
+    if chosen.placement is not None and chosen.station is not None:
+        raise click.UsageError("--placement finds a new place, --station takes one of the model; give one of them")
+    stations = load_stations(path)
+    first = next(iter(stations.models.values()))
+    if chosen.placement is not None:
+        return _placed(first, chosen.placement)
+    if chosen.station is not None:
+        return Place(stations.at(chosen.station))
+    if len(stations.models) > 1:
+        raise BadInputError(
+            f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a choice: --station NAME for one of "
+            "them, or --placement FEW.csv with some measured rows for a new place"
+        )
+    return Place(first)
+
+
+def _placed(model: CalibratedModel, path: Path) -> Place:
+    robot = model.model.chain.robot
+    table = load_table(robot, path)
+    check_table(robot, table, minimum=1)
+    table = usable_rows(table, model.setup.over(table))
+    found = place_station(model, table)
+    words = f"placed by {len(table)} rows of {path.name}: {found.moved}"
+    contents = {"placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()}
+    return Place(found.model, (words,), contents, doubt_of(table, found))
+
+
+def tell_doubt(doubt: str, path: Path) -> None:
+    """Say on stderr that rows are not of this robot, or it has changed, and what to do."""
+    click.echo(
+        f"pincal: {doubt}. They are not of this robot, or it has changed since it was calibrated. Check joint columns, "
+        f"units and times; then see what changed: pincal diagnose {path} DATA.csv --out DIR",
+        err=True,
+    )
