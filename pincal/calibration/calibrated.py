@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.atomic import write_whole
-from pincal.calibration.covered import Covered, Outside, OutsideCurve, outside_curves
+from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, outside_curves, turned_curves
 from pincal.calibration.tables import estimate_table
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.identify.fit import Fit
@@ -365,7 +365,7 @@ class CalibratedModel(Calibrated):
 
     def outside(self, conditions: Conditions) -> list[Outside]:
         """Return, row by row, what lies beyond the range of the training rows, where nobody has checked the model."""
-        return self.covered.outside(self.model.chain.robot.joint_names, conditions)
+        return self.covered.outside(self.model.chain.robot, conditions)
 
     def outside_curves(self, conditions: Conditions) -> list[OutsideCurve]:
         """Return the curves that some rows ask for beyond the range in which they were seen.
@@ -373,6 +373,10 @@ class CalibratedModel(Calibrated):
         A curve found in one range says nothing of another (it may even do harm there), so it keeps its end value.
         """
         return outside_curves(self.model, conditions)
+
+    def turned_curves(self, conditions: Conditions) -> list[Turned]:
+        """Return the curves that some rows ask for a turn away from where they were seen, taken as if they repeated."""
+        return turned_curves(self.model, conditions)
 
     def with_effects(self, is_kept: Callable[[Effect], bool]) -> CalibratedModel:
         """Return the same model without some effects; nothing is fitted again."""

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.model.conditions import Conditions, recorded_variable
+from pincal.model.conditions import Conditions, into_range, recorded_variable
 from pincal.model.effect import Effect
 from pincal.model.model import Model
+from pincal.robot.robot import Robot
 
 # What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
 _MARGIN_PART, _MARGIN = 0.02, 1e-3
@@ -48,6 +49,21 @@ class OutsideCurve(NamedTuple):
     upper: float
 
 
+class Turned(NamedTuple):
+    """Rows with a joint a whole turn or more from where a curve of the model was seen; it is taken as if it repeated.
+
+    Attributes:
+        effect, joint: the curve.
+        variable: the joint that it follows.
+        rows: how many rows.
+    """
+
+    effect: str
+    joint: str
+    variable: str
+    rows: int
+
+
 @dataclass(frozen=True)
 class Covered:
     """What the training rows cover: ``q``, shape (n, 2), least and largest joint positions, and ``payload``, shape (2,)."""
@@ -65,17 +81,19 @@ class Covered:
         """Return which payloads [kg] lie within those of the training rows, shape (N,)."""
         return ~_beyond(payload, *self.payload)
 
-    def outside(self, names: tuple[str, ...], conditions: Conditions) -> list[Outside]:
-        """Return, row by row, what lies beyond.
+    def outside(self, robot: Robot, conditions: Conditions) -> list[Outside]:
+        """Return, row by row, what lies beyond; a joint that turns is at the same place after a turn.
 
         Args:
-            names: names of the joints.
+            robot: the arm.
             conditions: the rows.
         """
+        turns = np.array([kind != "prismatic" for kind in robot.joint_types])
+        at = np.where(turns, into_range(conditions.q, *self.q.T), conditions.q)
         values = np.column_stack([conditions.q, conditions.payload])
         lower, upper = np.vstack([self.q, self.payload]).T
-        beyond = _beyond(values, lower, upper)
-        named = (*names, "payload")
+        beyond = _beyond(np.column_stack([at, conditions.payload]), lower, upper)
+        named = (*robot.joint_names, "payload")
         return [
             Outside(int(i), named[j], float(values[i, j]), float(lower[j]), float(upper[j])) for i, j in np.argwhere(beyond)
         ]
@@ -84,30 +102,57 @@ class Covered:
 def outside_curves(model: Model, conditions: Conditions) -> list[OutsideCurve]:
     """Return the curves of a model that some rows ask for beyond the range in which they were seen."""
     found = []
-    for effect, joint, x, beyond in _curves(model, conditions):
-        if beyond.any():
-            at, asked = effect.locus, (float(x.min()), float(x.max()))
-            assert at.span is not None
-            found.append(OutsideCurve(effect.name, joint, str(at.follows), int(beyond.sum()), *asked, *at.span))
+    for curve in _curves(model, conditions):
+        if curve.beyond.any():
+            asked = float(curve.x.min()), float(curve.x.max())
+            found.append(
+                OutsideCurve(curve.effect.name, curve.joint, curve.variable, int(curve.beyond.sum()), *asked, *curve.span)
+            )
+    return found
+
+
+def turned_curves(model: Model, conditions: Conditions) -> list[Turned]:
+    """Return the curves of a model that some rows ask for a turn away from where they were seen."""
+    found = []
+    for curve in _curves(model, conditions):
+        rows = int(np.sum((curve.x != curve.recorded) & ~curve.beyond))
+        if rows:
+            found.append(Turned(curve.effect.name, curve.joint, curve.variable, rows))
     return found
 
 
 def inside_curves(model: Model, conditions: Conditions) -> np.ndarray:
     """Return which rows ask for no curve of a model beyond the range in which it was seen, shape (N,)."""
     inside = np.ones(len(conditions), bool)
-    for _, _, _, beyond in _curves(model, conditions):
-        inside &= ~beyond
+    for curve in _curves(model, conditions):
+        inside &= ~curve.beyond
     return inside
 
 
-def _curves(model: Model, conditions: Conditions) -> Iterator[tuple[Effect, str, np.ndarray, np.ndarray]]:
-    """Yield the curves of a model, their joints, the variables that they follow and which rows are beyond their range."""
+class _Curve(NamedTuple):
+    """A curve of a model at some rows: the variable that it follows as recorded, and at the turn where it is taken."""
+
+    effect: Effect
+    joint: str
+    variable: str
+    span: tuple[float, float]
+    recorded: np.ndarray
+    x: np.ndarray
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """Which rows lie beyond its range, shape (N,)."""
+        return _beyond(self.x, *self.span)
+
+
+def _curves(model: Model, conditions: Conditions) -> Iterator[_Curve]:
+    """Yield the curves of a model at some rows."""
     for effect in model.effects:
         at = effect.locus
         if at.span is None or at.follows is None or at.joint is None:
             continue
-        x = recorded_variable(model.chain, conditions, at.follows)
-        yield effect, at.joint, x, _beyond(x, *at.span)
+        recorded, x = (recorded_variable(model.chain, conditions, at.follows, span=span) for span in (None, at.span))
+        yield _Curve(effect, at.joint, at.follows, at.span, recorded, x)
 
 
 def _beyond(x: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:

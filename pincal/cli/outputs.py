@@ -117,4 +117,11 @@ def extrapolation(
             f"{curve.highest:.4g} {units[curve.variable]}; it was identified from {curve.lower:.4g} to {curve.upper:.4g} "
             "only and is held constant outside"
         )
-    return {"outside": rows, "curves": [curve._asdict() for curve in curves]}, notes
+    turned = calibrated.turned_curves(conditions)
+    for found in turned:
+        notes.append(
+            f"{found.rows} rows have {found.variable} a turn away from where the {found.effect} of {found.joint} was "
+            "identified; it is taken to repeat after a turn"
+        )
+    contents = {"outside": rows, "curves": [curve._asdict() for curve in curves]}
+    return contents | ({"turned": [found._asdict() for found in turned]} if turned else {}), notes

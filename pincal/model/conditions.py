@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError
 from pincal.model import kernels
@@ -14,6 +15,8 @@ from pincal.model.chain import Chain
 
 # Variables that have a column of their own in a table, with their units; positions of joints are the others.
 COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s"}
+# A joint that turns is at the same place after a turn [rad].
+TURN = 2.0 * np.pi
 # What else an effect may follow: the static moment on a joint.
 MOMENT = "moment"
 # A moment below this part of the largest on the arm is there only because the base is not quite level.
@@ -90,7 +93,34 @@ def varies(column: np.ndarray | None) -> bool:
     return column is not None and bool(np.any(column != column[:1]))
 
 
-def recorded_variable(chain: Chain, conditions: Conditions, name: str, *, joint: str | None = None) -> np.ndarray:
+def into_range(angles: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:
+    """Return angles moved by whole turns into a range; those inside, and those that no turn brings there, stay as they are.
+
+    Args:
+        angles: any shape [rad].
+        lower: lower end of the range, to be broadcast with the angles [rad].
+        upper: its upper end.
+
+    Example:
+        >>> into_range(np.array([0.5, 7.0, -6.0, 4.0]), -1.0, 1.0).round(2).tolist()
+        [0.5, 0.72, 0.28, 4.0]
+    """
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    if not np.any((angles < low) | (angles > high)):
+        return angles
+    turned = angles - TURN * np.round((angles - 0.5 * (low + high)) / TURN)
+    is_better = ((angles < low) | (angles > high)) & (turned >= low) & (turned <= high)
+    return np.asarray(np.where(is_better, turned, angles))
+
+
+def recorded_variable(
+    chain: Chain,
+    conditions: Conditions,
+    name: str,
+    *,
+    joint: str | None = None,
+    span: tuple[float, float] | None = None,
+) -> np.ndarray:
     """Return a variable that an effect may follow, shape (N,).
 
     Args:
@@ -98,13 +128,16 @@ def recorded_variable(chain: Chain, conditions: Conditions, name: str, *, joint:
         conditions: the N poses.
         name: a joint, for its position [rad or m], or a column of the conditions.
         joint: the joint whose direction of approach is meant.
+        span: the range in which the variable was seen: a joint that turns is taken at the turn that lies within.
 
     Raises:
         BadInputError: if these poses come without the column.
     """
     names = chain.robot.joint_names
     if name in names:
-        return np.asarray(conditions.q[:, names.index(name)])
+        i = names.index(name)
+        q = np.asarray(conditions.q[:, i])
+        return q if span is None or chain.robot.joint_types[i] == "prismatic" else into_range(q, *span)
     column = conditions.column(name) if name in COLUMN_UNITS else None
     if column is None:
         raise BadInputError(f"an effect follows {name}, which these poses do not have; add the column")

@@ -10,13 +10,12 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
-from pincal.model.catalogue.places import WAVE, drive_terms, drive_unit, parameters_of, positions
+from pincal.model.catalogue.places import WAVE, drive_terms, drive_unit, parameters_of
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import TURN, Conditions, Situation, recorded_variable
 from pincal.model.effect import Candidate, Curve, Locus, Term
 from pincal.parameters import Parameter
 
-TURN = 2.0 * np.pi
 # Part of a turn from which on the curve is taken as periodic: what is left is too small a gap for a Fourier series to swing.
 _NEARLY_A_TURN = 0.9
 # Number of basis functions unless another is asked for; the numbers that a discovery tries first, from coarse to fine.
@@ -33,8 +32,9 @@ class TransmissionError(Curve):
     .. math:: g(q) = \sum_p c_p B_p(\min(\max(q, q_{lower}), q_{upper}))
 
     with :math:`B_p` the sines and cosines of q, 2q, ... if periodic, else cubic B-splines on uniform knots. Outside the
-    positions that were measured g stays what it is at their end: a curve found in one range says nothing of another. The
-    splines add up to 1, which repeats the joint offset; the prior settles that.
+    positions that were measured g stays what it is at their end: a curve found in one range says nothing of another. A joint
+    that stands a turn away is taken at the turn that was measured, as if the curve repeated. The splines add up to 1, which
+    repeats the joint offset; the prior settles that.
 
     Attributes:
         joint: the joint.
@@ -109,7 +109,8 @@ class TransmissionError(Curve):
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add the basis functions of the joint's position to its drive."""
-        return drive_terms(chain, self.joint, self.basis(positions(chain, conditions, self.joint)))
+        q = recorded_variable(chain, conditions, self.joint, span=(self.lower, self.upper))
+        return drive_terms(chain, self.joint, self.basis(q))
 
     def basis(self, q: np.ndarray) -> np.ndarray:
         """Return the basis functions at positions of shape (N,), shape (size, N)."""

@@ -93,7 +93,7 @@ class Unnamed(Effect):
         """Add the basis functions to the joint's drive, or tilt it."""
         i = joint_index(chain, self.joint)
         k = int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
-        x = recorded_variable(chain, conditions, self.depends_on)
+        x = recorded_variable(chain, conditions, self.depends_on, span=self.locus.span)
         own = positions(chain, conditions, self.joint)
         return tuple(Term(p, k, basis) for p, basis in enumerate(self._basis(x, own)))
 
