@@ -44,16 +44,15 @@ def validate(arguments: ValidateArguments) -> Exit:
     """Report the accuracy of a calibrated model on new measurements, wherever the instrument stands."""
     from pincal.calibration.stations import load_stations
     from pincal.calibration.validation import validate_rows
-    from pincal.cli.inputs import load_table
+    from pincal.cli.inputs import load_stations as load_tables
     from pincal.cli.places import tell_doubt
     from pincal.measure.checks import check_table
-    from pincal.measure.stations import stations_of
 
     calibrated = load_stations(arguments.model)
     chosen = arguments.station
     models = list(calibrated.models.values()) if chosen is None else [calibrated.at(chosen)]
     robot = models[0].model.chain.robot
-    tables = stations_of([(path.stem, load_table(robot, path, ignore=arguments.ignore)) for path in arguments.data])
+    tables = load_tables(robot, arguments.data, ignore=arguments.ignore)
     for table in tables.values():
         check_table(robot, table, minimum=1)
     found = [validate_rows(models, table, name=name, refit=chosen is None) for name, table in tables.items()]
@@ -73,9 +72,9 @@ def validate(arguments: ValidateArguments) -> Exit:
 
 def _result(found: list[Validation]) -> tuple[dict[str, Any], list[str]]:
     """Return the outcome for programs, and notes on rows beyond the calibrated range."""
-    from pincal.validate.accuracy import error_statistics
+    from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
-    error = error_statistics((each.station, each.values) for each in found)
+    error = error_statistics(pose_error_sizes(each.station, each.values) for each in found)
     stations = list(map(_station, found))
     ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
     beyond = {
