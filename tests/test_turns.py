@@ -8,6 +8,8 @@ from placed_arms import run
 
 from pincal.calibration.calibrated import CalibratedModel, estimate_of
 from pincal.calibration.covered import Covered
+from pincal.identify.split import Split, row_groups
+from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.table import write_table
 from pincal.model.catalogue import GearEccentricity, GearRatio, TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed
@@ -101,3 +103,18 @@ def test_predict_tells_it(kuka: Robot, tmp_path: Path, capsys: pytest.CaptureFix
 
     assert run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "out.csv") == 0
     assert "30 rows have joint_1 a turn away from where the transmission_error of joint_1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("split", ["random", "blocked"])
+def test_rows_are_held_out_by_where_the_joint_is(kuka: Robot, split: Split) -> None:
+    """Rows whose joint has turned a whole turn more belong to the same block as those that have not."""
+    q = poses().q.repeat(2, axis=0)
+    turned = q.copy()
+    turned[::2, 0] += TURN
+    turned[::3, 3] -= 2.0 * TURN
+    tables = [measurements_from_arrays(kuka.joint_names, at, distance=np.ones(len(at))) for at in (q, turned)]
+    groups = [row_groups(table, split=split, seed=0) for table in tables]
+
+    # The same rows together, whatever the number of their group.
+    together = [group[:, None] == group for group in groups]
+    assert np.array_equal(*together) and np.array_equal(groups[1][::2], groups[1][1::2])
