@@ -133,15 +133,12 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
 def read_columns(
     path: str | os.PathLike[str], quantities: Mapping[str, str], *, optional: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Read a small table whose columns are all known; separator, decimal mark and units as in a table of measurements.
+    """Return the columns in SI units, shape (N,) each, of a small table whose columns are all known.
 
     Args:
-        path: the file.
+        path: the file; separator, decimal mark and units as in a table of measurements.
         quantities: columns and what they hold: "name", "length", ...
         optional: those that may be absent.
-
-    Returns:
-        Columns in SI units, each of shape (N,).
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.

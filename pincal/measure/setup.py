@@ -52,16 +52,11 @@ class Setup:
     def lens_parameters(self) -> tuple[Parameter, ...]:
         """Return the camera's parameters, as deviations from what is known of it."""
         nominal = np.zeros(9) if self.lens is None else self.lens.values
-        return tuple(
-            Parameter(
-                f"camera.{name}",
-                "px" if name in PINHOLE else "1",
-                "lens" if name in PINHOLE else "lens_distortion",
-                float(value),
-                _DISTORTION_SIZE.get(name, float("inf")),
-            )
-            for name, value in zip((*PINHOLE, *DISTORTION), nominal, strict=True)
-        )
+        found = []
+        for name, value in zip((*PINHOLE, *DISTORTION), nominal.tolist(), strict=True):
+            unit, effect = ("px", "lens") if name in PINHOLE else ("1", "lens_distortion")
+            found.append(Parameter(f"camera.{name}", unit, effect, value, _DISTORTION_SIZE.get(name, float("inf"))))
+        return tuple(found)
 
     def lens_fixed(self) -> np.ndarray:
         """Return which of the camera's parameters stay as they are, shape (9,)."""

@@ -195,23 +195,18 @@ def _clean(series: pl.Series, column: Column, sheet: Sheet) -> pl.Series:
 
 
 def _check_cells(
-    cells: Mapping[str, pl.Series],
-    raw: pl.DataFrame,
-    rows: np.ndarray,
-    *,
-    columns: list[Column],
-    source: str,
+    cells: Mapping[str, pl.Series], raw: pl.DataFrame, rows: np.ndarray, *, columns: list[Column], source: str
 ) -> None:
-    total, first = 0, (len(rows), columns[0])
+    total, faults = 0, list[tuple[int, Column]]()
     for column in columns:
         series = cells[column.name]
         right = series.is_not_null() if column.is_name else series.is_finite().fill_null(False)
         if not right.all():
             wrong = np.flatnonzero(~right.to_numpy())
             total += wrong.size
-            first = min(first, (int(wrong[0]), column), key=lambda found: found[0])
-    if total:
-        row, column = first
+            faults.append((int(wrong[0]), column))
+    if faults:
+        row, column = min(faults, key=lambda found: found[0])
         value = raw[column.name][row]
         found = "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
         expected = "a name" if column.is_name else "a finite number"

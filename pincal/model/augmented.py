@@ -61,12 +61,12 @@ def _body(mass: float, centre: np.ndarray) -> pin.Inertia:
 
 
 def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the calibrated geometry puts the URDF's own joint frames.
+    """Return where the calibrated geometry, without elastic effects, puts the URDF's own joint frames.
 
-    The URDF's joint frame i turns about its own axis; C_i, its fixed place on this axis, stays as the URDF has it.
+    The URDF's joint frame i turns about its own axis; its fixed place on this axis stays as the URDF has it.
 
     Args:
-        model: the calibrated model; its elastic effects are left out (they change from pose to pose).
+        model: the calibrated model.
         values: shape (P,), its parameters.
 
     Returns:
@@ -100,15 +100,12 @@ def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tu
 def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:
     """Return the robot's own ``pin.Model`` with the joint and tip frames where the calibrated geometry puts them.
 
-    It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`, so that other code takes it as
-    it is. Elastic effects are not in it: a ``pin.Model`` has no place for what changes with the load.
+    It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`; frame ``robot.tip`` is the calibrated
+    tip. Elastic effects are not in it: a ``pin.Model`` has no place for what changes with the load.
 
     Args:
         model: the calibrated model.
         values: shape (P,), its parameters.
-
-    Returns:
-        The model; frame ``robot.tip`` is the calibrated tip.
     """
     import pinocchio as pin
 

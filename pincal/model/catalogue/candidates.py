@@ -22,7 +22,7 @@ def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
 
     Joint and bearing elasticity are not among them: see :func:`elasticity`.
     """
-    return tuple(candidate.effect for candidate in testable(Situation(chain, conditions)))
+    return tuple(effect for effect, reason in _judged(Situation(chain, conditions)) if not reason)
 
 
 def testable(situation: Situation) -> tuple[Candidate, ...]:
@@ -32,9 +32,11 @@ def testable(situation: Situation) -> tuple[Candidate, ...]:
 
 def untestable(chain: Chain, conditions: Conditions) -> tuple[tuple[Effect, str], ...]:
     """Return the other effects, each with the reason in words."""
-    situation = Situation(chain, conditions)
-    judged = [(candidate.effect, why_not_testable(candidate, situation)) for candidate in _all(situation)]
-    return tuple((effect, reason) for effect, reason in judged if reason)
+    return tuple((effect, reason) for effect, reason in _judged(Situation(chain, conditions)) if reason)
+
+
+def _judged(situation: Situation) -> list[tuple[Effect, str]]:
+    return [(candidate.effect, why_not_testable(candidate, situation)) for candidate in _all(situation)]
 
 
 def elasticity(situation: Situation) -> tuple[Effect, ...]:
@@ -114,13 +116,12 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
     joint = next((part for part in parts if "=" not in part), None)
     keys = dict(_pair(text, pair) for part in parts if "=" in part for pair in part.split(","))
     situation = Situation(chain, conditions)
-    judged = [(candidate, why_not_testable(candidate, situation)) for candidate in _all(situation)]
-    judged = [*((candidate, "") for candidate in _compliances(situation)), *judged]
+    judged = [*((effect, "") for effect in _compliances(situation)), *_judged(situation)]
     # Those that can be shown first.
     judged.sort(key=lambda pair: bool(pair[1]))
-    likes = [(candidate.effect, reason) for candidate, reason in judged if candidate.effect.name == name]
+    likes = [(effect, reason) for effect, reason in judged if effect.name == name]
     if not likes:
-        known = nearest_first([name], [candidate.effect.name for candidate, _ in judged])
+        known = nearest_first([name], [effect.name for effect, _ in judged])
         raise BadInputError(f"effect {text!r}: unknown; expected one of {', '.join(known)}")
     likes = _at(text, joint, likes)
     likes = [(effect, reason) for effect, reason in likes if all(_says(effect, k, v) for k, v in keys.items())]
@@ -139,12 +140,12 @@ def needs_column(text: str, column: str, robot: Robot) -> bool:
     return any(column in candidate.effect.needs for candidate in _all(anywhere) if candidate.effect.name == name)
 
 
-def _compliances(situation: Situation) -> list[Candidate]:
+def _compliances(situation: Situation) -> list[Effect]:
     """Return the compliances of single joints."""
     if situation.chain.robot.massless:
         return []
     kinds = [effect for effect in elasticity(situation) if isinstance(effect, Compliance)]
-    return [Candidate(type(kind)(joints=(joint,))) for joint in situation.revolute for kind in kinds]
+    return [type(kind)(joints=(joint,)) for joint in situation.revolute for kind in kinds]
 
 
 def _says(effect: Effect, key: str, value: str) -> bool:

@@ -61,14 +61,10 @@ class TransmissionError(Curve):
 
     @classmethod
     def over(cls, joint: str, q_column: np.ndarray, size: int = _SIZE, *, periodic: bool | None = None) -> TransmissionError:
-        """Return the curve over the positions that a joint takes.
+        """Return the curve over the positions that a joint takes, shape (N,) [rad or m].
 
-        Args:
-            joint: the joint.
-            q_column: shape (N,), its positions [rad or m].
-            size: number of basis functions; one more where a periodic curve needs an even number.
-            periodic: whether the curve repeats after a turn; if the positions cover nearly one without a large gap, unless
-                given. A sliding joint's does not.
+        The number of basis functions is one more where a periodic curve needs an even number; unless told, a curve is taken
+        as periodic if the positions cover nearly a turn without a large gap.
         """
         lower, upper = float(np.min(q_column)), float(np.max(q_column))
         repeats = _covers_a_turn(q_column) if periodic is None else periodic

@@ -36,14 +36,9 @@ def joint_index(chain: Chain, joint: str) -> int:
     return names.index(joint)
 
 
-def is_revolute(chain: Chain, joint: str) -> bool:
-    """Return whether a joint turns; the others slide."""
-    return chain.robot.joint_types[joint_index(chain, joint)] != "prismatic"
-
-
 def drive_unit(chain: Chain, joint: str) -> str:
     """Return the unit of a joint's position."""
-    return "rad" if is_revolute(chain, joint) else "m"
+    return chain.robot.joint_units[joint_index(chain, joint)]
 
 
 def positions(chain: Chain, conditions: Conditions, joint: str) -> np.ndarray:
@@ -81,16 +76,12 @@ def waves(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def turning(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
     """Return the rotations from the axes of joint i after q to those before q, shape (N, 3, 3), by nominal theta."""
     turned = np.zeros((len(conditions), 3, 3))
-    sine, cosine = waves(chain.nominal[chain.joint(i, "theta")] + _turned_by(chain, conditions, i))
+    turned_by = conditions.q[:, i] if chain.robot.joint_types[i] != "prismatic" else np.zeros(len(conditions))
+    sine, cosine = waves(chain.nominal[chain.joint(i, "theta")] + turned_by)
     turned[:, 0, 0] = turned[:, 1, 1] = cosine
     turned[:, 0, 1], turned[:, 1, 0] = -sine, sine
     turned[:, 2, 2] = 1.0
     return turned
-
-
-def _turned_by(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
-    q = np.asarray(conditions.q[:, i])
-    return q if chain.robot.joint_types[i] != "prismatic" else np.zeros_like(q)
 
 
 def moment_axes(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
