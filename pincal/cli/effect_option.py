@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
 
-from pincal.errors import BadInputError
-from pincal.simulate.arm import nearest_first
+from pincal.errors import BadInputError, nearest_first
 from pincal.simulate.effect import HiddenEffect, Scope
 from pincal.simulate.elastic import MOMENT_FRAMES
 from pincal.simulate.hidden import HIDDEN_EFFECTS
@@ -32,14 +31,15 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
     name, *parts = (part.strip() for part in text.split(":"))
     kind = HIDDEN_EFFECTS.get(name)
     if kind is None:
-        raise BadInputError(f"effect {name!r}: unknown; expected one of {nearest_first(name, HIDDEN_EFFECTS)}")
+        near = ", ".join(nearest_first([name], HIDDEN_EFFECTS))
+        raise BadInputError(f"effect {name!r}: unknown; expected one of {near}")
     values: dict[str, Any] = {}
     for part in parts:
         pairs = part.split(",") if "=" in part else [f"joint={part}"]
         for pair in pairs:
             key, value = _read(text, kind, pair, keys=_keys(kind) if "=" in part else ["joint"])
             if key in ("joint", "source") and value not in joints:
-                near = nearest_first(value, joints)
+                near = ", ".join(nearest_first([value], joints))
                 raise BadInputError(f"effect {text!r}: no joint {value!r}; expected one of {near}")
             if key in values:
                 raise BadInputError(f"effect {text!r}: {key} is given twice")

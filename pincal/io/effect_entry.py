@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import Field, fields
-from difflib import get_close_matches
 from typing import Any
 
 import msgspec
@@ -12,6 +11,7 @@ import numpy as np
 
 # Imported for its classes, which it registers.
 import pincal.model.catalogue  # noqa: F401
+from pincal.errors import nearest_first
 from pincal.io.arrays import array_of
 from pincal.io.strict_json import MISSING, Fault, explained, what_is
 from pincal.model.effect import Effect
@@ -53,8 +53,7 @@ def effect_from_entry(entry: Any) -> Effect:
     if name not in known:
         if isinstance(module := entry.get("module"), str):
             raise Fault(f"effect {name!r} is not pincal's own", f"its module to be loaded: --plugin {module}", key=".name")
-        near = get_close_matches(name, known, n=3, cutoff=0.5)
-        names = ", ".join(near + sorted(set(known) - set(near)))
+        names = ", ".join(nearest_first([name], sorted(known)))
         raise Fault(f"unknown effect {name!r}", f"one of {names} (a newer pincal may know it)", key=".name")
     given = {key: value for key, value in entry.items() if key not in ("name", "module")}
     wanted = [field.name for field in _fields(known[name])]

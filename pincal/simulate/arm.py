@@ -6,8 +6,6 @@ along the joint axis (the y axis where x is parallel to the joint axis). Where t
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import BadInputError, RobotFileError
+from pincal.errors import BadInputError, RobotFileError, nearest_first
 
 # A joint axis closer than this to the x axis of its frame leaves no direction to project (sine of the angle between them).
 _PARALLEL = 1e-6
@@ -67,13 +65,8 @@ class Arm:
         """
         if joint in self.names:
             return self.names.index(joint)
-        near = nearest_first(str(joint), self.names)
+        near = ", ".join(nearest_first([str(joint)], self.names))
         raise BadInputError(f"joint {joint!r}: not between base and tip; expected one of {near}")
-
-
-def nearest_first(wrong: str, known: Iterable[str]) -> str:
-    """Return known names, separated by commas, those first that are most like a wrong one."""
-    return ", ".join(sorted(known, key=lambda name: -difflib.SequenceMatcher(None, name, wrong).ratio()))
 
 
 def read_arm(urdf: str | Path, tip: str, base: str | None = None) -> Arm:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, nearest_first
 from pincal.simulate import drive, elastic, surroundings
-from pincal.simulate.arm import nearest_first
 from pincal.simulate.effect import HiddenEffect
 
 HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
@@ -47,7 +46,8 @@ def hidden_effect(name: str, **values: Any) -> HiddenEffect:
         Backlash(joint='joint_2', size=0.0002)
     """
     if name not in HIDDEN_EFFECTS:
-        raise BadInputError(f"effect {name!r}: unknown; expected one of {nearest_first(name, HIDDEN_EFFECTS)}")
+        near = ", ".join(nearest_first([name], HIDDEN_EFFECTS))
+        raise BadInputError(f"effect {name!r}: unknown; expected one of {near}")
     kind = HIDDEN_EFFECTS[name]
     known = [field.name for field in fields(kind)]
     if unknown := sorted(set(values) - set(known)):
