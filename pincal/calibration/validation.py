@@ -14,10 +14,10 @@ from pincal.calibration.placing import Moved, Placed, expected_noise, place_stat
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.identify.station import Station
-from pincal.measure.admit import scorable_rows, usable_rows
+from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.validate.accuracy import pose_errors
-from pincal.validate.agreement import is_anothers, nominal_displacements
+from pincal.validate.agreement import is_anothers, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
 from pincal.validate.misfit import Misfit, has_moved, misfit
 
@@ -146,6 +146,9 @@ def validate_rows(
             rows = usable_rows(measurements, here.model.setup.over(measurements))
             return _refitted(name, rows, place_station(here.model, rows))
         return _refitted(name, here.table, placed)
+    if len(here.table) < len(measurements):
+        # Once more, for the warning of what is left out.
+        scorable_rows(measurements, here.model.setup)
     note = f"{name or here.table.source}: these rows fit another place of instrument and target: {placed.moved}"
     return Validation(
         name=name,
@@ -174,8 +177,9 @@ def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> It
             measurements.point_names is not None and model.sensor_kind != measurements.kind
         ):
             continue
-        table = scorable_rows(measurements, model.setup) if model.setup.points else measurements
-        if len(table):
+        kept = scorable(measurements, model.setup) if model.setup.points else np.ones(len(measurements), bool)
+        if kept.any():
+            table = measurements if kept.all() else measurements.select(kept)
             station = model.readings(table)
             yield _Stand(model, table, station, expected_noise(model, station.sensor.blocks, table))
 
@@ -212,7 +216,9 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
         errors = next(iter(pose_errors(station.select(rows), values).values()))
         off = f"{table.source}: off by {errors.mean():.3g} mm wherever instrument and target stand"
         if left.is_far(factor):
-            return f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
+            mixed = mix_up(table, station, values, options=_options(known))
+            beyond = f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
+            return f"{beyond}; {mixed}" if mixed else beyond
         if rows is seen and (nominal := _as_good(table, placed, left=left, rows=rows)) is not None:
             return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"
     return ""
@@ -221,11 +227,15 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
 def _as_good(table: Measurements, placed: Placed, *, left: Misfit, rows: np.ndarray) -> float | None:
     """Return the nominal robot's mean error [m] if it explains rows as well as the calibrated one; else None."""
     known, station = placed.model, placed.station
-    x, y, z = map(float, known.payload_centre)
-    options = Options(effects=(), payload_centre=(x, y, z), setup=known.setup)
-    nominal = nominal_displacements(known.model.chain.robot, table, options)[rows]
+    nominal = nominal_displacements(known.model.chain.robot, table, _options(known))[rows]
     size = station.sensor.blocks[0].size
     allowed = left.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
     if is_anothers(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
         return float(np.linalg.norm(nominal, axis=1).mean())
     return None
+
+
+def _options(known: CalibratedModel) -> Options:
+    """Return how the nominal robot is placed beside the calibrated one."""
+    x, y, z = map(float, known.payload_centre)
+    return Options(effects=(), payload_centre=(x, y, z), setup=known.setup)

@@ -52,6 +52,38 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: Fit) -> N
 
 def _refuse(robot: Robot, measurements: Measurements, station: Station, error: float, *, options: Options) -> None:
     """Refuse a table that base and tool alone leave with a suspicious error [m], if it can't be this robot's."""
+    best, words = _best_exchange(robot, measurements, station, options)
+    got = f"base and tool alone leave {error * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
+    if best * _CURED < error:
+        raise MeasurementError(
+            f"{measurements.source}: {words}: {got}, with this undone {best * 1e3:.1f} mm; "
+            "correct the header of the table and run again"
+        )
+    if error > _HOPELESS * robot.reach:
+        raise MeasurementError(
+            f"{measurements.source}: {got}; expected some mm. "
+            f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
+        )
+
+
+def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, options: Options) -> str:
+    """Return which joint columns of a table seem swapped or turned round, in words; empty if none do.
+
+    Args:
+        measurements: the table.
+        station: the robot over it, its instrument and targets placed.
+        values: shape (P,), of the station's parameters.
+        options: how the nominal robot is placed.
+    """
+    robot, error = station.model.chain.robot, _typical(station, values)
+    if error < _SUSPICIOUS * robot.reach:
+        return ""
+    best, words = _best_exchange(robot, measurements, station, options)
+    return words if best * _CURED < error else ""
+
+
+def _best_exchange(robot: Robot, measurements: Measurements, station: Station, options: Options) -> tuple[float, str]:
+    """Return what base and tool alone leave [m] with the two columns swapped, or the one turned round, that do best."""
     rows = some_rows(len(measurements), _ROWS, station.sensor.groups)
     sample = measurements.select(rows)
     n = robot.n_joints
@@ -66,18 +98,7 @@ def _refuse(robot: Robot, measurements: Measurements, station: Station, error: f
         q[:, i] *= -1.0
         trials.append((f"the column {names[i]!r} looks turned round in sign", q))
     found = [(_nominal_error(robot, replace(sample, q=q), options), words) for words, q in trials]
-    best, words = min(found, default=(np.inf, ""))
-    got = f"base and tool alone leave {error * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
-    if best * _CURED < error:
-        raise MeasurementError(
-            f"{measurements.source}: {words}: {got}, with this undone {best * 1e3:.1f} mm; "
-            "correct the header of the table and run again"
-        )
-    if error > _HOPELESS * robot.reach:
-        raise MeasurementError(
-            f"{measurements.source}: {got}; expected some mm. "
-            f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
-        )
+    return min(found, default=(np.inf, ""))
 
 
 def _typical(station: Station, values: np.ndarray) -> float:
