@@ -1,6 +1,7 @@
 """Several stations on the command line: tables of different instruments in one calibration, each judged by itself."""
 
 import json
+import re
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -226,9 +227,9 @@ def test_left_out_stations_do_not_depend_on_the_executor(days: list[Path]) -> No
     """Processes give what one loop does, bit by bit."""
     robot = pincal.Robot.from_urdf(URDF)
     tables = {path.stem: pincal.read_measurements(path, robot.joint_names) for path in days}
-    here = leave_out_stations(robot, tables, pincal.Options(effects=pincal.GEOMETRIC))
+    here = list(leave_out_stations(robot, tables, pincal.Options(effects=pincal.GEOMETRIC)))
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
-        there = leave_out_stations(robot, tables, pincal.Options(effects=pincal.GEOMETRIC), executor=executor)
+        there = list(leave_out_stations(robot, tables, pincal.Options(effects=pincal.GEOMETRIC), executor=executor))
     assert [one.sizes for one in here] == [one.sizes for one in there] and here[0].sizes["calibrated"]
 
 
@@ -236,3 +237,37 @@ def test_the_only_station_is_not_left_out(days: list[Path], tmp_path: Path, caps
     """The error says what makes several."""
     assert run("calibrate", URDF, days[0], "--split", "station", "--quiet", "--out", tmp_path / "out") == 3
     assert "one station, so there is none to leave out" in capsys.readouterr().err
+
+
+def test_discovery_finds_what_both_days_show(
+    tmp_path: Path, days: list[Path], machine: sim.TrueMachine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Elasticity is found from the sum of both tables, and each day is predicted by what was found on the other."""
+    assert run("discover", URDF, *days, "--split", "station", "--noise", "0.05mm", "--quiet", "--out", tmp_path) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert re.fullmatch(r"On a set-up that it never saw: mean 0\.\d+ mm; geometry alone \d\.\d+ mm", first)
+    found = json.loads((tmp_path / "discovery.json").read_text())
+    assert {entry["effect"] for entry in found["effects"]} == {"joint_elasticity"} and found["verdict"] == "adequate"
+    for station in of(tmp_path)["stations"]:
+        assert station["left_out"]["mean_mm"] < 0.13 < 0.5 * station["left_out_geometric"]["mean_mm"]
+    assert "Stations" in (tmp_path / "report.html").read_text()
+
+
+def test_an_offset_that_jumped_is_named_with_its_station(tmp_path: Path, machine: sim.TrueMachine) -> None:
+    """A joint that stands 0.3 mrad elsewhere on the second day is found there, as large as it is, and nothing else."""
+    days = {"mo": tracked(machine, np.eye(4), poses=100), "tu": tracked(machine, TURNED, poses=100, seed=1)}
+    rng = np.random.default_rng(9)
+    q = sim.plan_poses(machine.nominal, 100, rng)
+    jump = 3e-4 * (np.arange(6) == 2)
+    days["we"] = dict(sim.Instrument(targets=(0.1, 0.0, 0.2), sigma=NOISE).measure(machine, q + jump, rng=rng))
+    days["we"] |= dict(zip(machine.names, q.T, strict=True))
+    files = written(tmp_path, days)
+    assert run("discover", URDF, *files, "--noise", "0.05mm", "--quiet", "--out", tmp_path / "out") == 0
+    found = json.loads((tmp_path / "out" / "discovery.json").read_text())
+    named = [entry for entry in found["effects"] if entry["effect"] != "joint_elasticity"]
+    assert [(e["effect"], e["joint"], e.get("station")) for e in named] == [("joint_offset", "joint_3", "we")]
+    ((name, value),) = named[0]["parameters"].items()
+    assert name == "we/joint_3.theta_here" and value["value"] == pytest.approx(3e-4, abs=4.0 * value["sigma"])
+    assert value["sigma"] < 3e-5 and found["verdict"] == "adequate"
+    again = load_stations(tmp_path / "out" / "model.json").at("we").predict(q)[:, :, 3]
+    assert np.linalg.norm(again - np.column_stack([days["we"][a] for a in "xyz"]), axis=1).mean() < 2.0 * NOISE

@@ -6,7 +6,7 @@ its temperature with those that were fitted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -28,8 +28,8 @@ FitOthers = Callable[[Robot, Tables, Options], Fit]
 
 def leave_out_stations(
     robot: Robot, tables: Tables, options: Options, *, fit_others: FitOthers = calibrate, executor: Executor | None = None
-) -> list[LeftOut]:
-    """Predict each station by the model of the others.
+) -> Iterator[LeftOut]:
+    """Predict each station by the model of the others; with an executor, all are begun before the first is asked for.
 
     Args:
         robot: the arm.
@@ -43,7 +43,7 @@ def leave_out_stations(
     """
     require_several(tables)
     run = partial(_left_out, robot, tables, options, fit_others)
-    return list(map(run, tables) if executor is None else executor.map(run, tables))
+    return map(run, tables) if executor is None else executor.map(run, tables)
 
 
 def require_several(tables: Mapping[str, Measurements]) -> None:

@@ -136,5 +136,5 @@ def run_calibration(
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     notes += [*map(str, notes_on_data(fit)), *doubts_of_known(fit)]
     left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
-    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes), left_out=left_out)
+    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes), left_out=tuple(left_out))
     return Calibration(robot, rows, fit, result, tuple(notes))

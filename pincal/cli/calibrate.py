@@ -10,6 +10,7 @@ _EXAMPLES = f"""
 Examples:
   pincal calibrate robot.urdf tracker.csv --out results --noise 0.05mm
   pincal calibrate ur10 series.csv --out results --max-error 0.2mm
+  pincal calibrate robot.urdf monday.csv tuesday.csv --split station --out results
 
 {FILES}.
 """

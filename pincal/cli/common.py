@@ -95,12 +95,17 @@ station_option = partial(option, "Take the place of instrument and targets at th
 
 
 def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
+    load_plugins(names)
+    return names
+
+
+def load_plugins(names: tuple[str, ...]) -> None:
+    """Load the modules that the user names, in this process."""
     if names:
         from pincal.plugins import load_plugin
 
         for name in names:
             load_plugin(name)
-    return names
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from functools import partial
 
 from pincal.cli.arguments import verb
-from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit
+from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit, side_by_side
 from pincal.errors import Exit
 
 _EXAMPLES = f"""
-Example:
+Examples:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
+  pincal discover robot.urdf monday.csv tuesday.csv --split station --out results
 
 {FILES},
 all for the model with the effects that were found, and discovery.json.
@@ -33,4 +34,5 @@ def discover(arguments: FitArguments) -> Exit:
     from pincal.model.chain import MOMENT_FRAMES
 
     frames = MOMENT_FRAMES if arguments.chosen.model.moment_frame is None else ()
-    return run_fit(arguments, partial(run_discovery, moment_frames=frames))
+    with side_by_side(arguments) as executor:
+        return run_fit(arguments, partial(run_discovery, moment_frames=frames, executor=executor))

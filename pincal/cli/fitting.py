@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,11 +12,20 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import group, option
-from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions, SplitOptions, max_error_option
+from pincal.cli.common import (
+    CalibrationOptions,
+    GeneralOptions,
+    InputOptions,
+    SplitOptions,
+    load_plugins,
+    max_error_option,
+)
 from pincal.cli.outputs import output_folder, print_json, provenance, require_accuracy
 from pincal.errors import Exit, IdentificationError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from pincal.calibration.run import Calibration
     from pincal.discover.run import Discovery
 
@@ -36,6 +46,21 @@ class FitArguments:
     chosen: CalibrationOptions = group("Model")
     split: SplitOptions = group("Validation")
     general: GeneralOptions = group("General")
+
+
+@contextmanager
+def side_by_side(arguments: FitArguments) -> Iterator[Executor | None]:
+    """Yield what makes the models that leave a station out, a process each; None if none is left out."""
+    if arguments.split.split != "station":
+        yield None
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    # A process that is forked from one with threads may hang.
+    plugins = (arguments.general.plugins,)
+    with ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=load_plugins, initargs=plugins) as executor:
+        yield executor
 
 
 def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
@@ -64,11 +89,12 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
         print_json(result.to_dict() if discovery is None else discovery.report)
     else:
         from pincal.cli.progress import console
-        from pincal.cli.tables import print_discovery, print_notes, print_result
+        from pincal.cli.tables import print_discovery, print_left_out, print_notes, print_result
 
         if discovery is None:
             print_result(result, console())
         else:
+            print_left_out(result, console())
             print_discovery(discovery, console())
             print_notes(result.warnings, console())
         for note in notes:

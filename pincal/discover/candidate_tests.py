@@ -11,8 +11,10 @@ from pincal.discover.decisions import CandidateTable, Decision, Row, decide
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
 from pincal.identify.fit import Fit
+from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
+from pincal.model.conditions import Situation
 from pincal.model.effect import Effect, Family
 
 
@@ -75,7 +77,7 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
 
     return CandidateTable(
         rows,
-        policy.least_gain(tests.squares, declared=fit.noise.declared[0] is not None),
+        policy.least_gain(tests.squares, declared=fit.is_declared),
         left_given=lambda i, given: tests.score_given(i, given).p_value,
         cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
         predicts=predicts,
@@ -91,10 +93,19 @@ def _surcharge(effect: Effect, policy: Policy) -> float:
 
 def addable(fit: Fit, search: Search) -> list[Effect]:
     """Return what may be added by name: what the data can test and the model does not have yet."""
-    present = {effect.identity for effect in fit.model.effects}
-    has_loads = search.elastic and has_compliance(fit.model.effects)
-    every = [*variants(fit), *search.extra]
+    present = {effect.identity for effect in fit.problem.effects}
+    has_loads = search.elastic and has_compliance(fit.problem.effects)
+    every = [*variants(fit), *_of_stations(fit), *search.extra]
     return [e for e in every if e.identity not in present and (has_loads or not e.is_of_loads)]
+
+
+def _of_stations(fit: Fit) -> Iterator[Effect]:
+    """Yield what single stations of several may have by themselves; what changed, from the second one on."""
+    stations = fit.problem.stations
+    for k, station in enumerate(stations if len(stations) > 1 else ()):
+        situation = Situation(station.model.chain, station.conditions)
+        yield from own_effects(testable(situation), station.name)
+        yield from changed_effects(fit.problem.effects, situation.joints, station.name) if k else ()
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:
@@ -104,23 +115,26 @@ def has_compliance(effects: Sequence[Effect]) -> bool:
 
 def variants(fit: Fit) -> Iterator[Effect]:
     """Yield what the data can test, each in the forms that are worth telling apart."""
+    is_alone = len(fit.problem.stations) == 1
     for candidate in testable(situation_of(fit)):
-        yield from candidate.forms
+        # What belongs to a station is looked for at each by itself.
+        yield from (form for form in candidate.forms if is_alone or form.scope == "robot")
 
 
 def _nameless(fit: Fit, near: str | None) -> list[Effect]:
     """Return dependences without a name that the model does not have; near one joint or everywhere."""
-    names = fit.model.chain.robot.joint_names
+    names = fit.problem.chain.robot.joint_names
     at = names.index(near) if near in names else None
     joints = names if at is None else names[max(at - 1, 0) : at + 2]
-    present = {effect.identity for effect in fit.model.effects}
-    every = nameless_candidates(fit.model.chain, fit.station.conditions, joints)
+    present = {effect.identity for effect in fit.problem.effects}
+    every = nameless_candidates(fit.problem.chain, fit.problem.conditions, joints)
     return [effect for effect in every if effect.identity not in present]
 
 
 def sampled(fit: Fit, policy: Policy) -> tuple[Fit, np.ndarray]:
     """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next, and these rows."""
-    n, most = len(fit.station), policy.enough_readings // sum(block.size for block in fit.station.sensor.blocks)
+    sizes = [sum(block.size for block in station.sensor.blocks) for station in fit.problem.stations]
+    n, most = len(fit.problem), policy.enough_readings // max(sizes)
     if n <= most:
         return fit, np.arange(n)
     rows = np.linspace(0, n - 1, most).astype(int)

@@ -13,6 +13,7 @@ from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import find_scatter
 from pincal.discover.shrink import PartialResidual, gap_of, period_of
 from pincal.discover.where import noise_floor, sure_compliances, where_of
+from pincal.identify.fit import Fit
 from pincal.io.discovery_file import EffectName, Findings, FoundEffect, FoundParameter, Untestable, Verdict
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect
@@ -32,36 +33,51 @@ def findings_of(calibration: Calibration, trail: History, traces: tuple[PartialR
     """
     final = trail.final
     scatter = find_scatter(final)
-    sigma = float(noise_floor(final)[0])
-    size = final.station.sensor.blocks[0].size
-    to_mm = 1e3 * final.station.metres_per_reading(final.values)
+    floor, left = _errors_of(final)
     # Residuals that are larger than the declared noise allows.
-    is_misfit = final.noise.declared[0] is not None and chdtrc(final.solution.degrees, final.solution.chi2) < _MISFIT
+    is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < _MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
     return Findings(
-        noise_floor_mm=float(sigma * np.sqrt(size) * to_mm),
-        gap={"before": gap_of(trail.first, calibration.test), "after": gap_of(final, calibration.test)},
+        noise_floor_mm=floor,
+        gap={"before": gap_of(trail.first, calibration.stations), "after": gap_of(final, calibration.stations)},
         where=where_of(trail, scatter, is_misfit=is_misfit),
         effects=tuple(found for step in trail.steps for found in _found(calibration, trail, step, periods)),
         scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
         verdict=Verdict.NOT_ADEQUATE if is_misfit or scatter else Verdict.ADEQUATE,
-        unexplained_mm=float(np.sqrt(max(final.solution.estimated[0] ** 2 - sigma**2, 0.0) * size) * to_mm),
+        unexplained_mm=left,
     )
+
+
+def _errors_of(fit: Fit) -> tuple[float, float]:
+    """Return the rms errors that noise makes and those that it does not, over the rows of all stations [mm]."""
+    sizes, rows = [], []
+    for station, places, blocks in fit.stations:
+        sigma, found, size = (
+            float(noise_floor(fit)[blocks.start]),
+            fit.solution.estimated[blocks.start],
+            station.sensor.blocks[0].size,
+        )
+        to_mm = 1e3 * station.metres_per_reading(fit.values[places])
+        sizes.append((sigma * np.sqrt(size) * to_mm, np.sqrt(max(found**2 - sigma**2, 0.0) * size) * to_mm))
+        rows.append(len(station))
+    if len(sizes) == 1:
+        return float(sizes[0][0]), float(sizes[0][1])
+    floor, left = np.sqrt(np.average(np.square(sizes), axis=0, weights=rows))
+    return float(floor), float(left)
 
 
 def _found(
     calibration: Calibration, trail: History, step: Step, periods: dict[Effect, float | None]
 ) -> Iterator[FoundEffect]:
     """Yield what entered in one step; elasticity joint by joint."""
-    before, after = (gap_of(fit, calibration.test).mean_mm for fit in (step.before, step.after))
+    before, after = (gap_of(fit, calibration.stations).mean_mm for fit in (step.before, step.after))
     if step.is_elastic:
         found = [(effect, e, e.fitted_sigma, p_value, "") for effect, e, p_value in sure_compliances(trail.final)]
     else:
         rivals = step.equivalent[:1]
         decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
-        names = (parameter.name for parameter in step.effect.parameters(trail.final.model.chain))
-        estimate = trail.final.estimate.take(names)
+        estimate = trail.final.estimate.take(trail.final.names_of([step.effect]))
         found = [(step.effect, estimate, estimate.sigma, step.score.p_value, decide)]
     for effect, estimate, sigma, p_value, decide in found:
         yield FoundEffect.of(
@@ -87,7 +103,9 @@ def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParame
 def _not_testable(trail: History) -> Iterator[tuple[Effect, str]]:
     """Yield what these data can't test, with the reason."""
     final = trail.final
-    yield from untestable(final.model.chain, final.station.conditions)
+    is_alone = len(final.problem.stations) == 1
+    lost = untestable(final.problem.chain, final.problem.conditions)
+    yield from ((effect, reason) for effect, reason in lost if is_alone or effect.scope == "robot")
     for i, effect in enumerate(trail.last.effects):
         if trail.last.gain([i])[1] == 0:
             yield effect, ABSORBED

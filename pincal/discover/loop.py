@@ -57,7 +57,7 @@ def add_effects(state: State, search: Search) -> State:
 
 
 def _next_step(fit: Fit, search: Search) -> Step | None:
-    if search.elastic and not has_compliance(fit.model.effects):
+    if search.elastic and not has_compliance(fit.problem.effects):
         block = elasticity(situation_of(fit))
         found = score_test_beside_masses(fit, block)
         score = found.score(range(len(block)), 1)
@@ -114,21 +114,20 @@ def drop_needless(state: State, search: Search) -> State:
 
 def _is_sure(fit: Fit, step: Step, policy: Policy) -> bool:
     """Return whether the parameters of a step are far from zero together."""
-    names = {p.name for e in step.effects for p in e.parameters(fit.model.chain)}
-    place = np.flatnonzero(fit.solution.free)
-    among = [j for j, i in enumerate(place) if fit.station.parameters[i].name in names]
-    values = fit.values[place[among]]
-    wald = values @ np.linalg.pinv(fit.solution.posterior.covariance[np.ix_(among, among)], hermitian=True) @ values
-    return bool(wald > policy.sure * len(among))
+    found = fit.estimate.take(fit.names_of(step.effects))
+    values = found.values[found.free]
+    wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
+    return bool(wald > policy.sure * len(values))
 
 
 def fit_all_rows(state: State, search: Search) -> State:
     """Fit all rows of the first fit, and every curve that was found as fine as they and all the others let it be."""
     fit, first = state.fit, search.first
-    is_thinned = len(fit.station) < len(first.station)
+    is_thinned = len(fit.problem) < len(first.problem)
     if is_thinned:
         solution = replace(fit.solution, weights=first.solution.weights)
-        rows = replace(first.problem, stations=(first.station.with_model(fit.model),))
+        pairs = zip(first.problem.stations, fit.problem.stations, strict=True)
+        rows = replace(first.problem, stations=tuple(whole.with_model(part.model) for whole, part in pairs))
         whole = replace(fit, problem=rows, solution=solution)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
@@ -136,8 +135,8 @@ def fit_all_rows(state: State, search: Search) -> State:
     chosen = {curve: refined(without(fit, curve), curve, search.all_groups) for curve in _curves_of(state)}
     finer = {curve: other for curve, other in chosen.items() if other != curve}
     if finer:
-        pairs = (f"{c.locus.joint} {c.resolution} to {other.resolution}" for c, other in finer.items())
-        log.info("resolved again: %s", ", ".join(pairs))
+        names = (f"{c.locus.joint} {c.resolution} to {other.resolution}" for c, other in finer.items())
+        log.info("resolved again: %s", ", ".join(names))
     elif not is_thinned:
         return state
     bare = fit
@@ -183,7 +182,7 @@ def merge_parts(state: State, search: Search) -> State:
 
 def _is_part(effect: Effect, nameless: Effect, fit: Fit) -> bool:
     """Return whether a name follows the same variable, on the same joint or a neighbour, as a term without a name."""
-    at, term, names = effect.locus, nameless.locus, fit.model.chain.robot.joint_names
+    at, term, names = effect.locus, nameless.locus, fit.problem.chain.robot.joint_names
     if effect.family is not Family.CAUSE or at.joint is None or term.joint is None or at.follows not in names:
         return False
     apart = abs(names.index(term.joint) - names.index(at.joint))

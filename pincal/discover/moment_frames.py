@@ -42,9 +42,9 @@ def other_frames(trail: History, frames: Sequence[MomentFrame], policy: Policy) 
         return []
     brought = {e for step in trail.steps for e in step.effects if e.is_of_loads or e.is_nameless}
     plain = [effect for effect in effects if effect not in brought]
-    rough = len(rows) < len(trail.final.station)
+    rough = len(rows) < len(trail.final.problem)
     cost = _fit_cost(refit(fit, effects, rough=rough))
-    enough = policy.least_gain(fit.solution.degrees, declared=fit.noise.declared[0] is not None)
+    enough = policy.least_gain(fit.solution.degrees, declared=fit.is_declared)
 
     def is_better(frame: MomentFrame) -> bool:
         if _fit_cost(refit(fit, effects, moment_frame=frame, rough=rough)) < cost - enough:
@@ -56,9 +56,13 @@ def other_frames(trail: History, frames: Sequence[MomentFrame], policy: Policy) 
 
 def _misfit(fit: Fit) -> float:
     """Return -2 log likelihood, up to a constant; an outlier counts as a row at the edge of the noise."""
-    n, sizes = len(fit.station), [block.size for block in fit.station.sensor.blocks]
-    outliers = int(np.sum(fit.solution.weights == 0.0))
-    return 2.0 * n * float(np.dot(sizes, np.log(fit.solution.estimated))) + outliers * outlier_limit(n, sum(sizes))
+    misfit = 0.0
+    for (station, _, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
+        n, sizes = len(station), [block.size for block in station.sensor.blocks]
+        outliers = int(np.sum(fit.solution.weights[rows] == 0.0))
+        spread = float(np.dot(sizes, np.log(fit.solution.estimated[blocks])))
+        misfit += 2.0 * n * spread + outliers * outlier_limit(n, sum(sizes))
+    return misfit
 
 
 def cost_of(trail: History) -> float:
@@ -69,5 +73,5 @@ def cost_of(trail: History) -> float:
 
 def _fit_cost(fit: Fit) -> float:
     """Return the Bayesian information criterion of a fit."""
-    readings = len(fit.station) * sum(block.size for block in fit.station.sensor.blocks)
+    readings = sum(len(s) * sum(block.size for block in s.sensor.blocks) for s in fit.problem.stations)
     return _misfit(fit) + fit.solution.posterior.effective * float(np.log(readings))

@@ -18,7 +18,7 @@ _SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 
 def curves_over(fit: Fit, curve: Curve, sizes: Sequence[int]) -> list[Curve]:
     """Return a drive curve in several resolutions, as fine as the number of poses allows."""
     situation = situation_of(fit)
-    return [curve.resized(situation, size) for size in sizes if size <= len(fit.station) // POSES_PER_PIECE]
+    return [curve.resized(situation, size) for size in sizes if size <= len(fit.problem) // POSES_PER_PIECE]
 
 
 def resolved(fit: Fit, curve: Curve, groups: np.ndarray) -> Curve:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from pincal.calibration.fit import Fit as CalibratedFit
+from pincal.calibration.left_out import leave_out_stations
 from pincal.calibration.result import result_of
+from pincal.calibration.rows import LeftOut, Validation
 from pincal.calibration.run import Calibration, run_calibration
 from pincal.discover.history import History
 from pincal.discover.judge import findings_of
@@ -19,8 +24,9 @@ from pincal.discover.loop import discover_effects
 from pincal.discover.moment_frames import FRAME_BETTER, cost_of, likeliest_frame, other_frames
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.shrink import PartialResidual, Stage, partial_residuals, stages_of
+from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
-from pincal.identify.split import Split, row_groups
+from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MomentFrame
@@ -60,31 +66,34 @@ class Discovery:
 
 def run_discovery(
     robot: Robot,
-    measurements: Measurements,
+    measurements: Tables,
     options: Options | None = None,
     *,
     extra: tuple[Effect, ...] = (),
     test_fraction: float = 0.2,
-    split: Split = "blocked",
+    split: Validation = "blocked",
     seed: int = 0,
-    holdout: Measurements | None = None,
+    holdout: Tables | None = None,
     moment_frames: Sequence[MomentFrame] = (),
     policy: Policy = POLICY,
+    executor: Executor | None = None,
 ) -> Discovery:
     """Calibrate, find what the model misses, name it, add it and show the gap shrink on rows that criticism never saw.
 
     Args:
         robot: the arm.
-        measurements: the table.
+        measurements: the table, or several, which are a station each.
         options: how to calibrate; its effects are the model to start from, the geometric one unless given.
         extra: effects of the user's own that take part.
         test_fraction: part of the rows held out.
-        split: how rows are chosen; whole regions of joint space unless given.
+        split: how rows are chosen; whole regions of joint space unless given. With "station" each station in turn is
+            predicted by a discovery on the others.
         seed: of the choice.
         holdout: other measurements to hold out instead.
         moment_frames: conventions of where moments bend the arm to choose from by the data; that of the options unless
             given. The first stays unless another fits better beyond chance.
         policy: thresholds and limits.
+        executor: makes the discoveries that leave a station out; default: one after the other, here.
 
     Returns:
         The calibration with all that was found, and how it was found.
@@ -110,6 +119,13 @@ def run_discovery(
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
     frames = list(moment_frames) or [options.moment_frame]
+    left_out: Iterable[LeftOut] = ()
+    if split == "station":
+        # Stations are held out instead of rows.
+        split, test_fraction = "random", 0.0
+        discovered = partial(_discovered, extra=extra, moment_frames=moment_frames, policy=policy)
+        tables = tables_of(measurements)
+        left_out = leave_out_stations(robot, tables, options, fit_others=discovered, executor=executor)
 
     def start(frame: MomentFrame) -> Calibration:
         return run_calibration(
@@ -135,13 +151,21 @@ def run_discovery(
     notes = first.notes
     if frame != frames[0]:
         notes = (*notes, f"moments bend the arm as with --moment-frame {frame}: it fits better than {frames[0]}")
+    left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
-    result = result_of(trail.final, first.stations, seconds=seconds, notes=notes)
+    result = result_of(trail.final, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(trail.final), result=result, notes=notes)
-    gaps, traces = stages_of(trail, final.test), partial_residuals(trail)
+    gaps, traces = stages_of(trail, final.stations), partial_residuals(trail)
     return Discovery(final, trail, findings_of(final, trail, traces), gaps, traces)
 
 
+def _discovered(robot: Robot, tables: dict[str, Measurements], options: Options, **choice: Any) -> CalibratedFit:
+    """Return the fit of all that is discovered on all rows of some stations."""
+    return run_discovery(robot, tables, options, test_fraction=0.0, **choice).calibration.fit
+
+
 def _discover(first: Calibration, extra: tuple[Effect, ...], policy: Policy) -> tuple[Calibration, History]:
-    blocks = row_groups(first.train, split="blocked", seed=0) % _CV_BLOCKS
-    return first, discover_effects(first.fit, blocks, extra=extra, policy=policy, elastic=not first.robot.massless)
+    blocks = [row_groups(rows.train, split="blocked", seed=0) % _CV_BLOCKS for rows in first.stations]
+    return first, discover_effects(
+        first.fit, np.concatenate(blocks), extra=extra, policy=policy, elastic=not first.robot.massless
+    )

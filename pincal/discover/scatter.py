@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from pincal.discover.levers import levers
@@ -24,22 +26,27 @@ def find_scatter(fit: Fit) -> ScatteringJoint | None:
     variance component, estimated by maximum likelihood with sigma^2 profiled out. What is read in one visit, several targets
     or the points of an image, shares the joint's position.
     """
-    chain, conditions, rows = fit.model.chain, fit.station.conditions, block_rows(fit.station)[0]
-    sound = fit.solution.weights > 0.0
-    weights, visit = fit.station.weights[sound], visits(fit.station)[sound]
-    residuals = fit.station.residuals(fit.values)[rows, sound] * weights
-    moved = levers(fit, tuple(map(int, chain.drives)))[:, rows, sound] * weights
-    found = [_scatter_along(lever, residuals, visit) for lever in moved]
-    best = max(range(len(found)), key=lambda i: found[i][0])
-    gain, sigma = found[best]
+    found = [(*one, alone) for alone in fit.alone for one in _scatters(alone)]
+    gain, sigma, joint, alone = max(found, key=lambda one: one[0])
     if gain <= _ENOUGH:
         return None
-    joint, missing = chain.robot.joint_names[best], "time"
+    conditions, missing = alone.station.conditions, "time"
     if conditions.approach is None:
         missing = f"approach_{joint}"
     elif conditions.temperature is None:
         missing = "temperature"
     return ScatteringJoint(joint, sigma, missing)
+
+
+def _scatters(fit: Fit) -> Iterator[tuple[float, float, str]]:
+    """Yield the gain and the standard deviation of the scatter of each joint at the only station, and the joint."""
+    chain, rows = fit.model.chain, block_rows(fit.station)[0]
+    sound = fit.solution.weights > 0.0
+    weights, visit = fit.station.weights[sound], visits(fit.station)[sound]
+    residuals = fit.station.residuals(fit.values)[rows, sound] * weights
+    moved = levers(fit, tuple(map(int, chain.drives)))[:, rows, sound] * weights
+    for joint, lever in zip(chain.robot.joint_names, moved, strict=True):
+        yield *_scatter_along(lever, residuals, visit), joint
 
 
 def visits(station: Station) -> np.ndarray:

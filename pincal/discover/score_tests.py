@@ -268,9 +268,17 @@ def _gram(
         if len(problem.stations) == 1 and np.array_equal(mine, np.arange(len(kept))):
             whole_S, whole_b = S, b
         else:
-            whole_S[:, mine[:, None], mine] += S
-            whole_b[:, mine] += b
+            for here, rows in _runs(mine):
+                whole_b[:, here] += b[:, rows]
+                for there, columns in _runs(mine):
+                    whole_S[:, here, there] += S[:, rows, columns]
     return whole_S, whole_b, squares, kept
+
+
+def _runs(places: np.ndarray) -> list[tuple[slice, slice]]:
+    """Return the stretches of places that follow each other, and where they stand in the list: slices need no copies."""
+    cuts = np.r_[0, np.flatnonzero(np.diff(places) != 1) + 1, len(places)]
+    return [(slice(int(places[a]), int(places[b - 1]) + 1), slice(int(a), int(b))) for a, b in pairwise(cuts) if a < b]
 
 
 def _station_gram(

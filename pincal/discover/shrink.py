@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from msgspec.structs import asdict
 
+from pincal.calibration.rows import StationRows
 from pincal.discover.history import History
 from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import Gap
-from pincal.measure.measurements import Measurements
 from pincal.model.catalogue.places import drive_unit
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
-from pincal.validate.accuracy import error_table
+from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 # Periods that have to be seen, and the part of the excess that one tone has to explain, before a curve is called periodic.
 _PERIODS, _TONE = 1.8, 0.7
@@ -32,19 +34,23 @@ class Stage(Gap, frozen=True, kw_only=True):
     name: str
 
 
-def gap_of(fit: Fit, held: Measurements) -> Gap:
-    """Return the errors of a fit on held-out rows."""
-    errors = error_table(fit.readings(held) if len(held) else fit.station, fit.values)
+def gap_of(fit: Fit, rows: Sequence[StationRows]) -> Gap:
+    """Return the errors of a fit on the held-out rows of all stations; on the fitted ones if there are none."""
+    held = [part.held(fit) for part in rows]
+    if not any(held):
+        held = list(fit.problem.stations)
+    pairs = zip(held, fit.problem.places, strict=True)
+    errors = error_statistics(pose_error_sizes(at, fit.values[places]) for at, places in pairs if at is not None)
     return Gap(mean_mm=errors["mean_mm"], rms_mm=errors["rms_mm"], max_mm=errors["max_mm"])
 
 
-def stages_of(trail: History, held: Measurements) -> tuple[Stage, ...]:
+def stages_of(trail: History, rows: Sequence[StationRows]) -> tuple[Stage, ...]:
     """Return the errors at the start, after each step, and with everything fitted together."""
     fits = [("at the start", trail.first)]
     fits += [("+ " + ", ".join(_title(e) for e in step.effects), step.after) for step in trail.steps]
     if fits[-1][1] is not trail.final:
         fits.append(("all together", trail.final))
-    return tuple(Stage(name=name, **asdict(gap_of(fit, held))) for name, fit in fits)
+    return tuple(Stage(name=name, **asdict(gap_of(fit, rows))) for name, fit in fits)
 
 
 @dataclass(frozen=True)
@@ -87,22 +93,33 @@ class PartialResidual:
 
 def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
     """Return what each step's effect explains in the final model."""
-    present = trail.final.model.effects
+    present = trail.final.problem.effects
     kept = [[effect for effect in step.effects if effect in present] for step in trail.steps]
     return tuple(partial_residual(trail.final, effects[0]) for effects in kept if effects)
 
 
 def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
-    """Return what an effect of a fit explains at the rows that count.
+    """Return what an effect of a fit explains at the rows that count, those of all stations that have it.
 
     An effect on one coordinate of the chain is seen through this coordinate's lever, any other along the way by which it
     moves the target.
     """
+    shown = effect
     if isinstance(effect, Compliance):
         # Of elasticity the joint that is surest to bend.
-        found = fit.estimate.take(parameter.name for parameter in effect.parameters(fit.model.chain))
+        found = fit.estimate.take(fit.names_of([effect]))
         surest = found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))]
-        effect = replace(effect, joints=(surest.rsplit(".", 1)[0],))
+        shown = replace(effect, joints=(surest.rsplit(".", 1)[0],))
+    parts = [_of_station(alone, shown) for alone in fit.alone if effect in alone.model.effects]
+    if len(parts) == 1:
+        return parts[0]
+    names = ("x", "before", "after", "fitted", "weights")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **arrays)
+
+
+def _of_station(fit: Fit, effect: Effect) -> PartialResidual:
+    """Return what an effect explains at the rows of the only station."""
     station = fit.station
     idle = fit.values.copy()
     idle[[fit.model.index(parameter.name) for parameter in effect.parameters(fit.model.chain)]] = 0.0
@@ -190,4 +207,5 @@ def _title(effect: Effect) -> str:
     of = "" if joint is None else f" of {joint}"
     source = effect.locus.follows if effect.is_nameless else effect.locus.source
     by = f" by {source}" if source and source != joint else ""
-    return f"{effect.name}{of}{by}"
+    where = f" at {effect.locus.station}" if effect.locus.station else ""
+    return f"{effect.heading[0]}{of}{by}{where}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace as changed
 from scipy.special import chdtrc
 
 from pincal.discover.history import History
@@ -20,6 +21,8 @@ from pincal.units import format_small
 
 # Standard deviations that a compliance has to be away from zero to be named by itself.
 _SIGNIFICANT = 4.0
+# Places, and regions, of all stations together that are worth a line.
+_MOST = 3
 
 
 def noise_floor(fit: Fit) -> np.ndarray:
@@ -39,32 +42,52 @@ def where_of(trail: History, scatter: ScatteringJoint | None, *, is_misfit: bool
         scatter: the joint that scatters in the end, if one does.
         is_misfit: whether the residuals are larger than the noise allows in the end.
     """
-    robot = trail.final.model.chain.robot
+    robot = trail.final.problem.chain.robot
     fit, found = trail.first, list[Disagreement]()
     sigma = noise_floor(trail.final)
     for step in trail.steps:
         if step.is_elastic:
             fit = step.after
             found.append(_elastic(step.before, fit, sigma))
-    location = locate(fit, sigma)
-    for place in location.places:
-        region = None if place.joint else "whole arm"
-        found.append(Disagreement(_words(place, robot), place.share, place.joint, region, place.acts_on, place.depends_on))
-    found += location.regions
+    places, regions = _located(fit, sigma)
+    for name, place in places:
+        region, words = None if place.joint else "whole arm", _words(place, robot)
+        words = f"{name}: {words}" if name else words
+        found.append(Disagreement(words, place.share, place.joint, region, place.acts_on, place.depends_on))
+    found += regions
     if scatter:
         found.append(_scattered(trail.final, scatter, sigma))
-    elif is_misfit and not location.places:
+    elif is_misfit and not places:
         statement = "what is left follows no joint position, load or recorded column"
         found.append(Disagreement(statement, 1.0, region="whole workspace"))
     return tuple(found)
 
 
+def _located(fit: Fit, sigma: np.ndarray) -> tuple[list[tuple[str, Place]], list[Disagreement]]:
+    """Return where a fit and its data disagree, of several stations with their names, the largest first."""
+    places: list[tuple[str, Place]] = []
+    regions: list[Disagreement] = []
+    for station, alone, (_, _, blocks) in zip(fit.problem.stations, fit.alone, fit.stations, strict=True):
+        location = locate(alone, sigma[blocks])
+        part = 1.0 if not station.name else _excess(alone, sigma[blocks]) / max(_excess(fit, sigma), 1e-300)
+        part = float(np.clip(part, 0.0, 1.0))
+        places += [(station.name, replace(place, share=part * place.share)) for place in location.places]
+        name = f"{station.name}: " if station.name else ""
+        regions += [changed(r, statement=name + r.statement, share=part * r.share) for r in location.regions]
+    if len(fit.problem.stations) == 1:
+        return places, regions
+    places.sort(key=lambda pair: -pair[1].share)
+    regions.sort(key=lambda region: -region.share)
+    return places[:_MOST], regions[:_MOST]
+
+
 def _excess(fit: Fit, sigma: np.ndarray) -> float:
     """Return what the noise does not make of a fit's squared residuals, in units of its variance."""
     solution = fit.solution
-    counted = int(np.sum(solution.weights > 0.0))
-    sizes = np.array([block.size for block in fit.station.sensor.blocks])
-    degrees = counted * sizes - solution.posterior.effective * sizes / sizes.sum()
+    counted = [int(np.sum(solution.weights[rows] > 0.0)) for rows in fit.problem.rows]
+    blocks = [len(station.sensor.blocks) for station in fit.problem.stations]
+    readings = np.repeat(counted, blocks) * fit.problem.block_sizes
+    degrees = readings - solution.posterior.effective * (readings / readings.sum())
     return float(np.sum(degrees * ((solution.estimated / sigma) ** 2 - 1.0)))
 
 
@@ -79,10 +102,12 @@ def _elastic(before: Fit, after: Fit, sigma: np.ndarray) -> Disagreement:
 
 def _scattered(fit: Fit, scatter: ScatteringJoint, sigma: np.ndarray) -> Disagreement:
     """Say how much of what is left in the end is scatter of one joint."""
-    chain = fit.model.chain
-    lever = levers(fit, (int(chain.drives[chain.robot.joint_names.index(scatter.joint)]),))[0]
-    rows = fit.solution.weights > 0.0
-    made = scatter.sigma_rad**2 * float(np.sum(lever[: fit.station.sensor.blocks[0].size, rows] ** 2)) / float(sigma[0]) ** 2
+    chain, made = fit.problem.chain, 0.0
+    drive = int(chain.drives[chain.robot.joint_names.index(scatter.joint)])
+    for alone, (_, _, blocks) in zip(fit.alone, fit.stations, strict=True):
+        lever, rows = levers(alone, (drive,))[0], alone.solution.weights > 0.0
+        squares = float(np.sum(lever[: alone.station.sensor.blocks[0].size, rows] ** 2))
+        made += scatter.sigma_rad**2 * squares / float(sigma[blocks.start]) ** 2
     share = made / max(_excess(fit, sigma), made)
     statement = f"{scatter.joint} is somewhere else about its own axis each time, whatever pose and recorded columns are"
     return Disagreement(statement, share, scatter.joint)
@@ -95,12 +120,12 @@ def sure_compliances(fit: Fit) -> list[tuple[Effect, Estimate, float]]:
         For each the effect, its parameters, and the chance of values as large if there were no compliance.
     """
     found = []
-    for effect in fit.model.effects:
+    for effect in fit.problem.effects:
         if not isinstance(effect, Compliance):
             continue
-        for joint in dict.fromkeys(p.name.rsplit(".", 1)[0] for p in effect.parameters(fit.model.chain)):
+        for joint in dict.fromkeys(p.name.rsplit(".", 1)[0] for p in effect.parameters(fit.problem.chain)):
             single = replace(effect, joints=(joint,))
-            estimate = fit.estimate.take(parameter.name for parameter in single.parameters(fit.model.chain))
+            estimate = fit.estimate.take(parameter.name for parameter in single.parameters(fit.problem.chain))
             z2 = float(np.sum((estimate.values / estimate.fitted_sigma) ** 2))
             found.append((z2, single, estimate))
     found.sort(key=lambda item: -item[0])

@@ -90,12 +90,10 @@ def _frame_variances(fit: Fit) -> dict[int, float]:
     place, variance, spread = np.flatnonzero(free), fit.estimate.covariance.variance, np.zeros((len(shared), int(few.sum())))
     spread[inner] = weak
     for part in found.own:
-        hidden = np.sum((part.carried @ spread[part.shared]) ** 2, axis=1)
+        hidden = np.sum((part.carried @ spread[part.shared]) ** 2, axis=-1)
         left = np.maximum(variance[part.places] - hidden, 0.0)
-        known |= {
-            int(place[i]): float(v)
-            for i, v in zip(part.places[part.precision == 0.0], left[part.precision == 0.0], strict=True)
-        }
+        is_frame = np.broadcast_to(part.precision == 0.0, part.places.shape)
+        known |= {int(place[i]): float(v) for i, v in zip(part.places[is_frame], left[is_frame], strict=True)}
     return known
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from pincal.identify.equations import Linearised
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors, Solution
 from pincal.identify.station import Station, station_of
@@ -90,6 +92,26 @@ class Fit:
         """Each station with the places of its parameters among all, and of its blocks of readings among all blocks."""
         return zip(self.problem.stations, self.problem.places, self.problem.block_spans, strict=True)
 
+    def names_of(self, effects: Iterable[Effect]) -> tuple[str, ...]:
+        """Return the names of the parameters of some effects of the fit, those of all stations."""
+        order = {id(effect): i for i, effect in enumerate(self.problem.effects)}
+        index = [order.get(id(effect), self.problem.effects.index(effect)) for effect in effects]
+        return tuple(self.problem.parameters[i].name for k in index for i in self.problem.places_of(k))
+
+    @cached_property
+    def alone(self) -> tuple[Fit, ...]:
+        """Each station as a fit of its own, as it stands: where its rows are looked at one by one."""
+        return (self,) if len(self.problem.stations) == 1 else tuple(self._stations_alone())
+
+    def _stations_alone(self) -> Iterator[Fit]:
+        for (station, places, blocks), rows in zip(self.stations, self.problem.rows, strict=True):
+            problem, options = Problem((replace(station, name=""),)), self.options.at(station.name)
+            nominal, solution = (_part(of, places, blocks, rows) for of in (self.nominal, self.solution))
+            priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
+            noise = Noise(self.noise.declared[blocks])
+            solution = replace(solution, posterior=_posterior(problem, solution, priors))
+            yield Fit(problem, nominal, solution, priors, noise, self.stages, options)
+
     @property
     def arm(self) -> tuple[Model, np.ndarray]:
         """The model of the first station and its values: what they say of the robot holds at all stations."""
@@ -106,6 +128,24 @@ class Fit:
         options = self.options.at(station)
         model = next(of.model for of in self.problem.stations if of.name == station)
         return station_of(model, measurements, np.array(options.payload_centre), options.setup, name=station)
+
+
+def _part(solution: Solution, places: np.ndarray, blocks: slice, rows: slice) -> Solution:
+    """Return a solution of one station; its posterior stays that of all."""
+    return replace(
+        solution,
+        values=solution.values[places],
+        free=solution.free[places],
+        at_bound=solution.at_bound[places],
+        sigma=solution.sigma[blocks],
+        estimated=solution.estimated[blocks],
+        weights=solution.weights[rows],
+    )
+
+
+def _posterior(problem: Problem, part: Solution, priors: Priors) -> Posterior:
+    """Return what the rows of a station say by themselves."""
+    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).equations(part.sigma).posterior()
 
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:

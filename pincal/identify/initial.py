@@ -10,7 +10,7 @@ import numpy as np
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import bounds_of, frames_of, noise_of, released_of
 from pincal.identify.options import Options
-from pincal.identify.problem import Problem
+from pincal.identify.problem import Problem, effects_at
 from pincal.identify.solve import Priors, most_probable
 from pincal.identify.station import Station, station_of
 from pincal.measure.extrinsics import Extrinsics
@@ -38,7 +38,8 @@ def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) ->
     arm = Model(Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity), ())
     found, models = [], _Models()
     for station, values in place_arm(arm, np.zeros(0), tables, options=options):
-        model = replace(station.model, effects=(*station.model.effects, *options.effects), equilibrium=options.equilibrium)
+        effects = (*station.model.effects, *effects_at(options.effects, station.name))
+        model = replace(station.model, effects=effects, equilibrium=options.equilibrium)
         index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
         whole = station.with_model(models.same(model))
         found.append((whole, carried_over(values, index, whole.parameters)))
@@ -53,7 +54,7 @@ class _Models:
 
     def same(self, model: Model) -> Model:
         """Return the model, sharing with an earlier one that differs by where base and tool stand what both have."""
-        frames = tuple(effect for effect in model.effects if isinstance(effect, BaseFrame | ToolFrame))
+        frames = tuple(e if isinstance(e, BaseFrame | ToolFrame) else id(e) for e in model.effects)
         first = self._first.setdefault((model.chain.targets, frames), model)
         if first is model:
             assert model.parameters and model.of_station is not None

@@ -224,8 +224,18 @@ class Problem:
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """What may deviate, beside base and tool."""
-        return tuple(e for e in self.stations[0].model.effects if not isinstance(e, BaseFrame | ToolFrame))
+        """What may deviate, beside base and tool; those of all stations first, then what only some of them have."""
+        first, *others = ([e for e in s.model.effects if not isinstance(e, BaseFrame | ToolFrame)] for s in self.stations)
+        for effects in others:
+            known = set(map(id, first))
+            first += [effect for effect in effects if id(effect) not in known and effect not in first]
+        return tuple(first)
+
+    @cached_property
+    def _spans(self) -> tuple[dict[int, slice], ...]:
+        """For each station, where the parameters of an effect stand among its own, by the effect's identity."""
+        pairs = ((station.model.effects, station.model.spans) for station in self.stations)
+        return tuple({id(effect): span for effect, span in zip(*pair, strict=True)} for pair in pairs)
 
     def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
         """Return the same readings with other effects beside base and tool.
@@ -237,7 +247,7 @@ class Problem:
         stations = []
         for station in self.stations:
             frames = [effect for effect in station.model.effects if isinstance(effect, BaseFrame | ToolFrame)]
-            model = station.model.with_effects([*frames, *effects])
+            model = station.model.with_effects([*frames, *effects_at(effects, station.name)])
             if moment_frame is not None:
                 model = model.with_chain(replace(model.chain, moment_frame=moment_frame))
             stations.append(station.with_model(model))
@@ -257,7 +267,8 @@ class Problem:
 
     def extended(self, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
         """Return the problem with further effects, and where its parameters stand in the new table, shape (P,)."""
-        wider = self.with_effects([*self.effects, *effects])
+        models = [s.model.with_effects([*s.model.effects, *effects_at(effects, s.name)]) for s in self.stations]
+        wider = replace(self, stations=tuple(s.with_model(m) for s, m in zip(self.stations, models, strict=True)))
         known = np.empty(len(self.parameters), int)
         for i, (station, other) in enumerate(zip(self.stations, wider.stations, strict=True)):
             (of_model, of_sensor), (model, sensor) = station.split(self.places[i]), other.split(wider.places[i])
@@ -267,15 +278,19 @@ class Problem:
     def places_of(self, effect: int) -> np.ndarray:
         """Return where the parameters of an effect stand, given its number among ``effects``: those of all stations."""
         found: dict[int, None] = {}
-        for station, places in zip(self.stations, self.places, strict=True):
-            spans = station.model.spans
-            span = spans[len(spans) - len(self.effects) + effect]
+        for spans, places in zip(self._spans, self.places, strict=True):
+            span = spans.get(id(self.effects[effect]), slice(0))
             found |= dict.fromkeys(places[span].tolist())
         return np.array(list(found), int)
 
     def carried_over(self, vector: np.ndarray, other: Problem) -> np.ndarray:
         """Return what a vector over this table says of another problem's, by name; zero (or False) where it says nothing."""
         return carried_over(vector, self.index, other.parameters)
+
+
+def effects_at(effects: Iterable[Effect], station: str) -> list[Effect]:
+    """Return the effects that a station has: those of all stations, and its own."""
+    return [effect for effect in effects if effect.locus.station in (None, station)]
 
 
 def _spans(lengths: Iterable[int]) -> tuple[slice, ...]:

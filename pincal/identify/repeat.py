@@ -12,11 +12,13 @@ from functools import partial
 
 import numpy as np
 
+from pincal.errors import BadInputError
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
+from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Solution, solve
+from pincal.identify.solve import Priors, Solution, solve
 from pincal.identify.split import Split, row_groups
 from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
@@ -92,6 +94,44 @@ def _refit_drawn_rows(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
     n = len(fit.problem)
     rows = np.random.default_rng(seed).integers(0, n, n)
     return _refit(fit, fit.problem.select(rows)).values
+
+
+def bootstrap_stations(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+    """Refit stations drawn with replacement: what differs from day to day spreads the values, too, which rows do not show.
+
+    Returns:
+        Shape (draws, P); not a number for the own parameters of stations that were not drawn.
+
+    Raises:
+        BadInputError: if there is only one station.
+    """
+    if len(fit.problem.stations) < 2:
+        raise BadInputError("a bootstrap over stations of one station; expected several, or bootstrap() over its rows")
+    run = partial(_refit_drawn_stations, fit)
+    seeds = np.random.SeedSequence(seed).spawn(draws)
+    return np.array(list(map(run, seeds) if executor is None else executor.map(run, seeds)))
+
+
+def _refit_drawn_stations(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
+    problem, n = fit.problem, len(fit.problem.stations)
+    drawn = np.random.default_rng(seed).integers(0, n, n)
+    stations = tuple(replace(problem.stations[j], name=f"{k} {problem.stations[j].name}") for k, j in enumerate(drawn))
+    again = Problem(stations)
+
+    def carried(vector: np.ndarray) -> np.ndarray:
+        found = np.empty(len(again.parameters), vector.dtype)
+        for j, places in zip(drawn, again.places, strict=True):
+            found[places] = vector[problem.places[j]]
+        return found
+
+    priors = Priors(carried(fit.priors.sizes), carried(fit.priors.bounds))
+    noise = Noise(tuple(sigma for j in drawn for sigma in fit.noise.declared[problem.block_spans[j]]))
+    values, free = carried(fit.values), carried(fit.solution.free)
+    solution = solve(again, values, free, priors, noise, loss=fit.options.loss)
+    out = np.full(len(fit.values), np.nan)
+    for j, places in zip(drawn, again.places, strict=True):
+        out[problem.places[j]] = solution.values[places]
+    return out
 
 
 def monte_carlo(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:

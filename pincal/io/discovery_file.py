@@ -36,6 +36,7 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     acts_on: str | None = None
     shape: str | None = None
     place: float | str | None = None
+    station: str | None = None
 
     @classmethod
     def of(cls, effect: Effect, **more: Any) -> Self:
@@ -56,6 +57,7 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             acts_on=at.acts_on if nameless else None,
             shape=at.shape,
             place=at.place,
+            station=at.station,
             **more,
         )
 

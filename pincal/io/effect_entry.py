@@ -34,6 +34,7 @@ def effect_to_entry(effect: Effect) -> dict[str, Any]:
     module = type(effect).__module__
     origin = {} if module.split(".")[0] == "pincal" else {"module": module}
     values = {field.name: getattr(effect, field.name) for field in _fields(effect)}
+    values = {name: effect_to_entry(value) if isinstance(value, Effect) else value for name, value in values.items()}
     return {"name": effect.name, **origin, **msgspec.to_builtins(values, enc_hook=_plain)}
 
 
@@ -82,6 +83,8 @@ def _plain(value: Any) -> Any:
 
 
 def _restored(kind: Any, value: Any) -> Any:
+    if kind is Effect:
+        return effect_from_entry(value)
     if kind is np.ndarray and isinstance(value, dict) and "array" in value:
         return array_of(value["array"])
     raise Fault(what_is(value, "an array"), 'an array, {"array": ...}')

@@ -71,21 +71,22 @@ class Conditions:
 def joined(parts: Sequence[Conditions]) -> Conditions:
     """Return the poses of several set-ups, one after the other.
 
-    Targets, which are others in each, are all the first one; columns that some of them lack are left out, but directions of
-    approach are unknown there.
+    Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
+    so are temperatures that some lack. Directions of approach are unknown where they were not recorded.
     """
     if len(parts) == 1:
         return parts[0]
-    found: dict[str, np.ndarray | None] = {}
-    for name in ("temperature", "time"):
-        columns = [part.column(name) for part in parts]
-        found[name] = np.concatenate([c for c in columns if c is not None]) if all(c is not None for c in columns) else None
-    if any(part.approach is not None for part in parts):
-        sides = [np.zeros_like(part.q, np.int8) if part.approach is None else part.approach for part in parts]
-        found["approach"] = np.concatenate(sides)
-    q = np.concatenate([part.q for part in parts])
-    payload = np.concatenate([part.payload for part in parts])
-    return Conditions(q, np.zeros(len(q), int), payload, parts[0].payload_centre, **found)
+    q, payload = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload"))
+    known = [part.temperature for part in parts if part.temperature is not None]
+    sides = [np.zeros_like(part.q, np.int8) if part.approach is None else part.approach for part in parts]
+    return Conditions(
+        q,
+        np.zeros(len(q), int),
+        payload,
+        parts[0].payload_centre,
+        temperature=np.concatenate(known) if len(known) == len(parts) else None,
+        approach=np.concatenate(sides) if any(part.approach is not None for part in parts) else None,
+    )
 
 
 def varies(column: np.ndarray | None) -> bool:

@@ -67,6 +67,8 @@ class Locus:
         frame: the side of a joint from which it is seen: "before" or "after".
         shape: the form of a dependence without a name.
         place: where along the variable it breaks [unit of the variable].
+        station: name of the station that alone has it, where there are several; None for all of them.
+        cause: name of the effect that it is an instance of, where that is another's.
         span: lower and upper end of the variable as far as it was seen, beyond which it keeps its end value.
     """
 
@@ -77,6 +79,8 @@ class Locus:
     frame: str | None = None
     shape: str | None = None
     place: float | None = None
+    station: str | None = None
+    cause: str = ""
     span: tuple[float, float] | None = None
 
     @property
@@ -138,7 +142,7 @@ class Effect(ABC):
     @property
     def identity(self) -> tuple[str, Locus]:
         """What tells it from other effects: two effects of one identity are variants of each other."""
-        return self.name, replace(self.locus, place=None, span=None)
+        return self.locus.cause or self.name, replace(self.locus, place=None, span=None)
 
     @property
     def is_nameless(self) -> bool:
@@ -153,7 +157,7 @@ class Effect(ABC):
     @property
     def heading(self) -> tuple[str, str | None, str | None]:
         """Name, joint, and of a named effect the source joint: effects that a summary calls the same have the same."""
-        return self.name, self.locus.joint, None if self.is_nameless else self.locus.source
+        return self.locus.cause or self.name, self.locus.joint, None if self.is_nameless else self.locus.source
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pincal.model.at_station import AtStation
 from pincal.model.effect import Effect
 from pincal.model.effects import (
     AxisDistortion,
@@ -44,5 +45,14 @@ def meaning_of(name: str) -> str:
     return known[name].meaning if name in known else ""
 
 
-for _effect in (JointOffset, LinkGeometry, AxisDistortion, JointElasticity, BearingElasticity, BaseFrame, ToolFrame):
+for _effect in (
+    JointOffset,
+    LinkGeometry,
+    AxisDistortion,
+    JointElasticity,
+    BearingElasticity,
+    BaseFrame,
+    ToolFrame,
+    AtStation,
+):
     EFFECTS.register(_effect)

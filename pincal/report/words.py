@@ -65,6 +65,8 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         words.append(f"of {entry.joint}")
     if entry.source:
         words.append(f"by {entry.source}")
+    if entry.station:
+        words.append(f"at {entry.station}")
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
         across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"

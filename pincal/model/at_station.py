@@ -1,0 +1,76 @@
+"""What one station among several shows and the others do not: a drift of its own, a joint that jumped between two days."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Candidate, Effect, Family, Locus, Term
+from pincal.parameters import Parameter, Scope
+
+
+@dataclass(frozen=True)
+class AtStation(Effect):
+    """An effect with parameters of its own at one station.
+
+    An effect of the robot that all stations have, too, is then other at this one: its parameters end in ``_here`` and add to
+    the robot's.
+
+    Attributes:
+        effect: the effect; not one of static moments.
+        station: name of the station.
+        joint: the joint whose parameters it has; all of them unless given.
+    """
+
+    effect: Effect
+    station: str
+    joint: str | None = None
+    name: ClassVar[str] = "at_station"
+    meaning: ClassVar[str] = "one station shows an effect that the others do not"
+    scope: ClassVar[Scope] = "station"
+
+    @property
+    def locus(self) -> Locus:
+        """That of the effect, at its station."""
+        at = self.effect.locus
+        return replace(at, joint=at.joint or self.joint, station=self.station, cause=self.effect.name)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Those of the effect that belong to its joint."""
+        of_effect, mark = self.effect.parameters(chain), "" if self.effect.scope == "station" else "_here"
+        kept = [of_effect[i] for i in self._kept(chain)]
+        return tuple(replace(p, name=p.name + mark, effect=self.name, nominal=0.0) for p in kept)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add what the effect does."""
+        place = {i: k for k, i in enumerate(self._kept(chain))}
+        found = [term for term in self.effect.terms(chain, conditions, moments) if term.parameter in place]
+        return tuple(term._replace(parameter=place[term.parameter]) for term in found)
+
+    def _kept(self, chain: Chain) -> list[int]:
+        names = [parameter.name for parameter in self.effect.parameters(chain)]
+        return [i for i, name in enumerate(names) if self.joint is None or name.rsplit(".", 1)[0] == self.joint]
+
+
+def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[Effect]:
+    """Yield those of a station's candidates that belong to stations, such as a drift, about its own times."""
+    for candidate in candidates:
+        yield from (AtStation(form, station) for form in candidate.forms if form.scope == "station")
+
+
+def changed_effects(effects: Iterable[Effect], joints: Iterable[str], station: str) -> Iterator[Effect]:
+    """Yield what a model has of single joints as what is other at a station: drives' zeros, and causes with a name."""
+    joints = tuple(joints)
+    for effect in effects:
+        at = effect.locus
+        if effect.uses_moments or effect.scope == "station" or at.station is not None:
+            continue
+        if effect.family is Family.GEOMETRY and at.acts_on == "drive":
+            yield from (AtStation(effect, station, joint) for joint in joints)
+        elif effect.family is Family.CAUSE and at.joint is not None:
+            yield AtStation(effect, station)
