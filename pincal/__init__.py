@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from pincal.compensate.frames import false_targets
     from pincal.design.design import Design, design_poses
     from pincal.design.reach import Limits, SensorSetup
+    from pincal.diagnosis.run import Diagnosis, diagnose
+    from pincal.diagnosis.update import update
     from pincal.discover.policy import Policy
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
@@ -60,6 +62,8 @@ _HOMES = {
     "pincal.design.design": ("Design", "design_poses"),
     "pincal.design.reach": ("Limits", "SensorSetup"),
     "pincal.io.discovery_file": ("Findings", "FoundEffect", "Verdict"),
+    "pincal.diagnosis.run": ("Diagnosis", "diagnose"),
+    "pincal.diagnosis.update": ("update",),
     "pincal.discover.policy": ("Policy",),
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
@@ -106,6 +110,7 @@ __all__ = [
     "Compensation",
     "Conditions",
     "Design",
+    "Diagnosis",
     "Discoverable",
     "Discovery",
     "Effect",
@@ -141,6 +146,7 @@ __all__ = [
     "compensate_program",
     "cross_validate",
     "design_poses",
+    "diagnose",
     "explain",
     "false_targets",
     "load_model",
@@ -156,6 +162,7 @@ __all__ = [
     "run_calibration",
     "run_discovery",
     "save_model",
+    "update",
 ]
 
 

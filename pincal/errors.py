@@ -80,6 +80,12 @@ class AccuracyGateError(PincalError):
     exit_code = Exit.INACCURATE
 
 
+class ChangedRobotError(PincalError):
+    """Measurements that a calibrated robot can't have given wherever the instrument stood: it has changed, or is another."""
+
+    exit_code = Exit.CHANGED
+
+
 class PincalWarning(UserWarning):
     """Something that the user should know but that does not stop the run."""
 

@@ -43,6 +43,12 @@ def hidden_examples() -> Path:
     return _folder("hidden_examples", "cases with a hidden effect")
 
 
+@pytest.fixture(scope="session")
+def change_examples() -> Path:
+    """Machines measured again after a change."""
+    return _folder("change_examples", "cases of a changed robot")
+
+
 def _folder(name: str, what: str) -> Path:
     path = SHARED / name
     if not path.is_dir():

@@ -29,6 +29,7 @@ LAYERS = (
     "io",
     "calibration",
     "discover",
+    "diagnosis",
     "design",
     "compensate",
     "report",

@@ -17,6 +17,7 @@ from pincal.atomic import write_whole
 from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, outside_curves, turned_curves
 from pincal.calibration.tables import estimate_table
 from pincal.errors import BadInputError, MeasurementError, OutputError
+from pincal.identify.fingerprints import fingerprints
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station, conditions_of, station_of
 from pincal.io.entries import ModelEntry, ParameterEntry
@@ -169,6 +170,8 @@ class CalibratedModel(Calibrated):
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         setup: named points and the camera that it was calibrated with.
         nominal_values: shape (P,), the values with only base and tool fitted; None where nobody knows them.
+        rows: fingerprints of the training rows; empty where nobody knows them.
+        is_noise_declared: whether the noise was declared, not estimated.
 
     Example:
         >>> from pincal.model.chain import Chain
@@ -192,6 +195,8 @@ class CalibratedModel(Calibrated):
     provenance: dict[str, Any]
     setup: Setup = field(default_factory=Setup)
     nominal_values: np.ndarray | None = None
+    rows: str = ""
+    is_noise_declared: bool = False
 
     @classmethod
     def of(cls, fit: Fit, provenance: dict[str, Any] | None = None, *, station: str | None = None) -> CalibratedModel:
@@ -219,6 +224,8 @@ class CalibratedModel(Calibrated):
             provenance=dict(provenance or {}),
             setup=options.setup,
             nominal_values=fit.nominal.values[places],
+            rows=fingerprints(at),
+            is_noise_declared=options.sigma is not None,
         )
 
     @classmethod
@@ -242,6 +249,8 @@ class CalibratedModel(Calibrated):
             provenance=provenance,
             setup=entry.setup.setup(),
             nominal_values=nominal_values,
+            rows=entry.rows,
+            is_noise_declared=entry.is_noise_declared,
         )
 
     def __repr__(self) -> str:

@@ -77,6 +77,12 @@ class Covered:
         q, payload = conditions.q, conditions.payload
         return cls(np.column_stack([q.min(axis=0), q.max(axis=0)]), np.array([payload.min(), payload.max()]))
 
+    def over(self, other: Covered) -> Covered:
+        """Return what rows of both cover."""
+        spans = [np.stack([one, two]) for one, two in ((self.q, other.q), (self.payload, other.payload))]
+        q, payload = (np.stack([both[..., 0].min(axis=0), both[..., 1].max(axis=0)], axis=-1) for both in spans)
+        return Covered(q, payload)
+
     def carries(self, payload: np.ndarray) -> np.ndarray:
         """Return which payloads [kg] lie within those of the training rows, shape (N,)."""
         return ~_beyond(payload, *self.payload)

@@ -28,6 +28,8 @@ _COMMANDS = {
     "validate": "pincal.cli.validate",
     "predict": "pincal.cli.predict",
     "compensate": "pincal.cli.compensate",
+    "diagnose": "pincal.cli.diagnose",
+    "update": "pincal.cli.update",
     "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.export",
     "view": "pincal.cli.view",
@@ -53,6 +55,7 @@ Your robot:     pincal check      ROBOT.urdf DATA.csv
                 pincal calibrate  ROBOT.urdf DATA.csv --out results
 Still errors?   pincal discover   ROBOT.urdf DATA.csv --out results
 Use the model:  pincal compensate results/model.json PROGRAM.csv --out corrected.csv
+Later:          pincal diagnose   results/model.json NEW.csv --out diagnosis
 """
 
 

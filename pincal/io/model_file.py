@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 import msgspec
 import numpy as np
 
+from pincal.identify.fingerprints import are_fingerprints
 from pincal.io.arrays import Matrix, Numbers, Record, Shape, Vector, shaped
 from pincal.io.entries import (
     ChainEntry,
@@ -40,6 +41,8 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
         covered: the range of the training rows.
         setup: named points and the camera.
+        rows: fingerprints of the training rows; not in files of version 0.1.0.
+        is_noise_declared: whether the noise was declared, not estimated.
     """
 
     sensor_kind: str
@@ -48,9 +51,13 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
     covered: CoveredEntry
     setup: SetupEntry
     sensor_module: str | None = None
+    rows: str = ""
+    is_noise_declared: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not are_fingerprints(self.rows):
+            raise Fault("holds no fingerprints", "four bytes per training row, as base64", key=".rows")
         kind, module = self.sensor_kind, self.sensor_module
         if kind in known_kinds():
             return

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from pincal.io.camera_file import CameraFile
+from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.discovery_file import Findings
 from pincal.io.effect_entry import SCHEMA
 from pincal.io.model_file import ModelFile, StationsFile
@@ -23,6 +24,7 @@ FILES: dict[str, type] = {
     "stations": StationsFile,
     "result": ResultFile,
     "discovery": Findings,
+    "diagnosis": DiagnosisFile,
     "camera": CameraFile,
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -32,7 +34,7 @@ def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON Schema of a file.
 
     Args:
-        name: "model", "stations" (a model.json with several), "result", "discovery" or "camera".
+        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis" or "camera".
 
     Example:
         >>> schema_of("camera")["$defs"]["CameraFile"]["required"]

@@ -1,0 +1,63 @@
+"""``pincal diagnose``: whether a calibrated robot has changed, and what."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, dataclass, replace
+from pathlib import Path
+
+import click
+
+from pincal.cli.arguments import argument, group, option, verb
+from pincal.cli.common import GeneralOptions, ignore_option, model_argument
+from pincal.cli.outputs import output_folder, print_json, print_notes, provenance
+from pincal.errors import Exit
+
+_EXAMPLES = """
+Example:
+  pincal diagnose results/model.json new.csv --out diagnosis
+
+DIR then holds diagnosis.json, report.html and model.json: the mended model, in which only what changed
+was found anew, or the model as it was where nothing has changed; it predicts at the new station.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseArguments:
+    """Arguments of diagnose."""
+
+    model: Path = model_argument()
+    data: Path = argument("NEW.csv", "Measurements made since; instrument and target may stand elsewhere.")
+    out: Path = option("Folder for the results.", MISSING, metavar="DIR")
+    alpha: float = option("Chance of an alarm on a robot that has not changed.", 0.01)
+    ignore: tuple[str, ...] = ignore_option()
+    general: GeneralOptions = group("General")
+
+
+@verb(DiagnoseArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
+def diagnose(arguments: DiagnoseArguments) -> Exit:
+    """Find out whether a calibrated robot has changed, and what.
+
+    Ten to sixty poses are enough: what the calibration knows of the robot is taken into account, with its uncertainty.
+    """
+    from pincal.calibration.calibrated import load_model
+    from pincal.cli.inputs import load_table
+    from pincal.diagnosis.run import diagnose as run
+    from pincal.io.strict_json import write_json
+    from pincal.report.diagnosis import diagnosis_page, lines
+
+    calibrated = load_model(arguments.model)
+    table = load_table(calibrated.model.chain.robot, arguments.data, ignore=arguments.ignore)
+    with output_folder(arguments.out) as draft:
+        found = run(calibrated, table, alpha=arguments.alpha)
+        origin = provenance([arguments.model, arguments.data])
+        replace(found.model, provenance=origin).save(draft / "model.json")
+        write_json(draft / "diagnosis.json", found.report)
+        (draft / "report.html").write_text(diagnosis_page(found, version=origin["pincal"]), encoding="utf-8")
+    if arguments.general.as_json:
+        print_json(found.report)
+    else:
+        for line in lines(found.found):
+            click.echo(line)
+        click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
+    print_notes(found.found.notes, quiet=arguments.general.quiet)
+    return Exit.CHANGED if found.changed else Exit.DONE

@@ -1,0 +1,128 @@
+"""What may have happened to a calibrated robot: parameters that moved, alone or together, and effects that are new."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.model.catalogue.candidates import elasticity, testable
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Curve, Effect, Family
+from pincal.model.effects import Compliance
+from pincal.model.model import Model
+from pincal.parameters import Parameter
+
+# A curve with more parameters than this part of the rows is not tried.
+_ROWS_PER_PARAMETER = 4
+
+
+@dataclass(frozen=True)
+class Change:
+    """One thing that may have happened.
+
+    Attributes:
+        name: of the effect.
+        joint: on which it acts; None for the whole arm.
+        parameters: names of the parameters that it moves.
+        effect: the effect that the robot would have now; None where parameters of the model moved.
+        source: the joint that drives this one, where an effect has one.
+        is_robots: whether it happened to the robot; what follows the instrument or the weather is no change of it.
+        parts: whether other changes together are the same one, so that it is not counted among what is excluded.
+    """
+
+    name: str
+    joint: str | None
+    parameters: tuple[str, ...]
+    effect: Effect | None = None
+    source: str | None = None
+    is_robots: bool = True
+    parts: bool = False
+
+    @property
+    def heading(self) -> tuple[str, str | None, str | None]:
+        """What a report calls it."""
+        return self.name, self.joint, self.source
+
+    def describe(self) -> dict[str, str | None]:
+        """Return what tells it from its likes in the terms of ``diagnosis.json``."""
+        return {"effect": self.name, "joint": self.joint} | ({} if self.source is None else {"source": self.source})
+
+
+def changes_of(model: Model, situation: Situation) -> tuple[Change, ...]:
+    """Return all that may have happened to a calibrated robot, as far as these poses could show it; the usual first.
+
+    Args:
+        model: chain and effects of the robot.
+        situation: the new poses.
+    """
+    moved = tuple(_of_parameters(model))
+    present = {effect.identity for effect in model.effects}
+    added = tuple(effect for effect in _catalogue(model, situation) if effect.identity not in present)
+    return moved + tuple(_of_effect(effect, model) for effect in added)
+
+
+def _of_effect(effect: Effect, model: Model) -> Change:
+    name, joint, source = effect.heading
+    at = effect.locus
+    is_weather = joint is None and at.follows == "temperature"
+    parameters = tuple(parameter.name for parameter in effect.parameters(model.chain))
+    return Change(name, joint, parameters, effect, source, effect.scope == "robot" and not is_weather)
+
+
+def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
+    """Yield the effects that these poses could show, and the compliances of single joints that the model does not have."""
+    known = {parameter.name for parameter in model.parameters}
+    if not model.chain.robot.massless:
+        kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
+        for kind in kinds:
+            for joint in situation.revolute:
+                effect = kind(joints=(joint,))
+                if known.isdisjoint(p.name for p in effect.parameters(model.chain)):
+                    yield effect
+    for candidate in testable(situation):
+        for form in candidate.forms:
+            size = form.resolution if isinstance(form, Curve) else 1
+            if size * _ROWS_PER_PARAMETER <= len(situation.conditions):
+                yield form
+
+
+def _of_parameters(model: Model) -> Iterator[Change]:
+    """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
+    for effect in model.effects:
+        if effect.scope == "station":
+            continue
+        single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
+        by_element: dict[str, list[Parameter]] = {}
+        for parameter in effect.parameters(model.chain):
+            by_element.setdefault(parameter.name.rpartition(".")[0], []).append(parameter)
+        for element, members in by_element.items():
+            joint = element if element in model.chain.robot.joint_names else effect.locus.joint
+            source = effect.heading[2]
+            names = tuple(parameter.name for parameter in members)
+            if single:
+                yield from (Change(effect.name, joint, (name,), source=source) for name in names)
+            if len(names) > 1 or not single:
+                yield Change(effect.name, joint, names, source=source, parts=single)
+    yield from _bent_links(model)
+
+
+def _bent_links(model: Model) -> Iterator[Change]:
+    """Yield, for each link between two joints, all constants of the geometry between the motion of the one and the other."""
+    chain, geometry = model.chain, [e for e in model.effects if e.family is Family.GEOMETRY]
+    if not geometry:
+        return
+    name = next((effect.name for effect in geometry if effect.locus.acts_on == "link"), geometry[0].name)
+    nothing = Conditions.at(np.zeros((0, chain.robot.n_joints)))
+    places = [
+        (effect.parameters(chain)[term.parameter].name, term.coordinate)
+        for effect in geometry
+        for term in effect.terms(chain, nothing, None)
+    ]
+    for i, joint in enumerate(chain.robot.joint_names[:-1]):
+        # What turns about or slides along the axis of a joint may stand before or behind its own motion.
+        here = {chain.joint(i, symbol) for symbol in ("theta", "d", "a", "alpha")}
+        there = {chain.joint(i + 1, symbol) for symbol in ("s_x", "s_y", "theta", "d")}
+        members = tuple(name for name, coordinate in places if coordinate in here | there)
+        yield Change(name, joint, members, parts=True)

@@ -1,0 +1,216 @@
+r"""What new readings say of a calibrated robot, its calibration's own uncertainty allowed for.
+
+With r the residuals of the new rows in units of their noise, R the Jacobian by the robot's parameters, known with covariance
+C, M by masses that a URDF knows to some per cent, F by what the new station alone has (base, targets, instrument) and by
+changes that are found already, and G by changes that are asked for,
+
+.. math:: r = R d + M m + F f + G g + e, \qquad d \sim N(0, C), \quad m \sim N(0, S), \quad e \sim N(0, 1),
+
+d and m are uncertain and f is anything. With all three projected out the gain of a change is
+
+.. math:: T_g = b_g^T P_{gg}^{-1} b_g, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r,
+
+what it takes off the squares: chi-square with as many degrees of freedom as the data see of it, if it has not happened.
+
+Masses that are off have bent the calibration, too: what is left is M m less what the parameters took up of it. The rows of
+the calibration are gone, so that part is computed in poses spread over the range that they covered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.discover.nuisance import MassError
+from pincal.identify.normal import belief_rows, block_rows
+from pincal.identify.station import Station
+from pincal.parameters import root_of
+
+# Part of a column's square that must be left after projection for the data to see it.
+_SEEN = 1e-5
+# Directions of a scaled matrix of information below this are rounding.
+_ROUNDING = 1e-12
+# Poses over which masses are taken to have bent a calibration.
+_POSES = 200
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a calibration knows of a robot's parameters, and what it can't.
+
+    Attributes:
+        names: the parameters.
+        values: shape (K,).
+        root: shape (K, n), of their covariance.
+        masses: masses as an effect; None for a rigid model.
+        taken_up: shape (K, m), what the calibration made of a unit of each mass parameter.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    root: np.ndarray
+    masses: MassError | None
+    taken_up: np.ndarray
+
+    @classmethod
+    def of(cls, calibrated: CalibratedModel) -> Known:
+        """Return what a calibrated model knows of its robot."""
+        chain = calibrated.model.chain
+        effects = (effect for effect in calibrated.model.effects if effect.scope == "robot")
+        names = tuple(parameter.name for effect in effects for parameter in effect.parameters(chain))
+        estimate = calibrated.estimate.take(names)
+        masses = MassError.of(calibrated.model, calibrated.model_values)
+        taken_up = np.zeros((len(names), 0)) if masses is None else _taken_up(calibrated, names, masses)
+        return cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
+
+
+def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassError) -> np.ndarray:
+    """Return how far a calibration's parameters move if masses are off by a unit each, shape (K, m)."""
+    model, rng = calibrated.model, np.random.default_rng(0)
+    lower, upper = calibrated.covered.q.T
+    conditions = calibrated.conditions_at(rng.uniform(lower, upper, (_POSES, len(lower))))
+    approach = rng.choice([-1.0, 1.0], conditions.q.shape)
+    conditions = replace(
+        conditions,
+        payload=rng.choice(calibrated.covered.payload, _POSES),
+        approach=approach,
+        temperature=np.full(_POSES, 20.0),
+        time=np.linspace(0.0, 1.0, _POSES),
+    )
+    wide = model.with_effects([*model.effects, masses])
+    n = model.n_parameters
+    values = np.append(calibrated.model_values, np.zeros(wide.n_parameters - n))
+    _, J = wide.linearise(values, conditions)
+    columns = J.transpose(2, 0, 1).reshape(J.shape[2], -1) / calibrated.sigma[0]
+    G = columns @ columns.T
+    sizes = np.array([parameter.size for parameter in model.parameters]) / model.largest_basis(conditions)[0]
+    H = G[:n, :n] + np.diag(sizes**-2.0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    slope = np.linalg.lstsq(H * np.outer(scale, scale), scale[:, None] * G[:n, n:], rcond=_ROUNDING)[0]
+    return np.asarray((scale[:, None] * slope)[[model.index(name) for name in names]])
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What new rows say beyond what is known, by the F parameters of the model that they were seen under.
+
+    Attributes:
+        P: shape (F, F).
+        b: shape (F,).
+        whole: shape (F,), diagonal of the information before anything was projected out.
+        square: r^T V^-1 r.
+        degrees: of its chi-square distribution.
+        rows: shape (N, 2), what a row alone takes off the square if its reading is wrong, and the rank of that.
+    """
+
+    P: np.ndarray
+    b: np.ndarray
+    whole: np.ndarray
+    square: float
+    degrees: int
+    rows: np.ndarray
+
+    def gain(self, j: np.ndarray) -> tuple[float, int]:
+        """Return T and rank of parameters, by their places, that change together."""
+        along = self.b[j] @ root_of_inverse(self.P[np.ix_(j, j)], self.whole[j], _SEEN)
+        return float(along @ along), len(along)
+
+    def estimate(self, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the most probable change of parameters and its covariance to first order; zero for what is not seen."""
+        root = root_of_inverse(self.P[np.ix_(j, j)], self.whole[j], _SEEN)
+        return root @ (root.T @ self.b[j]), root @ root.T
+
+    def given(self, j: np.ndarray) -> Evidence:
+        """Return the evidence with further parameters released."""
+        root = root_of_inverse(self.P[np.ix_(j, j)], self.whole[j], _SEEN)
+        across, along = self.P[:, j] @ root, root.T @ self.b[j]
+        return replace(
+            self,
+            P=self.P - across @ across.T,
+            b=self.b - across @ along,
+            square=self.square - float(along @ along),
+            degrees=self.degrees - len(along),
+        )
+
+
+def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return R, shape (n, k), with R R^T the inverse of information H over the k directions that hold any.
+
+    Args:
+        H: shape (n, n).
+        whole: shape (n,), information that counts as 1.
+        tolerance: below which there is none.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    seen = values > tolerance
+    return np.asarray((scale[:, None] * vectors[:, seen]) / np.sqrt(values[seen]))
+
+
+def weigh(station: Station, values: np.ndarray, known: Known, free: np.ndarray, *, sigma: np.ndarray) -> Evidence:
+    """Return what the rows of a station say.
+
+    Args:
+        station: the rows under a model of the robot with masses and all effects that are asked for.
+        values: shape (P,), where it is linearised: the robot's parameters as they are known, but for those that are free.
+        known: what is known of the robot.
+        free: places of parameters that are anything: the station's own, and those of the robot that have changed.
+        sigma: shape (blocks,), noise of one component of each block of readings.
+    """
+    A, r = _whitened(station, values, sigma)
+    # Effects that are asked for may share names; those of the model and of masses come first.
+    index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
+    R = A[[index[name] for name in known.names]]
+    uncertain = [known.root.T @ R]
+    if known.masses is not None:
+        masses = known.masses.parameters(station.model.chain)
+        sizes = np.array([parameter.size for parameter in masses])
+        uncertain.append(sizes[:, None] * (A[[index[p.name] for p in masses]] - known.taken_up.T @ R))
+    F = A[free]
+    nuisance = np.vstack([*uncertain, F])
+    H = nuisance @ nuisance.T
+    H.flat[: (len(H) + 1) * (len(H) - len(F)) : len(H) + 1] += 1.0
+    # Rows of Q are what is projected out, so that V^-1 = 1 - Q^T Q.
+    Q = root_of_inverse(H, np.diag(H), _ROUNDING).T @ nuisance
+    rank = root_of_inverse(F @ F.T, np.sum(F**2, axis=1), _ROUNDING).shape[1]
+    across, along = A @ Q.T, Q @ r
+    left = r - Q.T @ along
+    return Evidence(
+        P=A @ A.T - across @ across.T,
+        b=A @ r - across @ along,
+        whole=np.sum(A**2, axis=1),
+        square=float(r @ left),
+        degrees=len(r) - rank,
+        rows=_rows_alone(left, Q, len(station)),
+    )
+
+
+def _whitened(station: Station, values: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Jacobian, shape (P, R), and residuals, shape (R,), in units of the noise, row by row.
+
+    What the sensor knows beside its readings stands at the end.
+    """
+    everything = np.ones(len(values), bool)
+    columns, readings = [], []
+    for piece, residuals, jacobian in station.linearise(values, everything):
+        whitening = np.empty_like(residuals)
+        for rows, size in zip(block_rows(station), sigma, strict=True):
+            whitening[rows] = station.weights[piece] / size
+        columns.append((jacobian * whitening).transpose(0, 2, 1).reshape(len(values), -1))
+        readings.append((residuals * whitening).T.ravel())
+    J, r = belief_rows(station, values, everything)
+    return np.hstack([*columns, J]), np.concatenate([*readings, r])
+
+
+def _rows_alone(left: np.ndarray, Q: np.ndarray, n: int) -> np.ndarray:
+    """Return what each row takes off the square if its reading is wrong, and the rank of that, shape (N, 2)."""
+    m = len(left) // n
+    out = np.zeros((n, 2))
+    for i in range(n):
+        here = slice(m * i, m * i + m)
+        root = root_of_inverse(np.eye(m) - Q[:, here].T @ Q[:, here], np.ones(m), _SEEN)
+        along = left[here] @ root
+        out[i] = along @ along, len(along)
+    return out

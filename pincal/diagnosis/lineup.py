@@ -1,0 +1,116 @@
+"""All changes side by side: the rows of a station under a model that has every effect that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pincal.calibration.placing import Placed
+from pincal.diagnosis.changes import Change, changes_of
+from pincal.diagnosis.evidence import Evidence, Known, weigh
+from pincal.discover.nuisance import compliances_of
+from pincal.identify.noise import Noise
+from pincal.identify.problem import Problem
+from pincal.identify.solve import Priors, most_probable
+from pincal.identify.station import Station
+from pincal.model.conditions import Conditions, Situation, varies
+
+# Size of a change, in sizes of the errors of such robots, where the rows do not tell; what they tell may be any size.
+_FAR = 1.0
+
+
+@dataclass(frozen=True)
+class Lineup:
+    """The rows of a new station, what is known of the robot, and what may have happened to it.
+
+    Values here are those of the wide model: the calibrated robot's, masses and all effects that are asked for, and the
+    sensor's own.
+
+    Attributes:
+        placed: the robot as it was, at the new station.
+        known: what its calibration knows of it.
+        station: the rows that count, under the wide model.
+        changes: what may have happened.
+        places: for each change, where its parameters stand.
+        own: where the station's own parameters stand.
+        start: shape (P,), the robot as it was.
+    """
+
+    placed: Placed
+    known: Known
+    station: Station
+    changes: tuple[Change, ...]
+    places: tuple[np.ndarray, ...]
+    own: np.ndarray
+    start: np.ndarray
+
+    @classmethod
+    def of(cls, placed: Placed, known: Known) -> Lineup:
+        """Line up all that may have happened."""
+        station, model = placed.station, placed.station.model
+        of_model, of_sensor = station.split(placed.values)
+        compliances = tuple(compliances_of(model, of_model).tolist())
+        changes = changes_of(model, Situation(model.chain, _loaded_and_not(station.conditions), compliances))
+        added = [change.effect for change in changes if change.effect is not None]
+        masses = [] if known.masses is None else [known.masses]
+        wide = model.with_effects([*model.effects, *masses, *added])
+        spans = iter(wide.spans[len(model.effects) + len(masses) :])
+        places = [_places(change, model.names) if change.effect is None else _span(next(spans)) for change in changes]
+        own = np.flatnonzero(station.is_own[: model.n_parameters])
+        own = np.append(own, wide.n_parameters + np.flatnonzero(~station.sensor.fixed))
+        beyond = np.zeros(wide.n_parameters - model.n_parameters)
+        start = np.concatenate([of_model, beyond, of_sensor])
+        return cls(placed, known, station.with_model(wide), changes, tuple(places), own, start)
+
+    def without(self, row: int) -> Lineup:
+        """Return the same without a row."""
+        kept = np.arange(len(self.station)) != row
+        return replace(self, station=self.station.select(kept))
+
+    def free(self, happened: Sequence[int]) -> np.ndarray:
+        """Return the places of what is anything once some changes have happened."""
+        return np.unique(np.concatenate([self.own, *(self.places[i] for i in happened)])).astype(int)
+
+    def release(self, happened: Sequence[int], start: np.ndarray) -> np.ndarray:
+        """Return the values with some changes found and everything else of the robot as it was, shape (P,)."""
+        problem = Problem((self.station,))
+        free = np.zeros(len(start), bool)
+        free[self.free(happened)] = True
+        noise = Noise(tuple(map(float, self.placed.model.sigma)))
+        priors = Priors(np.where(free, self._far, 1.0), np.full(len(start), np.inf))
+        # Sizes are about zero, changes about where the robot was; far off, that is the same.
+        return most_probable(problem, start, free, priors, noise, loss="none")
+
+    def weigh(self, values: np.ndarray, happened: Sequence[int]) -> Evidence:
+        """Return what the rows say of everything else, once some changes have happened."""
+        return weigh(self.station, values, self.known, self.free(happened), sigma=self.placed.model.sigma)
+
+    def motion(self, values: np.ndarray) -> np.ndarray:
+        """Return how the target moves with each parameter of the wide model, in the instrument's axes, shape (N, 3, P)."""
+        model = self.station.model
+        return model.linearise(model.own(values), self.station.conditions)[1]
+
+    @cached_property
+    def _far(self) -> np.ndarray:
+        largest = np.ones(len(self.start))
+        self.station.split(largest)[0][:] = self.station.model.largest_basis(self.station.conditions)[0]
+        return _FAR * np.array([parameter.size for parameter in self.station.parameters]) / largest
+
+
+def _places(change: Change, names: tuple[str, ...]) -> np.ndarray:
+    return np.array([names.index(name) for name in change.parameters], int)
+
+
+def _span(span: slice) -> np.ndarray:
+    return np.arange(span.start, span.stop)
+
+
+def _loaded_and_not(conditions: Conditions) -> Conditions:
+    """Return conditions in which the load varies if there is any: the calibration knows the robot without it."""
+    if not conditions.payload.any() or varies(conditions.payload):
+        return conditions
+    twice = conditions.select(np.repeat(np.arange(len(conditions)), 2))
+    return replace(twice, payload=np.where(np.arange(len(twice)) % 2, twice.payload, 0.0))

@@ -1,0 +1,218 @@
+"""Has a calibrated robot changed, and what? From a model and a few new rows to a diagnosis and a mended model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.placing import Placed, moved, place_station
+from pincal.diagnosis.changes import Change
+from pincal.diagnosis.evidence import Known
+from pincal.diagnosis.excluded import excluded, names_of, tell_apart
+from pincal.diagnosis.lineup import Lineup
+from pincal.diagnosis.search import Verdict, search
+from pincal.diagnosis.take_in import taken_in
+from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.fingerprints import count, known_rows
+from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile, ExcludedEntry, MovedEntry
+from pincal.measure.checks import check_table
+from pincal.measure.measurements import Measurements
+from pincal.validate.accuracy import error_table
+
+# Chance of a false alarm.
+ALPHA = 0.01
+# What is left after all changes, relative to the reach, beyond which the rows are not of this robot.
+_HOPELESS = 0.01
+# Degrees of freedom by which a calibration is taken to know its noise, where nobody knows how many rows it had.
+_DEGREES = 200.0
+# Rows with the fingerprint of another that is met by chance.
+_SAME_BY_CHANCE = 1
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Whether a robot has changed, and what.
+
+    Attributes:
+        found: the contents of ``diagnosis.json``.
+        model: the mended model, at the new station; the robot as it was where it has not changed.
+    """
+
+    found: DiagnosisFile
+    model: CalibratedModel
+
+    @property
+    def changed(self) -> bool:
+        """Whether the robot is other than its model says."""
+        return self.found.changed
+
+    @property
+    def changes(self) -> tuple[ChangeEntry, ...]:
+        """What changed, the surest first."""
+        return self.found.changes
+
+    @property
+    def excluded(self) -> tuple[ExcludedEntry, ...]:
+        """What would have been noticed."""
+        return self.found.excluded
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The contents of ``diagnosis.json`` in types that JSON knows."""
+        return msgspec.to_builtins(self.found)  # type: ignore[no-any-return]
+
+
+def diagnose(calibrated: Calibrated, measurements: Measurements, *, alpha: float = ALPHA) -> Diagnosis:
+    """Find out whether a robot still obeys its model, up to where instrument and target stand, and what has changed if not.
+
+    Args:
+        calibrated: the robot as it was calibrated.
+        measurements: new rows, with any instrument, set up anew.
+        alpha: chance of an alarm on a robot that has not changed.
+
+    Returns:
+        What has changed, with what it could be as well; what has not; and the mended model.
+
+    Raises:
+        BadInputError: if the rows are too few to tell where instrument and target stand, or those that the model was fitted
+            to, or not of this robot.
+
+    Example:
+        >>> from pincal import Options, Robot, calibrate, measurements_from_arrays
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> robot = Robot.from_urdf(kuka_urdf_path())
+        >>> rng = np.random.default_rng(0)
+        >>> def measured(n, offset):
+        ...     q = robot.random_configurations(n, rng)
+        ...     tips = robot.forward_kinematics(q + offset * np.eye(6)[2])
+        ...     position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((n, 3))
+        ...     return measurements_from_arrays(robot.joint_names, q, position=position)
+        >>> fit = calibrate(robot, measured(100, 0.0), Options(effects=GEOMETRIC))
+        >>> [(change.effect, change.joint) for change in diagnose(fit, measured(15, 3e-4)).changes]
+        [('joint_offset', 'joint_3')]
+        >>> diagnose(fit, measured(15, 0.0)).changed
+        False
+    """
+    if not 0.0 < alpha < 0.5:
+        raise BadInputError(f"alpha is {alpha:g}; expected a chance of a false alarm between 0 and 0.5, such as 0.01")
+    model = calibrated.robot_model()
+    placed = placed_anew(model, measurements)
+    verdict = verdict_of(model, placed, alpha)
+    kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)
+    mended = _mended(model, measurements.select(kept), placed, verdict)
+    station = mended.readings(measurements)
+    after = error_table(station, mended.values)
+    if after["rms_mm"] > 1e3 * _HOPELESS * model.model.chain.robot.reach:
+        raise MeasurementError(
+            f"{measurements.source}: no change that one could name brings the robot nearer than {after['rms_mm']:.3g} mm to "
+            "these rows; expected rows of the robot that was calibrated. Are units, joint zeros and tip those of its table?"
+        )
+    found = DiagnosisFile(
+        changed=verdict.changed,
+        p_value=verdict.p_value,
+        alpha=alpha,
+        changes=tuple(_entries(verdict, model, mended)),
+        excluded=tuple(excluded(verdict)),
+        gap={"before": error_table(placed.station, placed.values), "after": after},
+        station=_moved(model, mended),
+        rows=len(measurements),
+        notes=tuple(_notes(verdict, measurements)),
+    )
+    return Diagnosis(found, mended)
+
+
+def verdict_of(model: CalibratedModel, placed: Placed, alpha: float) -> Verdict:
+    """Return what has happened to a calibrated robot that was placed at a new station."""
+    rows, sizes = count(model.rows), [block.size for block in placed.station.sensor.blocks]
+    degrees = max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else _DEGREES
+    return search(Lineup.of(placed, Known.of(model)), alpha=alpha, degrees=degrees)
+
+
+def placed_anew(model: CalibratedModel, measurements: Measurements) -> Placed:
+    """Return a calibrated robot at the station of new rows.
+
+    Raises:
+        BadInputError: if the rows are too few to tell where instrument and target stand, or those that the model was fitted
+            to: it obeys them, whatever happened since.
+    """
+    check_table(model.model.chain.robot, measurements, minimum=1)
+    placed = place_station(model, measurements)
+    known = int(np.sum(known_rows(model.rows, placed.station)))
+    if known > _SAME_BY_CHANCE:
+        raise MeasurementError(
+            f"{measurements.source}: the model was fitted to {known} of these {len(measurements)} rows, so they can't tell "
+            "whether the robot has changed since; expected rows measured later"
+        )
+    return placed
+
+
+def _mended(model: CalibratedModel, rows: Measurements, placed: Placed, verdict: Verdict) -> CalibratedModel:
+    """Return the robot at the new station, with what changed found and nothing else released."""
+    changes = [verdict.lineup.changes[i] for i in verdict.happened]
+    if not changes:
+        return placed.model
+    added = tuple(change.effect for change in changes if change.effect is not None)
+    moved_ones = {name for change in changes if change.effect is None for name in change.parameters}
+    return taken_in(model, rows, added=added, forgotten=moved_ones)
+
+
+def _entries(verdict: Verdict, before: CalibratedModel, after: CalibratedModel) -> Iterator[ChangeEntry]:
+    changes = verdict.lineup.changes
+    for step in verdict.steps:
+        change = changes[step.score.change]
+        likes = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in names_of(changes, step))
+        yield ChangeEntry(
+            effect=change.name,
+            joint=change.joint,
+            source=change.source,
+            parameters=dict(_parameters(change, before, after)),
+            p_value=step.p_value,
+            equivalent=tuple(likes),
+            tell_apart=tell_apart(verdict, step),
+        )
+    if verdict.is_unexplained:
+        yield ChangeEntry(
+            effect="unnamed",
+            joint=None,
+            parameters={},
+            p_value=verdict.p_value,
+            equivalent=(),
+            tell_apart="more poses over the whole range of the joints; calibrate or discover anew with them",
+        )
+
+
+def _parameters(change: Change, before: CalibratedModel, after: CalibratedModel) -> Iterator[tuple[str, ChangedParameter]]:
+    for name in change.parameters:
+        i = after.estimate.index(name)
+        parameter = after.estimate.parameters[i]
+        was = before.estimate[name] if change.effect is None else 0.0
+        values = (parameter.nominal + was, parameter.nominal + after.estimate[name])
+        yield name, ChangedParameter(values[0], values[1], float(after.estimate.sigma[i]), parameter.unit)
+
+
+def _moved(before: CalibratedModel, after: CalibratedModel) -> MovedEntry:
+    way = moved(before, after)
+    parts = (way.instrument, way.turned, way.target)
+    return MovedEntry(*(None if part is None else 1e3 * part for part in parts))
+
+
+def _notes(verdict: Verdict, measurements: Measurements) -> Iterator[str]:
+    for i in verdict.beside:
+        change = verdict.lineup.changes[i]
+        where = "" if change.joint is None else f" of {change.joint}"
+        if change.is_robots:
+            yield (
+                f"{change.name}{where} is in these rows, but by its size it was there when the robot was calibrated and the "
+                "model left it, so that it is no change; discover finds what a model misses"
+            )
+        else:
+            yield f"{change.name}{where} is in these rows; it follows the instrument or the weather, not the robot"
+    if verdict.wrong_rows:
+        lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)
+        yield f"left out, since they contradict all other rows: lines {lines}"

@@ -1,0 +1,202 @@
+"""What has changed on a robot, as a page that is read in a minute, and as the same in a few lines for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from markupsafe import Markup
+
+from pincal.diagnosis.run import Diagnosis
+from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile
+from pincal.report.blocks import Section, bars, bullets, code, facts, group, heading, paragraph, rich
+from pincal.report.html import render
+from pincal.report.tables import show_chance
+from pincal.report.words import effect_meaning
+from pincal.tables import Cell, Column, Kind, Table
+from pincal.units import fixed, format_small
+
+_STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
+# Parameters that are named in a line.
+_SHOWN = 3
+
+
+def headline(found: DiagnosisFile) -> str:
+    """Return the answer in a sentence."""
+    if not found.changed:
+        return (
+            f"Nothing has changed that these {found.rows} poses could show (p = {found.p_value:.2g}): "
+            "the robot still is what its model says."
+        )
+    return f"The robot has changed (p = {show_chance(found.p_value)}): {'; '.join(map(in_words, found.changes))}."
+
+
+def in_words(change: ChangeName) -> str:
+    """Return a change in words, with its joint.
+
+    Example:
+        >>> in_words(ChangeName(effect="backlash", joint="axis_3"))
+        'backlash of axis_3'
+    """
+    if change.effect == "unnamed":
+        return "something that no single cause explains"
+    words = f"{change.effect} of {change.joint or 'the whole arm'}"
+    return words + (f" by {change.source}" if change.source else "")
+
+
+def sizes(change: ChangeEntry) -> str:
+    """Return how far the parameters of a change moved, those first that moved by most of their standard deviations."""
+    surest = sorted(change.parameters.items(), key=lambda item: -_sureness(item[1]))[:_SHOWN]
+    return ", ".join(
+        f"{name} by {format_small(p.after - p.before, p.unit)} ± {format_small(p.sigma, p.unit)}" for name, p in surest
+    )
+
+
+def _sureness(parameter: ChangedParameter) -> float:
+    return abs(parameter.after - parameter.before) / parameter.sigma if parameter.sigma else 0.0
+
+
+def change_table(changes: Iterable[ChangeEntry]) -> Table:
+    """Return what changed, by how much, and what it could be as well."""
+    columns = (
+        Column("what"),
+        Column("joint", kind=Kind.NAME),
+        Column("moved"),
+        Column("p", kind=Kind.NUMBER, show=show_chance),
+        Column("could also be"),
+        Column("told apart by"),
+    )
+    rows = tuple(
+        (
+            change.effect,
+            change.joint or "whole arm",
+            sizes(change),
+            change.p_value,
+            "; ".join(map(in_words, change.equivalent)) or "nothing else",
+            change.tell_apart,
+        )
+        for change in changes
+    )
+    return Table("What has changed", columns, rows)
+
+
+def excluded_table(found: DiagnosisFile) -> Table:
+    """Return how far the target would have moved at most, at the least, for each change to be noticed [mm]."""
+    entries = [entry for entry in found.excluded if entry.source is None]
+    joints = list(dict.fromkeys(entry.joint or "whole arm" for entry in entries))
+    least: dict[str, dict[str, float]] = {}
+    for entry in entries:
+        symbol = entry.parameter.rpartition(".")[2]
+        several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
+        name = f"{entry.effect} {symbol}" if several else entry.effect
+        least.setdefault(name, {})[entry.joint or "whole arm"] = entry.tip_mm
+    columns = (Column("change"), *(Column(joint, "mm", Kind.NUMBER, fixed(2)) for joint in joints))
+    rows: tuple[tuple[Cell, ...], ...] = tuple((name, *(by.get(joint) for joint in joints)) for name, by in least.items())
+    notes = ("A dash: these poses see nothing of it, or not on this joint. Sizes in their own units are in diagnosis.json.",)
+    return Table("Smallest change that would have been noticed with 90 %, as motion of the target", columns, rows, notes)
+
+
+def moved_words(found: DiagnosisFile) -> str:
+    """Return how far instrument and target moved."""
+    at = found.station
+    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.1f} mm"]
+    parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.1f} mrad"]
+    parts += [] if at.target_moved_mm is None else [f"the target sits {at.target_moved_mm:.2f} mm from where it was"]
+    return ", ".join(parts) or "these readings don't tell where the instrument stands"
+
+
+def lines(found: DiagnosisFile) -> Iterator[str]:
+    """Yield a diagnosis for a terminal."""
+    yield headline(found)
+    for change in found.changes:
+        if change.parameters:
+            yield f"  {in_words(change)}: {sizes(change)}"
+        if change.equivalent:
+            yield f"    could also be {'; '.join(map(in_words, change.equivalent))}"
+        if change.tell_apart:
+            yield f"    told apart by: {change.tell_apart}"
+    before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
+    if found.changed:
+        yield f"mean error {before:.4f} mm by the model as it was, {after:.4f} mm by the mended one"
+    else:
+        yield f"mean error {before:.4f} mm"
+    yield f"{moved_words(found)}; that is no change of the robot"
+    if worst := _least_offsets(found):
+        yield worst
+
+
+def _least_offsets(found: DiagnosisFile) -> str:
+    """Return what is excluded of the kind of change that is listed first, in a line."""
+    if not found.excluded:
+        return ""
+    first = [entry for entry in found.excluded if entry.effect == found.excluded[0].effect]
+    largest = max(first, key=lambda entry: entry.smallest)
+    return (
+        f"excluded with 90 %: any other {first[0].effect} from {format_small(largest.smallest, largest.unit)} "
+        f"({largest.tip_mm:.2f} mm at the target) on; {len(found.excluded)} more in diagnosis.json"
+    )
+
+
+def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
+    """Return ``report.html`` of a diagnosis."""
+    found, robot = diagnosis.found, diagnosis.model.model.chain.robot
+    made = (_answer(found), _changes(found), _noticed(found), _station(found))
+    return render(
+        f"Diagnosis of {robot.name}",
+        f"{found.rows} new poses against the robot as it was calibrated",
+        [section for section in made if section is not None],
+        version=version,
+    )
+
+
+def _answer(found: DiagnosisFile) -> Section:
+    tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
+    answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
+    notes = (paragraph(note, "note") for note in found.notes)
+    left = group("plain", paragraph(answer), *notes)
+    columns = group("split", left, group("plain", heading("What to do next"), bullets(_next_steps(found))))
+    before, after = found.gap["before"], found.gap["after"]
+    largest = max(before["max_mm"], after["max_mm"]) or 1.0
+    glance = (
+        bars(
+            f"{words} error",
+            f"{before[f'{name}_mm']:.4f}",
+            f"{after[f'{name}_mm']:.4f} mm",
+            (100.0 * before[f"{name}_mm"] / largest, 100.0 * after[f"{name}_mm"] / largest),
+        )
+        for name, words in _STATISTICS
+    )
+    return Section("answer", "Has it changed?", (columns, group("glance", *glance)), style="panel")
+
+
+def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
+    if not found.changed:
+        yield rich("Go on with the model; {} takes these poses in for good.", code("pincal update"))
+        return
+    for change in found.changes:
+        meaning = "" if change.effect == "unnamed" else f" ({effect_meaning(change.effect)})"
+        yield f"Look at {change.joint or 'the whole arm'}: {change.effect}{meaning}."
+        if change.equivalent:
+            yield f"To be sure of the cause: {change.tell_apart}."
+    named = any(change.effect != "unnamed" for change in found.changes)
+    if named:
+        yield rich("Until then {} is the mended model: only what changed was found anew.", code("model.json"))
+    else:
+        yield rich("Measure more poses and calibrate again: {}.", code("pincal discover"))
+
+
+def _changes(found: DiagnosisFile) -> Section | None:
+    if not found.changes:
+        return None
+    return Section("changes", "What has changed", (change_table(found.changes),), label="Changes")
+
+
+def _noticed(found: DiagnosisFile) -> Section | None:
+    return Section("noticed", "What has not changed", (excluded_table(found),), label="Excluded") if found.excluded else None
+
+
+def _station(found: DiagnosisFile) -> Section:
+    items = (
+        ("instrument and target", f"{moved_words(found)}; that is no change of the robot"),
+        ("false alarms", f"one in {1.0 / found.alpha:.0f} diagnoses of a robot that has not changed"),
+    )
+    return Section("station", "Set-up", (facts(items),))
