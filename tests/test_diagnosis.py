@@ -84,7 +84,7 @@ def test_the_example_changes_are_named_and_mended(change_examples: Path, case: s
 
 
 def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measurements]) -> None:
-    """With V = 1 + R C R^T + M S M^T written out, what is free projected out, each change gains what least squares says."""
+    """With V = 1 + R C R^T + M S M^T + B B^T written out, what is free projected out, each change gains what least squares says."""
     model, table = offset
     lineup = Lineup.of(place_station(model, table), Known.of(model))
     found = lineup.weigh(lineup.start, ())
@@ -97,7 +97,8 @@ def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measur
     masses = known.masses.parameters(station.model.chain)
     M = A[[names.index(p.name) for p in masses]] - known.taken_up.T @ R
     S = np.diag([parameter.size**2 for parameter in masses])
-    V = np.eye(len(y)) + R.T @ model.robot_estimate.dense_covariance() @ R + M.T @ S @ M
+    B = np.array([station.parameters[i].size for i in lineup.beside])[:, None] * A[lineup.beside]
+    V = np.eye(len(y)) + R.T @ model.robot_estimate.dense_covariance() @ R + M.T @ S @ M + B.T @ B
     white = np.linalg.inv(np.linalg.cholesky(V))
 
     def left(columns: np.ndarray) -> float:
@@ -201,7 +202,12 @@ def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedMod
     i = next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_2.theta",))
     before = lineup.weigh(start, ())
     after = weigh(
-        lineup.station, lineup.release((i,), start), lineup.known, lineup.free((i,)), sigma=lineup.placed.model.sigma
+        lineup.station,
+        lineup.release((i,), start),
+        lineup.known,
+        lineup.free((i,)),
+        beside=lineup.beside,
+        sigma=lineup.placed.model.sigma,
     )
 
     assert before.square - after.square == pytest.approx(before.gain(lineup.places[i])[0], rel=1e-2)

@@ -28,7 +28,6 @@ class Change:
         parameters: names of the parameters that it moves.
         effect: the effect that the robot would have now; None where parameters of the model moved.
         source: the joint that drives this one, where an effect has one.
-        is_robots: whether it happened to the robot; what follows the instrument or the weather is no change of it.
         parts: whether other changes together are the same one, so that it is not counted among what is excluded.
     """
 
@@ -37,7 +36,6 @@ class Change:
     parameters: tuple[str, ...]
     effect: Effect | None = None
     source: str | None = None
-    is_robots: bool = True
     parts: bool = False
 
     @property
@@ -57,23 +55,29 @@ def changes_of(model: Model, situation: Situation) -> tuple[Change, ...]:
         model: chain and effects of the robot.
         situation: the new poses.
     """
-    moved = tuple(_of_parameters(model))
-    present = {effect.identity for effect in model.effects}
-    added = tuple(effect for effect in _catalogue(model, situation) if effect.identity not in present)
-    return moved + tuple(_of_effect(effect, model) for effect in added)
+    added = (effect for effect in _catalogue(model, situation) if not _is_beside(effect))
+    return tuple(_of_parameters(model)) + tuple(_of_effect(effect, model) for effect in added)
+
+
+def beside_changes(model: Model, situation: Situation) -> tuple[Effect, ...]:
+    """Return what new rows may show without any change of the robot: what follows instrument and weather."""
+    return tuple(effect for effect in _catalogue(model, situation) if _is_beside(effect))
+
+
+def _is_beside(effect: Effect) -> bool:
+    """Return whether an effect is the station's, or the whole arm's at its temperature."""
+    at = effect.locus
+    return effect.scope == "station" or (at.joint is None and at.follows == "temperature")
 
 
 def _of_effect(effect: Effect, model: Model) -> Change:
     name, joint, source = effect.heading
-    at = effect.locus
-    is_weather = joint is None and at.follows == "temperature"
-    parameters = tuple(parameter.name for parameter in effect.parameters(model.chain))
-    return Change(name, joint, parameters, effect, source, effect.scope == "robot" and not is_weather)
+    return Change(name, joint, tuple(parameter.name for parameter in effect.parameters(model.chain)), effect, source)
 
 
 def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
     """Yield the effects that these poses could show, and the compliances of single joints that the model does not have."""
-    known = {parameter.name for parameter in model.parameters}
+    known, present = {parameter.name for parameter in model.parameters}, {effect.identity for effect in model.effects}
     if not model.chain.robot.massless:
         kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
         for kind in kinds:
@@ -84,7 +88,7 @@ def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
     for candidate in testable(situation):
         for form in candidate.forms:
             size = form.resolution if isinstance(form, Curve) else 1
-            if size * _ROWS_PER_PARAMETER <= len(situation.conditions):
+            if form.identity not in present and size * _ROWS_PER_PARAMETER <= len(situation.conditions):
                 yield form
 
 

@@ -149,7 +149,9 @@ def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.nd
     return np.asarray((scale[:, None] * vectors[:, seen]) / np.sqrt(values[seen]))
 
 
-def weigh(station: Station, values: np.ndarray, known: Known, free: np.ndarray, *, sigma: np.ndarray) -> Evidence:
+def weigh(
+    station: Station, values: np.ndarray, known: Known, free: np.ndarray, *, beside: np.ndarray, sigma: np.ndarray
+) -> Evidence:
     """Return what the rows of a station say.
 
     Args:
@@ -157,13 +159,15 @@ def weigh(station: Station, values: np.ndarray, known: Known, free: np.ndarray, 
         values: shape (P,), where it is linearised: the robot's parameters as they are known, but for those that are free.
         known: what is known of the robot.
         free: places of parameters that are anything: the station's own, and those of the robot that have changed.
+        beside: places of parameters that are known to about their size: of what follows instrument and weather.
         sigma: shape (blocks,), noise of one component of each block of readings.
     """
     A, r = _whitened(station, values, sigma)
     # Effects that are asked for may share names; those of the model and of masses come first.
     index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
     R = A[[index[name] for name in known.names]]
-    uncertain = [known.root.T @ R]
+    about = np.array([station.parameters[i].size for i in beside])
+    uncertain = [known.root.T @ R, about[:, None] * A[beside]]
     if known.masses is not None:
         masses = known.masses.parameters(station.model.chain)
         sizes = np.array([parameter.size for parameter in masses])

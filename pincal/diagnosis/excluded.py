@@ -33,7 +33,7 @@ def excluded(verdict: Verdict) -> Iterator[ExcludedEntry]:
     for change, places in zip(lineup.changes, lineup.places, strict=True):
         units = {lineup.station.parameters[i].unit for i in places}
         key = (*change.heading, change.parameters if change.effect is None else None)
-        if change.parts or not change.is_robots or change.heading in taken or len(units) > 1 or key in listed:
+        if change.parts or change.heading in taken or len(units) > 1 or key in listed:
             continue
         worst = _weakest(found, places)
         if worst is None:
@@ -83,8 +83,8 @@ def tell_apart(verdict: Verdict, step: Step) -> str:
     n = len(verdict.lineup.station)
     for times in _TIMES:
         if _separation(verdict, step.score.change, rival, times * n) > _TOLD_APART:
-            return f"{times * n} more poses over the whole range of the joints, with and without load"
-    return "no poses with this instrument tell them apart; look at the joints themselves"
+            return f"measure {times * n} more poses over the whole range of the joints, with and without load"
+    return "no further poses with this instrument do; look at the joints themselves"
 
 
 def _separation(verdict: Verdict, change: int, rival: int, more: int) -> float:

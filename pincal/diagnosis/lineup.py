@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.changes import Change, changes_of
+from pincal.diagnosis.changes import Change, beside_changes, changes_of
 from pincal.diagnosis.evidence import Evidence, Known, weigh
 from pincal.discover.nuisance import compliances_of
 from pincal.identify.noise import Noise
@@ -36,6 +36,7 @@ class Lineup:
         changes: what may have happened.
         places: for each change, where its parameters stand.
         own: where the station's own parameters stand.
+        beside: where parameters stand of what follows instrument and weather, known to about their size.
         start: shape (P,), the robot as it was.
     """
 
@@ -45,6 +46,7 @@ class Lineup:
     changes: tuple[Change, ...]
     places: tuple[np.ndarray, ...]
     own: np.ndarray
+    beside: np.ndarray
     start: np.ndarray
 
     @classmethod
@@ -53,17 +55,20 @@ class Lineup:
         station, model = placed.station, placed.station.model
         of_model, of_sensor = station.split(placed.values)
         compliances = tuple(compliances_of(model, of_model).tolist())
-        changes = changes_of(model, Situation(model.chain, _loaded_and_not(station.conditions), compliances))
+        situation = Situation(model.chain, _loaded_and_not(station.conditions), compliances)
+        changes, others = changes_of(model, situation), beside_changes(model, situation)
         added = [change.effect for change in changes if change.effect is not None]
         masses = [] if known.masses is None else [known.masses]
-        wide = model.with_effects([*model.effects, *masses, *added])
-        spans = iter(wide.spans[len(model.effects) + len(masses) :])
+        wide = model.with_effects([*model.effects, *masses, *others, *added])
+        n = len(model.effects) + len(masses)
+        beside = np.concatenate([np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])])
+        spans = iter(wide.spans[n + len(others) :])
         places = [_places(change, model.names) if change.effect is None else _span(next(spans)) for change in changes]
         own = np.flatnonzero(station.is_own[: model.n_parameters])
         own = np.append(own, wide.n_parameters + np.flatnonzero(~station.sensor.fixed))
-        beyond = np.zeros(wide.n_parameters - model.n_parameters)
-        start = np.concatenate([of_model, beyond, of_sensor])
-        return cls(placed, known, station.with_model(wide), changes, tuple(places), own, start)
+        nothing = np.zeros(wide.n_parameters - model.n_parameters)
+        start = np.concatenate([of_model, nothing, of_sensor])
+        return cls(placed, known, station.with_model(wide), changes, tuple(places), own, beside, start)
 
     def without(self, row: int) -> Lineup:
         """Return the same without a row."""
@@ -86,7 +91,8 @@ class Lineup:
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> Evidence:
         """Return what the rows say of everything else, once some changes have happened."""
-        return weigh(self.station, values, self.known, self.free(happened), sigma=self.placed.model.sigma)
+        sigma = self.placed.model.sigma
+        return weigh(self.station, values, self.known, self.free(happened), beside=self.beside, sigma=sigma)
 
     def motion(self, values: np.ndarray) -> np.ndarray:
         """Return how the target moves with each parameter of the wide model, in the instrument's axes, shape (N, 3, P)."""

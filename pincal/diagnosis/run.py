@@ -183,7 +183,7 @@ def _entries(verdict: Verdict, before: CalibratedModel, after: CalibratedModel) 
             parameters={},
             p_value=verdict.p_value,
             equivalent=(),
-            tell_apart="more poses over the whole range of the joints; calibrate or discover anew with them",
+            tell_apart="measure more poses over the whole range of the joints, and calibrate or discover anew with them",
         )
 
 
@@ -206,13 +206,10 @@ def _notes(verdict: Verdict, measurements: Measurements) -> Iterator[str]:
     for i in verdict.beside:
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
-        if change.is_robots:
-            yield (
-                f"{change.name}{where} is in these rows, but by its size it was there when the robot was calibrated and the "
-                "model left it, so that it is no change; discover finds what a model misses"
-            )
-        else:
-            yield f"{change.name}{where} is in these rows; it follows the instrument or the weather, not the robot"
+        yield (
+            f"{change.name}{where} is in these rows, but by its size it was there when the robot was calibrated and the "
+            "model left it, so that it is no change; discover finds what a model misses"
+        )
     if verdict.wrong_rows:
         lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)
         yield f"left out, since they contradict all other rows: lines {lines}"

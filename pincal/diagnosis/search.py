@@ -70,7 +70,7 @@ class Verdict:
     Attributes:
         lineup: the rows that counted in the end.
         steps: changes of the robot, the first one the surest.
-        beside: places of what is no change of the robot: it follows instrument or weather, or was there before.
+        beside: effects that were there before and that the model left.
         values: shape (P,), with all of them released.
         evidence: on everything else.
         first: evidence before any was released.
@@ -232,10 +232,10 @@ class _State:
         return self._score(score.change, self.evidence.square - left.square, self.evidence.degrees - left.degrees)
 
     def after(self, step: Step) -> _State:
-        """Return the search with a change released: one of the robot, or what is none."""
+        """Return the search with a change released, or with what was there before."""
         change = self.lineup.changes[step.score.change]
         values = self.lineup.release([*self.happened, step.score.change], self.values)
-        if change.is_robots and not self._was_there_before(step.score):
+        if change.effect is None or not self._was_there_before(step.score):
             return replace(self, values=values, steps=(*self.steps, step))
         return replace(self, values=values, beside=(*self.beside, step.score.change))
 
@@ -245,8 +245,6 @@ class _State:
         Then it was part of the residuals whose size the calibration took for noise, and what is left without it is smaller
         than this noise: the likelihood of noise without it is compared with that of noise as it was.
         """
-        if self.lineup.changes[score.change].effect is None:
-            return False
         n = max(self.evidence.degrees - score.rank, 1)
         left, part = self.evidence.square - score.gain, (score.gain - score.rank) / n
         if not 0.0 < part < _MOST_OF_NOISE:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from markupsafe import Markup
 
@@ -27,7 +27,8 @@ def headline(found: DiagnosisFile) -> str:
             f"Nothing has changed that these {found.rows} poses could show (p = {found.p_value:.2g}): "
             "the robot still is what its model says."
         )
-    return f"The robot has changed (p = {show_chance(found.p_value)}): {'; '.join(map(in_words, found.changes))}."
+    changes = "; ".join(in_words(change) + (f", {sizes(change)}" if change.parameters else "") for change in found.changes)
+    return f"The robot has changed (p = {show_chance(found.p_value)}): {changes}."
 
 
 def in_words(change: ChangeName) -> str:
@@ -79,10 +80,11 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
     return Table("What has changed", columns, rows)
 
 
-def excluded_table(found: DiagnosisFile) -> Table:
+def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
     """Return how far the target would have moved at most, at the least, for each change to be noticed [mm]."""
     entries = [entry for entry in found.excluded if entry.source is None]
-    joints = list(dict.fromkeys(entry.joint or "whole arm" for entry in entries))
+    places = {entry.joint or "whole arm" for entry in entries}
+    joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
     least: dict[str, dict[str, float]] = {}
     for entry in entries:
         symbol = entry.parameter.rpartition(".")[2]
@@ -108,12 +110,9 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
     """Yield a diagnosis for a terminal."""
     yield headline(found)
     for change in found.changes:
-        if change.parameters:
-            yield f"  {in_words(change)}: {sizes(change)}"
         if change.equivalent:
-            yield f"    could also be {'; '.join(map(in_words, change.equivalent))}"
-        if change.tell_apart:
-            yield f"    told apart by: {change.tell_apart}"
+            yield f"  {in_words(change)} could also be {'; '.join(map(in_words, change.equivalent))}"
+            yield f"  to tell: {change.tell_apart}"
     before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
     if found.changed:
         yield f"mean error {before:.4f} mm by the model as it was, {after:.4f} mm by the mended one"
@@ -139,7 +138,7 @@ def _least_offsets(found: DiagnosisFile) -> str:
 def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
     """Return ``report.html`` of a diagnosis."""
     found, robot = diagnosis.found, diagnosis.model.model.chain.robot
-    made = (_answer(found), _changes(found), _noticed(found), _station(found))
+    made = (_answer(found), _changes(found), _noticed(found, robot.joint_names), _station(found))
     return render(
         f"Diagnosis of {robot.name}",
         f"{found.rows} new poses against the robot as it was calibrated",
@@ -176,7 +175,7 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
         meaning = "" if change.effect == "unnamed" else f" ({effect_meaning(change.effect)})"
         yield f"Look at {change.joint or 'the whole arm'}: {change.effect}{meaning}."
         if change.equivalent:
-            yield f"To be sure of the cause: {change.tell_apart}."
+            yield f"It could also be {'; '.join(map(in_words, change.equivalent))}. To tell: {change.tell_apart}."
     named = any(change.effect != "unnamed" for change in found.changes)
     if named:
         yield rich("Until then {} is the mended model: only what changed was found anew.", code("model.json"))
@@ -187,11 +186,22 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
 def _changes(found: DiagnosisFile) -> Section | None:
     if not found.changes:
         return None
-    return Section("changes", "What has changed", (change_table(found.changes),), label="Changes")
+    return Section("changes", "What has changed", (change_table(found.changes),), label="What has changed")
 
 
-def _noticed(found: DiagnosisFile) -> Section | None:
-    return Section("noticed", "What has not changed", (excluded_table(found),), label="Excluded") if found.excluded else None
+def _noticed(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None:
+    if not found.excluded:
+        return None
+    words = (
+        "Each of these changes would have been noticed, with a chance of 90 %, from the size on at which it moves the target "
+        "by so many millimetres at the most in these poses."
+    )
+    return Section(
+        "noticed",
+        "What has not changed",
+        (paragraph(words), excluded_table(found, joint_names)),
+        label="What has not changed",
+    )
 
 
 def _station(found: DiagnosisFile) -> Section:
