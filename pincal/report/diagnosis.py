@@ -193,8 +193,8 @@ def _noticed(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None
     if not found.excluded:
         return None
     words = (
-        "Each of these changes would have been noticed, with a chance of 90 %, from the size on at which it moves the target "
-        "by so many millimetres at the most in these poses."
+        "Each of these changes would have been noticed, with a chance of 90 %, from the size on at which it moves the "
+        "target by so many millimetres at the most in these poses."
     )
     return Section(
         "noticed",
