@@ -22,6 +22,7 @@ ALLOWED = {
 }
 # Who may tell parameters apart by the name of the effect that they belong to, and why.
 ALLOWED_TEXTS = {
+    "pincal.diagnosis.run": "a misfit that nothing explains is a change without a name",
     "pincal.identify.calibrate": "the paper's stages are lists of names",
     "pincal.io.urdf_export": "notes what a URDF can't hold",
     "pincal.viewer.scene": "draws where the base is known",

@@ -162,7 +162,7 @@ def weigh(
         beside: places of parameters that are known to about their size: of what follows instrument and weather.
         sigma: shape (blocks,), noise of one component of each block of readings.
     """
-    A, r = _whitened(station, values, sigma)
+    A, r = whitened(station, values, sigma)
     # Effects that are asked for may share names; those of the model and of masses come first.
     index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
     R = A[[index[name] for name in known.names]]
@@ -191,21 +191,25 @@ def weigh(
     )
 
 
-def _whitened(station: Station, values: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def whitened(
+    station: Station, values: np.ndarray, sigma: np.ndarray, places: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return Jacobian, shape (P, R), and residuals, shape (R,), in units of the noise, row by row.
 
-    What the sensor knows beside its readings stands at the end.
+    What the sensor knows beside its readings stands at the end. With places, shape (p,), the Jacobian is by these parameters
+    alone, shape (p, R).
     """
-    everything = np.ones(len(values), bool)
+    free = np.ones(len(values), bool) if places is None else np.isin(np.arange(len(values)), places)
     columns, readings = [], []
-    for piece, residuals, jacobian in station.linearise(values, everything):
+    for piece, residuals, jacobian in station.linearise(values, free):
         whitening = np.empty_like(residuals)
         for rows, size in zip(block_rows(station), sigma, strict=True):
             whitening[rows] = station.weights[piece] / size
-        columns.append((jacobian * whitening).transpose(0, 2, 1).reshape(len(values), -1))
+        columns.append((jacobian * whitening).transpose(0, 2, 1).reshape(len(jacobian), -1))
         readings.append((residuals * whitening).T.ravel())
-    J, r = belief_rows(station, values, everything)
-    return np.hstack([*columns, J]), np.concatenate([*readings, r])
+    J, r = belief_rows(station, values, free)
+    A = np.hstack([*columns, J])
+    return A if places is None else A[np.searchsorted(np.flatnonzero(free), places)], np.concatenate([*readings, r])
 
 
 def _rows_alone(left: np.ndarray, Q: np.ndarray, n: int) -> np.ndarray:

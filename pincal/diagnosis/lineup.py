@@ -8,18 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.calibration.calibrated import CalibratedModel, estimate_of
 from pincal.calibration.placing import Placed
 from pincal.diagnosis.changes import Change, beside_changes, changes_of
 from pincal.diagnosis.evidence import Evidence, Known, weigh
+from pincal.diagnosis.mend import Posterior, Prior, most_probable
 from pincal.discover.nuisance import compliances_of
-from pincal.identify.noise import Noise
-from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors, most_probable
 from pincal.identify.station import Station
 from pincal.model.conditions import Conditions, Situation, varies
-
-# Size of a change, in sizes of the errors of such robots, where the rows do not tell; what they tell may be any size.
-_FAR = 1.0
 
 
 @dataclass(frozen=True)
@@ -81,13 +77,30 @@ class Lineup:
 
     def release(self, happened: Sequence[int], start: np.ndarray) -> np.ndarray:
         """Return the values with some changes found and everything else of the robot as it was, shape (P,)."""
-        problem = Problem((self.station,))
-        free = np.zeros(len(start), bool)
-        free[self.free(happened)] = True
-        noise = Noise(tuple(map(float, self.placed.model.sigma)))
-        priors = Priors(np.where(free, self._far, 1.0), np.full(len(start), np.inf))
-        # Sizes are about zero, changes about where the robot was; far off, that is the same.
-        return most_probable(problem, start, free, priors, noise, loss="none")
+        return self._posterior(happened, start, np.zeros(0, int), np.zeros((0, 0))).values
+
+    def mend(self, happened: Sequence[int], start: np.ndarray) -> Posterior:
+        """Return the same with the rest of the robot moved as far as its uncertainty lets it."""
+        names = self.placed.station.model.names
+        known = np.array([names.index(name) for name in self.known.names], int)
+        return self._posterior(happened, start, known, self.known.root)
+
+    def mended(self, happened: Sequence[int], found: Posterior) -> CalibratedModel:
+        """Return the robot that was found at the new station, with what changed and nothing else of the wide model."""
+        model = self.placed.station.model
+        added = [(effect, self.places[i]) for i in happened if (effect := self.changes[i].effect) is not None]
+        own = np.arange(self.station.model.n_parameters, len(found.values))
+        places = np.concatenate([np.arange(model.n_parameters), *(at for _, at in added), own])
+        whole = np.zeros((len(found.values),) * 2)
+        whole[np.ix_(found.places, found.places)] = found.covariance
+        station = self.station.with_model(model.with_effects([*model.effects, *(effect for effect, _ in added)]))
+        estimate = estimate_of(station.parameters, found.values[places], whole[np.ix_(places, places)])
+        return replace(self.placed.model, model=station.model, estimate=estimate)
+
+    def _posterior(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Posterior:
+        free = self.free(happened)
+        prior = Prior(known, root, free, self._sizes[free])
+        return most_probable(self.station, start, self.start, prior, self.placed.model.sigma)
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> Evidence:
         """Return what the rows say of everything else, once some changes have happened."""
@@ -100,10 +113,11 @@ class Lineup:
         return model.linearise(model.own(values), self.station.conditions)[1]
 
     @cached_property
-    def _far(self) -> np.ndarray:
+    def _sizes(self) -> np.ndarray:
+        """How large a change is that the rows do not tell, shape (P,): as errors of such robots are."""
         largest = np.ones(len(self.start))
         self.station.split(largest)[0][:] = self.station.model.largest_basis(self.station.conditions)[0]
-        return _FAR * np.array([parameter.size for parameter in self.station.parameters]) / largest
+        return np.array([parameter.size for parameter in self.station.parameters]) / largest
 
 
 def _places(change: Change, names: tuple[str, ...]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -11,14 +11,13 @@ import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.placing import Placed, moved, place_station
-from pincal.diagnosis.changes import Change
 from pincal.diagnosis.evidence import Known
 from pincal.diagnosis.excluded import excluded, names_of, tell_apart
 from pincal.diagnosis.lineup import Lineup
+from pincal.diagnosis.mend import Posterior
 from pincal.diagnosis.search import Verdict, search
-from pincal.diagnosis.take_in import taken_in
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.fingerprints import count, known_rows
+from pincal.identify.fingerprints import count, fingerprints, known_rows, together
 from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile, ExcludedEntry, MovedEntry
 from pincal.measure.checks import check_table
 from pincal.measure.measurements import Measurements
@@ -104,8 +103,9 @@ def diagnose(calibrated: Calibrated, measurements: Measurements, *, alpha: float
     model = calibrated.robot_model()
     placed = placed_anew(model, measurements)
     verdict = verdict_of(model, placed, alpha)
-    kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)
-    mended = _mended(model, measurements.select(kept), placed, verdict)
+    lineup, happened = verdict.lineup, verdict.happened
+    posterior = lineup.mend(happened, lineup.release(happened, verdict.values))
+    mended = _mended(model, verdict, posterior)
     station = mended.readings(measurements)
     after = error_table(station, mended.values)
     if after["rms_mm"] > 1e3 * _HOPELESS * model.model.chain.robot.reach:
@@ -117,7 +117,7 @@ def diagnose(calibrated: Calibrated, measurements: Measurements, *, alpha: float
         changed=verdict.changed,
         p_value=verdict.p_value,
         alpha=alpha,
-        changes=tuple(_entries(verdict, model, mended)),
+        changes=tuple(_entries(verdict, posterior)),
         excluded=tuple(excluded(verdict)),
         gap={"before": error_table(placed.station, placed.values), "after": after},
         station=_moved(model, mended),
@@ -152,17 +152,16 @@ def placed_anew(model: CalibratedModel, measurements: Measurements) -> Placed:
     return placed
 
 
-def _mended(model: CalibratedModel, rows: Measurements, placed: Placed, verdict: Verdict) -> CalibratedModel:
+def _mended(model: CalibratedModel, verdict: Verdict, posterior: Posterior) -> CalibratedModel:
     """Return the robot at the new station, with what changed found and nothing else released."""
-    changes = [verdict.lineup.changes[i] for i in verdict.happened]
-    if not changes:
-        return placed.model
-    added = tuple(change.effect for change in changes if change.effect is not None)
-    moved_ones = {name for change in changes if change.effect is None for name in change.parameters}
-    return taken_in(model, rows, added=added, forgotten=moved_ones)
+    lineup, happened = verdict.lineup, verdict.happened
+    if not happened:
+        return lineup.placed.model
+    rows = together(model.rows, fingerprints(lineup.station))
+    return replace(lineup.mended(happened, posterior), rows=rows)
 
 
-def _entries(verdict: Verdict, before: CalibratedModel, after: CalibratedModel) -> Iterator[ChangeEntry]:
+def _entries(verdict: Verdict, posterior: Posterior) -> Iterator[ChangeEntry]:
     changes = verdict.lineup.changes
     for step in verdict.steps:
         change = changes[step.score.change]
@@ -171,7 +170,7 @@ def _entries(verdict: Verdict, before: CalibratedModel, after: CalibratedModel) 
             effect=change.name,
             joint=change.joint,
             source=change.source,
-            parameters=dict(_parameters(change, before, after)),
+            parameters=dict(_parameters(verdict, step.score.change, posterior)),
             p_value=step.p_value,
             equivalent=tuple(likes),
             tell_apart=tell_apart(verdict, step),
@@ -187,13 +186,14 @@ def _entries(verdict: Verdict, before: CalibratedModel, after: CalibratedModel) 
         )
 
 
-def _parameters(change: Change, before: CalibratedModel, after: CalibratedModel) -> Iterator[tuple[str, ChangedParameter]]:
-    for name in change.parameters:
-        i = after.estimate.index(name)
-        parameter = after.estimate.parameters[i]
-        was = before.estimate[name] if change.effect is None else 0.0
-        values = (parameter.nominal + was, parameter.nominal + after.estimate[name])
-        yield name, ChangedParameter(values[0], values[1], float(after.estimate.sigma[i]), parameter.unit)
+def _parameters(verdict: Verdict, change: int, posterior: Posterior) -> Iterator[tuple[str, ChangedParameter]]:
+    lineup = verdict.lineup
+    at = {int(place): k for k, place in enumerate(lineup.free(verdict.happened))}
+    for place in lineup.places[change]:
+        parameter, k = lineup.station.parameters[place], at[int(place)]
+        before = parameter.nominal + float(lineup.start[place])
+        moved_by = float(posterior.changes[k])
+        yield parameter.name, ChangedParameter(before, before + moved_by, float(posterior.sigma[k]), parameter.unit)
 
 
 def _moved(before: CalibratedModel, after: CalibratedModel) -> MovedEntry:

@@ -17,8 +17,8 @@ _FOR_CHANGES, _FOR_MISFIT = 0.8, 0.2
 EQUIVALENT = 2.0 * np.log(100.0)
 # Chance that a sound row is taken for a wrong reading.
 _WRONG_ROW = 0.001
-# Changes that are tried by a fit, and by how much worse than the best they may seem before.
-_MOST_TRIED, _TRIED = 12, 60.0
+# Changes that are tried by a fit, where squares to first order are not enough.
+_MOST_TRIED = 16
 # Shift of the target from which on a first-order test is not enough [m].
 _LINEAR = 1e-3
 # Changes and wrong rows that are looked for at most, one after the other.
@@ -209,9 +209,9 @@ class _State:
         limit = self.alpha * _FOR_CHANGES / max(len(self.scores), 1)
         if not any(score.p_value < limit for score in self.scores):
             return None
-        near = [score for score in self.scores if score.cost < self.scores[0].cost + _TRIED][:_MOST_TRIED]
+        near = self.scores
         if self._is_far(near[0]):
-            near = sorted((self._tried(score) for score in near), key=lambda score: score.cost)
+            near = sorted((self._tried(score) for score in near[:_MOST_TRIED]), key=lambda score: score.cost)
         chosen = next((score for score in near if score.p_value < limit), None)
         if chosen is None:
             return None

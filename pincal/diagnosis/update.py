@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.diagnosis.run import ALPHA, placed_anew, verdict_of
-from pincal.diagnosis.take_in import taken_in
 from pincal.errors import ChangedRobotError
+from pincal.identify.calibrate import calibrate
+from pincal.identify.fingerprints import together
+from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
+from pincal.measure.registry import blocks_of
 
 
 def update(
@@ -38,4 +43,28 @@ def update(
             "old rows and these don't belong together; pincal diagnose finds out what has changed and mends the model"
         )
     kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)
-    return taken_in(model, measurements.select(kept), sigma=sigma)
+    return _taken_in(model, measurements.select(kept), sigma=sigma)
+
+
+def _taken_in(model: CalibratedModel, measurements: Measurements, *, sigma: float | None) -> CalibratedModel:
+    """Return the robot at the station of new rows, found from them and from what is known of it as it was."""
+    arm = model.model
+    x, y, z = map(float, model.payload_centre)
+    gx, gy, gz = map(float, arm.chain.gravity)
+    declared = model.sigma if model.is_noise_declared and model.sensor_kind == measurements.kind else ()
+    units = [block.unit for block in blocks_of(model.sensor_kind)]
+    angles = [float(size) for size, unit in zip(declared, units, strict=False) if unit == "rad"]
+    options = Options(
+        effects=tuple(effect for effect in arm.effects if effect.scope == "robot"),
+        sigma=float(next(iter(declared))) if sigma is None and len(declared) else sigma,
+        sigma_orientation=angles[0] if angles else None,
+        moment_frame=arm.chain.moment_frame,
+        equilibrium=arm.equilibrium,
+        gravity=(gx, gy, gz),
+        payload_centre=(x, y, z),
+        setup=replace(model.setup, points={}),
+        earlier=model.robot_estimate,
+    )
+    found = CalibratedModel.of(calibrate(arm.chain.robot, measurements, options))
+    covered, rows = model.covered.over(found.covered), together(model.rows, found.rows)
+    return replace(found, covered=covered, rows=rows, provenance=model.provenance)

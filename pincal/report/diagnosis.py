@@ -38,7 +38,7 @@ def in_words(change: ChangeName) -> str:
         >>> in_words(ChangeName(effect="backlash", joint="axis_3"))
         'backlash of axis_3'
     """
-    if change.effect == "unnamed":
+    if isinstance(change, ChangeEntry) and not change.parameters:
         return "something that no single cause explains"
     words = f"{change.effect} of {change.joint or 'the whole arm'}"
     return words + (f" by {change.source}" if change.source else "")
@@ -172,11 +172,13 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
         yield rich("Go on with the model; {} takes these poses in for good.", code("pincal update"))
         return
     for change in found.changes:
-        meaning = "" if change.effect == "unnamed" else f" ({effect_meaning(change.effect)})"
+        if not change.parameters:
+            continue
+        meaning = f" ({effect_meaning(change.effect)})"
         yield f"Look at {change.joint or 'the whole arm'}: {change.effect}{meaning}."
         if change.equivalent:
             yield f"It could also be {'; '.join(map(in_words, change.equivalent))}. To tell: {change.tell_apart}."
-    named = any(change.effect != "unnamed" for change in found.changes)
+    named = any(change.parameters for change in found.changes)
     if named:
         yield rich("Until then {} is the mended model: only what changed was found anew.", code("model.json"))
     else:
