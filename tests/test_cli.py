@@ -308,6 +308,14 @@ def test_demo_tells_the_story(tmp_path, capsys):
         for words in ("as programmed", "corrected by what was found")
     )
     assert programmed > 2.0 and corrected < 0.06
+    hit = json.loads((tmp_path / "demo" / "hit" / "diagnosis.json").read_text())
+    (change,) = hit["changes"]
+    (moved,) = change["parameters"].values()
+    assert (change["effect"], change["joint"], hit["rows"]) == ("joint_offset", "joint_3", 10)
+    assert moved["after"] - moved["before"] == pytest.approx(1e-3, abs=4.0 * moved["sigma"])
+    assert hit["gap"]["before"]["mean_mm"] > 0.3 and hit["gap"]["after"]["mean_mm"] < 0.1
+    assert "joint_offset of joint_3" in text
+    assert {file.name for file in (tmp_path / "demo" / "hit").iterdir()} > {"model.json", "report.html"}
 
 
 def test_a_broken_model_file_is_refused(results, tmp_path, capsys):

@@ -1,7 +1,7 @@
-"""``pincal demo``: calibration, discovery and compensation of the KUKA KR 125/2 of the paper, on simulated measurements.
+"""``pincal demo``: the life of the KUKA KR 125/2 of the paper, from calibration to a collision, on simulated measurements.
 
 First the robot of Table I is calibrated. Then one of its gears has an error that the model lacks, and discovery finds it.
-Last, a program is compensated with the model that was found.
+With the model that was found a program is compensated. Last, the robot is hit, and ten poses say what changed and mend it.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.calibration.run import Calibration
+    from pincal.diagnosis.run import Diagnosis
     from pincal.discover.run import Discovery
     from pincal.measure.measurements import Measurements
     from pincal.robot.robot import Robot
@@ -35,6 +36,11 @@ _JOINT = "joint_1"
 _HIDDEN_FOLDER = "hidden_effect"
 # The third act: poses of a program.
 _PROGRAM = 200
+# The fourth act: by how much a collision shifts the zero of a joint [rad], which one, and how many poses say so.
+_HIT = 1e-3
+_HIT_JOINT = "joint_3"
+_HIT_ROWS = 10
+_HIT_FOLDER = "hit"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +57,7 @@ def demo(arguments: DemoArguments) -> Exit:
     """Tell the whole story on the KUKA KR 125/2: nothing to prepare."""
     from pincal.builtin import kuka_urdf_path
     from pincal.calibration.run import run_calibration
+    from pincal.cli.diagnose import write_diagnosis
     from pincal.cli.fitting import write_results
     from pincal.discover.run import run_discovery
     from pincal.identify.options import Options
@@ -63,7 +70,8 @@ def demo(arguments: DemoArguments) -> Exit:
 
     robot, out, seed = Robot.from_urdf(kuka_urdf_path()), arguments.out, arguments.seed
     bad = PaperMachine(effects=(hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE),))
-    with output_folder(out) as draft, output_folder(out / _HIDDEN_FOLDER) as second:
+    folders = out, out / _HIDDEN_FOLDER, out / _HIT_FOLDER
+    with output_folder(folders[0]) as draft, output_folder(folders[1]) as second, output_folder(folders[2]) as fourth:
         urdf, data, again = draft / "kuka_kr125_2.urdf", draft / "measurements.csv", second / "measurements.csv"
         urdf.write_bytes(kuka_urdf_path().read_bytes())
         table, _ = _measure(data, PaperMachine(), robot, rng=np.random.default_rng(seed))
@@ -79,30 +87,39 @@ def demo(arguments: DemoArguments) -> Exit:
         write_json(second / "discovery.json", found.report)
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
         missed = _compensate(second, found, q, machine=bad, tracker=tracker)
+        diagnosis = _hit(second / "model.json", fourth, robot, machine=bad, rng=np.random.default_rng([seed, 4]))
+        write_diagnosis(fourth, diagnosis, provenance([second / "model.json", fourth / "measurements.csv"], seed=seed))
     if arguments.general.as_json:
         results = {name: run.result.to_dict() for name, run in runs.items()}
-        print_json(results | {"discovery": found.report, "program_error_mm": missed})
+        print_json(results | {"discovery": found.report, "program_error_mm": missed, "diagnosis": diagnosis.report})
     else:
         _tell(runs)
         _tell_hidden(found)
-        _tell_program(missed, out)
+        _tell_program(missed)
+        _tell_hit(diagnosis)
+        _tell_files(out)
     return Exit.DONE
 
 
 def _measure(
-    path: Path, machine: PaperMachine, robot: Robot, *, rng: np.random.Generator
+    path: Path, machine: PaperMachine, robot: Robot, *, rng: np.random.Generator, rows: int = _ROWS, hit: float = 0.0
 ) -> tuple[Measurements, Instrument]:
-    """Write what a tracker that stands anywhere in the hall reads of a machine in random poses; return it as read again."""
+    """Write what a tracker that stands anywhere in the hall reads of a machine in random poses; return it as read again.
+
+    A machine that was hit stands further by so much [rad] in one joint than its controller records.
+    """
     from scipy.spatial.transform import Rotation
 
     from pincal.measure.table import read_measurements, write_table
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PAYLOAD_MASS
 
-    q, pose = robot.random_configurations(_ROWS, rng), np.eye(4)
+    q, pose = robot.random_configurations(rows, rng), np.eye(4)
     pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
     tracker = Instrument(pose=pose, targets=_TOOL, sigma=_NOISE)
-    write_table(path, tracker.measure(machine, q, rng=rng, payload=PAYLOAD_MASS))
+    shift = hit * np.array([name == _HIT_JOINT for name in robot.joint_names])
+    read = tracker.measure(machine, q + shift, rng=rng, payload=PAYLOAD_MASS)
+    write_table(path, read | dict(zip(robot.joint_names, q.T, strict=True)))
     return read_measurements(path, robot.joint_names), tracker
 
 
@@ -130,6 +147,15 @@ def _compensate(
         misses[name] = {"mean": float(missed.mean()), "max": float(missed.max())}
     misses["corrected"]["out_of_reach"] = int(np.sum(corrected.status != "ok"))
     return misses
+
+
+def _hit(model: Path, folder: Path, robot: Robot, *, machine: PaperMachine, rng: np.random.Generator) -> Diagnosis:
+    """Measure a few poses of a machine that was hit, with the tracker set up afresh, and ask what has changed."""
+    from pincal.calibration.calibrated import load_model
+    from pincal.diagnosis.run import diagnose
+
+    table, _ = _measure(folder / "measurements.csv", machine, robot, rng=rng, rows=_HIT_ROWS, hit=_HIT)
+    return diagnose(load_model(model), table)
 
 
 def _deviations(runs: dict[str, Calibration]) -> dict[str, np.ndarray]:
@@ -175,11 +201,10 @@ def _tell_hidden(found: Discovery) -> None:
             screen.print(f"\nPut in: {size} at {_JOINT}, twice a turn. Found: {amplitude:.4f} mrad.")
 
 
-def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
-    from pincal.cli.fitting import VIEW
+def _tell_program(missed: dict[str, dict[str, float]]) -> None:
     from pincal.cli.progress import console
 
-    screen, folder, urdf = console(), out / _HIDDEN_FOLDER, out / "kuka_kr125_2.urdf"
+    screen = console()
     screen.rule("Go where it was meant")
     screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, runs on this machine:\n")
     for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by what was found")):
@@ -187,6 +212,27 @@ def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
         screen.print(f"  {words:28s} misses by {mean:8.4f} mm in the mean, {largest:8.4f} mm at most")
     if short := int(missed["corrected"]["out_of_reach"]):
         screen.print(f"\n{short} of the poses lie at a singularity or beyond the robot's reach, and are only approached.")
+
+
+def _tell_hit(diagnosis: Diagnosis) -> None:
+    from pincal.cli.progress import console
+    from pincal.report.diagnosis import lines
+
+    screen = console()
+    screen.rule("The robot is hit")
+    screen.print(
+        f"\nA collision shifts the zero of {_HIT_JOINT} by {_HIT * 1e3:g} mrad, and the tracker has been elsewhere since.\n"
+        f"{_HIT_ROWS} poses are measured. Has the robot changed, and what?\n"
+    )
+    for line in lines(diagnosis.found):
+        screen.print(line)
+
+
+def _tell_files(out: Path) -> None:
+    from pincal.cli.fitting import VIEW
+    from pincal.cli.progress import console
+
+    screen, folder, hit, urdf = console(), out / _HIDDEN_FOLDER, out / _HIT_FOLDER, out / "kuka_kr125_2.urdf"
     screen.print("\nOpen", style="bold")
     for path, words in (
         (out / "report.html", "how good, where errors are, every parameter with its uncertainty"),
@@ -195,13 +241,16 @@ def _tell_program(missed: dict[str, dict[str, float]], out: Path) -> None:
         (folder / "report.html", "what was missing, and how the error shrank to the noise"),
         (folder / "discovery.json", "what was found, for programs"),
         (folder / "corrected.csv", "the program corrected: the joints to command"),
+        (hit / "report.html", "what the collision did, and what it did not"),
+        (hit / "model.json", "the mended model: only what changed was found anew"),
     ):
         screen.print(f"  {path!s:40s} {words}", soft_wrap=True)
     screen.print("\nThen try your own robot, or one that you make up:", style="bold")
     for line in (
         f"pincal compensate {folder / 'model.json'} {folder / 'program.csv'} --out again.csv",
-        f"pincal check     {urdf} {out / 'measurements.csv'} --payload-com .08 -.05 .22",
-        f"pincal simulate  {urdf} --poses 300 --effect backlash:joint_2 --out mine.csv",
-        f"pincal discover  {urdf} mine.csv --out found --noise 0.05mm",
+        f"pincal diagnose   {folder / 'model.json'} {hit / 'measurements.csv'} --out again",
+        f"pincal check      {urdf} {out / 'measurements.csv'} --payload-com .08 -.05 .22",
+        f"pincal simulate   {urdf} --poses 300 --effect backlash:joint_2 --out mine.csv",
+        f"pincal discover   {urdf} mine.csv --out found --noise 0.05mm",
     ):
         screen.print(f"  {line}", soft_wrap=True)

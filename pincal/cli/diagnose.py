@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,6 +12,9 @@ from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import GeneralOptions, ignore_option, model_argument
 from pincal.cli.outputs import output_folder, print_json, print_notes, provenance
 from pincal.errors import Exit
+
+if TYPE_CHECKING:
+    from pincal.diagnosis.run import Diagnosis
 
 _EXAMPLES = """
 Example:
@@ -42,17 +46,13 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
     from pincal.calibration.calibrated import load_model
     from pincal.cli.inputs import load_table
     from pincal.diagnosis.run import diagnose as run
-    from pincal.io.strict_json import write_json
-    from pincal.report.diagnosis import diagnosis_page, lines
+    from pincal.report.diagnosis import lines
 
     calibrated = load_model(arguments.model)
     table = load_table(calibrated.model.chain.robot, arguments.data, ignore=arguments.ignore)
     with output_folder(arguments.out) as draft:
         found = run(calibrated, table, alpha=arguments.alpha)
-        origin = provenance([arguments.model, arguments.data])
-        replace(found.model, provenance=origin).save(draft / "model.json")
-        write_json(draft / "diagnosis.json", found.report)
-        (draft / "report.html").write_text(diagnosis_page(found, version=origin["pincal"]), encoding="utf-8")
+        write_diagnosis(draft, found, provenance([arguments.model, arguments.data]))
     if arguments.general.as_json:
         print_json(found.report)
     else:
@@ -61,3 +61,13 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
         click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
     print_notes(found.found.notes, quiet=arguments.general.quiet)
     return Exit.CHANGED if found.changed else Exit.DONE
+
+
+def write_diagnosis(folder: Path, diagnosis: Diagnosis, origin: dict[str, Any]) -> None:
+    """Write ``diagnosis.json``, the page and the mended model, which says where it comes from."""
+    from pincal.io.strict_json import write_json
+    from pincal.report.diagnosis import diagnosis_page
+
+    replace(diagnosis.model, provenance=origin).save(folder / "model.json")
+    write_json(folder / "diagnosis.json", diagnosis.report)
+    (folder / "report.html").write_text(diagnosis_page(diagnosis, version=origin["pincal"]), encoding="utf-8")
