@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
     from pincal.identify.explain import explain
     from pincal.identify.options import Options, StationOptions
-    from pincal.identify.repeat import bootstrap, cross_validate, monte_carlo
+    from pincal.identify.repeat import bootstrap, bootstrap_stations, cross_validate, monte_carlo
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements_from_arrays
@@ -69,7 +69,7 @@ _HOMES = {
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
     "pincal.identify.explain": ("explain",),
     "pincal.identify.options": ("Options", "StationOptions"),
-    "pincal.identify.repeat": ("bootstrap", "cross_validate", "monte_carlo"),
+    "pincal.identify.repeat": ("bootstrap", "bootstrap_stations", "cross_validate", "monte_carlo"),
     "pincal.io.urdf_export": ("calibrated_urdf",),
     "pincal.measure.lens": ("Lens",),
     "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
@@ -140,6 +140,7 @@ __all__ = [
     "Verdict",
     "augmented_model",
     "bootstrap",
+    "bootstrap_stations",
     "calibrate",
     "calibrated_urdf",
     "compensate_poses",

@@ -575,3 +575,15 @@ def test_times_of_different_days_do_not_mix(two: Fit) -> None:
     assert len(both) == 120 and both.time is None and both.temperature is None and both.approach is None
     np.testing.assert_array_equal(both.q[:50], two.problem.stations[0].conditions.q)
     assert Problem(two.problem.stations[:1]).conditions is two.problem.stations[0].conditions
+
+
+def test_candidates_of_one_station_are_told_from_those_of_all(two: Fit) -> None:
+    """Whatever the order in which they are asked for, each has its own columns and its own test."""
+    (offset,) = [effect for effect in GEOMETRIC if effect.name == "joint_offset"]
+    asked = [AtStation(offset, "west", "joint_3"), GearEccentricity("joint_2"), AtStation(offset, "east", "joint_4")]
+    groups = np.zeros(len(two.problem), int)
+    found = score_test(two, asked, [], groups)
+    assert [found.gain([k])[1] for k in range(3)] == [1, 2, 1]
+    for k, effect in enumerate(asked):
+        alone = score_test(two, [effect], [], groups)
+        assert found.gain([k])[0] == pytest.approx(alone.gain([0])[0], rel=1e-6)

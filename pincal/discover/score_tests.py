@@ -208,8 +208,7 @@ def score_test(
     """
     problem, known = fit.problem.extended([*nuisance, *candidates])
     groups = np.zeros(len(problem), int) if groups is None else groups
-    first = len(fit.problem.effects)
-    added = [problem.places_of(first + k) for k in range(len(nuisance) + len(candidates))]
+    added = [problem.places_at(effect) for effect in (*nuisance, *candidates)]
     sizes = priors_of(problem, fit.options).sizes
     # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
     for places in added[: len(nuisance)]:

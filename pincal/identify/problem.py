@@ -277,10 +277,13 @@ class Problem:
 
     def places_of(self, effect: int) -> np.ndarray:
         """Return where the parameters of an effect stand, given its number among ``effects``: those of all stations."""
+        return self.places_at(self.effects[effect])
+
+    def places_at(self, effect: Effect) -> np.ndarray:
+        """Return where the parameters of an effect of the problem, this very object, stand: those of all stations."""
         found: dict[int, None] = {}
         for spans, places in zip(self._spans, self.places, strict=True):
-            span = spans.get(id(self.effects[effect]), slice(0))
-            found |= dict.fromkeys(places[span].tolist())
+            found |= dict.fromkeys(places[spans.get(id(effect), slice(0))].tolist())
         return np.array(list(found), int)
 
     def carried_over(self, vector: np.ndarray, other: Problem) -> np.ndarray:
