@@ -275,3 +275,17 @@ def test_what_is_excluded_would_have_been_noticed() -> None:
 
     # The noise, known by the calibration's rows alone, makes the real limit a little larger.
     assert 0.88 < np.mean(np.array(noticed) > limit) < 0.96
+
+
+def test_a_model_of_several_stations_is_one_robot(change_examples: Path, tmp_path: Path) -> None:
+    """Rows of any of its stations are known again, and rows measured later are judged by all of them."""
+    case = change_examples / "cases" / "null25_heavy_6r"
+    robot = Robot.from_urdf(case / "robot.urdf", tip="tool0")
+    table, new = rows(case / "reference.csv", robot), rows(case / "new.csv", robot)
+    parts = {"one": table.select(np.arange(75)), "two": table.select(np.arange(75, 150))}
+    pincal.calibrate(robot, parts, Options(payload_centre=(0.06, 0.03, 0.22))).save(tmp_path / "model.json")
+    model = pincal.load_stations(tmp_path / "model.json")
+
+    assert not pincal.diagnose(model, new).changed
+    with pytest.raises(MeasurementError, match="fitted to 20 of these 20 rows"):
+        pincal.diagnose(model, table.select(np.arange(100, 120)))

@@ -11,6 +11,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel, estimate_at, load_model
 from pincal.errors import BadInputError
+from pincal.identify.fingerprints import together
 from pincal.identify.fit import Fit
 from pincal.io.entries import ChainEntry, ParameterEntry, RobotEntry
 from pincal.io.model_file import (
@@ -62,6 +63,14 @@ class CalibratedStations:
     def robot_estimate(self) -> Estimate:
         """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
         return self.estimate.take(parameter.name for parameter in self.estimate.parameters if not parameter.station)
+
+    def robot_model(self) -> CalibratedModel:
+        """Return the model of the first station with all that the rows of all cover: the robot is the same in each."""
+        first, *others = self.models.values()
+        covered = first.covered
+        for other in others:
+            covered = covered.over(other.covered)
+        return replace(first, covered=covered, rows=together(first.rows, *(other.rows for other in others)))
 
     def at(self, name: str) -> CalibratedModel:
         """Return the calibrated model that predicts what one station reads.

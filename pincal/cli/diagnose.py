@@ -43,12 +43,12 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
 
     Ten to sixty poses are enough: what the calibration knows of the robot is taken into account, with its uncertainty.
     """
-    from pincal.calibration.calibrated import load_model
+    from pincal.calibration.stations import load_stations
     from pincal.cli.inputs import load_table
     from pincal.diagnosis.run import diagnose as run
     from pincal.report.diagnosis import lines
 
-    calibrated = load_model(arguments.model)
+    calibrated = load_stations(arguments.model).robot_model()
     table = load_table(calibrated.model.chain.robot, arguments.data, ignore=arguments.ignore)
     with output_folder(arguments.out) as draft:
         found = run(calibrated, table, alpha=arguments.alpha)

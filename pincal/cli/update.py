@@ -36,12 +36,12 @@ def update(arguments: UpdateArguments) -> Exit:
     The result is that of a calibration with the old and the new rows, without the old ones. Rows of a robot that has changed
     are refused (exit code 6): see diagnose.
     """
-    from pincal.calibration.calibrated import load_model
+    from pincal.calibration.stations import load_stations
     from pincal.cli.inputs import load_table
     from pincal.diagnosis.update import update as run
     from pincal.validate.accuracy import error_table
 
-    calibrated = load_model(arguments.model)
+    calibrated = load_stations(arguments.model).robot_model()
     table = load_table(calibrated.model.chain.robot, arguments.data, ignore=arguments.ignore)
     with output_folder(arguments.out) as draft:
         found = run(calibrated, table, sigma=arguments.noise)

@@ -11,6 +11,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.placing import Placed, moved, place_station
+from pincal.calibration.stations import CalibratedStations
 from pincal.diagnosis.evidence import Known
 from pincal.diagnosis.excluded import excluded, names_of, tell_apart
 from pincal.diagnosis.lineup import Lineup
@@ -25,8 +26,9 @@ from pincal.validate.accuracy import error_table
 
 # Chance of a false alarm.
 ALPHA = 0.01
-# What is left after all changes, relative to the reach, beyond which the rows are not of this robot.
-_HOPELESS = 0.01
+# What is left after all changes, relative to the reach, beyond which the rows are not of this robot; and what is left before
+# any, beyond which it is not worth while to look for them: a drive that is off by 0.2 rad leaves half as much.
+_HOPELESS, _STRANGE = 0.01, 0.1
 # Degrees of freedom by which a calibration is taken to know its noise, where nobody knows how many rows it had.
 _DEGREES = 200.0
 # Rows with the fingerprint of another that is met by chance.
@@ -66,7 +68,7 @@ class Diagnosis:
         return msgspec.to_builtins(self.found)  # type: ignore[no-any-return]
 
 
-def diagnose(calibrated: Calibrated, measurements: Measurements, *, alpha: float = ALPHA) -> Diagnosis:
+def diagnose(calibrated: Calibrated | CalibratedStations, measurements: Measurements, *, alpha: float = ALPHA) -> Diagnosis:
     """Find out whether a robot still obeys its model, up to where instrument and target stand, and what has changed if not.
 
     Args:
@@ -108,11 +110,7 @@ def diagnose(calibrated: Calibrated, measurements: Measurements, *, alpha: float
     mended = _mended(model, verdict, posterior)
     station = mended.readings(measurements)
     after = error_table(station, mended.values)
-    if after["rms_mm"] > 1e3 * _HOPELESS * model.model.chain.robot.reach:
-        raise MeasurementError(
-            f"{measurements.source}: no change that one could name brings the robot nearer than {after['rms_mm']:.3g} mm to "
-            "these rows; expected rows of the robot that was calibrated. Are units, joint zeros and tip those of its table?"
-        )
+    _refuse_strange(model, measurements, after["rms_mm"], _HOPELESS)
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
@@ -149,7 +147,17 @@ def placed_anew(model: CalibratedModel, measurements: Measurements) -> Placed:
             f"{measurements.source}: the model was fitted to {known} of these {len(measurements)} rows, so they can't tell "
             "whether the robot has changed since; expected rows measured later"
         )
+    _refuse_strange(model, measurements, error_table(placed.station, placed.values)["rms_mm"], _STRANGE)
     return placed
+
+
+def _refuse_strange(model: CalibratedModel, measurements: Measurements, rms_mm: float, limit: float) -> None:
+    """Refuse rows that are farther from the robot than this part of its reach."""
+    if rms_mm > 1e3 * limit * model.model.chain.robot.reach:
+        raise MeasurementError(
+            f"{measurements.source}: no change that one could name brings the robot nearer than {rms_mm:.3g} mm to these "
+            "rows; expected rows of the robot that was calibrated. Are units, joint zeros and tip those of its table?"
+        )
 
 
 def _mended(model: CalibratedModel, verdict: Verdict, posterior: Posterior) -> CalibratedModel:

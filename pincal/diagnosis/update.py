@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.stations import CalibratedStations
 from pincal.diagnosis.run import ALPHA, placed_anew, verdict_of
 from pincal.errors import ChangedRobotError
 from pincal.identify.calibrate import calibrate
@@ -17,7 +18,11 @@ from pincal.measure.registry import blocks_of
 
 
 def update(
-    calibrated: Calibrated, measurements: Measurements, *, alpha: float = ALPHA, sigma: float | None = None
+    calibrated: Calibrated | CalibratedStations,
+    measurements: Measurements,
+    *,
+    alpha: float = ALPHA,
+    sigma: float | None = None,
 ) -> CalibratedModel:
     """Take new rows into a calibration for good, as a joint fit of old and new rows would, without the old ones.
 
