@@ -88,7 +88,8 @@ def test_the_example_changes_are_named_and_mended(change_examples: Path, case: s
 def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measurements]) -> None:
     """With V = 1 + R C R^T + M S M^T + B B^T written out, a change gains what least squares beside what is free says."""
     model, table = offset
-    lineup = Lineup.of(place_station(model, table), Known.of(model))
+    placed = place_station(model, table)
+    lineup = Lineup.of(placed.model, placed.station, Known.of(model))
     found = lineup.weigh(lineup.start, ())
     station, known = lineup.station, lineup.known
     ((_, r, J),) = station.linearise(lineup.start, np.ones(len(lineup.start), bool))
@@ -199,7 +200,8 @@ def test_the_command_says_it_by_its_exit_code(
 def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedModel, Measurements]) -> None:
     """What is left once a change is released is what the first order said, for a change as small as this."""
     model, table = offset
-    lineup = Lineup.of(place_station(model, table), Known.of(model))
+    placed = place_station(model, table)
+    lineup = Lineup.of(placed.model, placed.station, Known.of(model))
     start = lineup.release((), lineup.start)
     i = next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_2.theta",))
     before = lineup.weigh(start, ())
@@ -209,7 +211,7 @@ def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedMod
         lineup.known,
         lineup.free((i,)),
         beside=lineup.beside,
-        sigma=lineup.placed.model.sigma,
+        sigma=lineup.robot.sigma,
     )
 
     assert before.square - after.square == pytest.approx(before.gain(lineup.places[i])[0], rel=1e-2)
@@ -261,7 +263,8 @@ def test_what_is_excluded_would_have_been_noticed() -> None:
     """A change of the smallest size is noticed in about 90 of 100 draws of the noise."""
     case = draw_case(1)
     assert case is not None
-    lineup = Lineup.of(place_station(case.model, case.new), Known.of(case.model))
+    placed = place_station(case.model, case.new)
+    lineup = Lineup.of(placed.model, placed.station, Known.of(case.model))
     quiet = pincal.diagnose(case.model, case.new)
     entry = next(e for e in quiet.excluded if e.parameter == "axis_3.theta")
     places = lineup.places[next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_3.theta",))]

@@ -168,18 +168,25 @@ def _setup_over(setup: Setup, measurements: Measurements) -> Setup:
 def expected_noise(known: CalibratedModel, blocks: Sequence[Block], measurements: Measurements) -> np.ndarray:
     """Return the standard deviation to expect of one component of each block of readings, shape (blocks,).
 
-    It is that of the calibration, whose residuals hold what its model leaves, too; of other readings in the same unit that
-    as well, and else what good instruments have. Rows that declare more have more.
+    It is that of :func:`noise_like`; rows that declare more have more.
     """
-    if known.sensor_kind == measurements.kind:
-        found = np.array(known.sigma, float)
-    else:
-        by_unit = dict(zip((block.unit for block in blocks_of(known.sensor_kind)), known.sigma, strict=True))
-        found = np.array([by_unit.get(block.unit, block.noise) for block in blocks], float)
+    found = noise_like(known, measurements.kind, blocks)
     if measurements.sigma is not None:
         declared = float(np.sqrt(np.mean(measurements.sigma**2)))
         found = np.where([block.unit == "m" for block in blocks], np.maximum(found, declared), found)
     return found
+
+
+def noise_like(known: CalibratedModel, kind: str, blocks: Sequence[Block]) -> np.ndarray:
+    """Return the standard deviation to expect of one component of each block of a sensor's readings, shape (blocks,).
+
+    It is that of the calibration, whose residuals hold what its model leaves, too; of other readings in the same unit that
+    as well, and else what good instruments have.
+    """
+    if known.sensor_kind == kind:
+        return np.array(known.sigma, float)
+    by_unit = dict(zip((block.unit for block in blocks_of(known.sensor_kind)), known.sigma, strict=True))
+    return np.array([by_unit.get(block.unit, block.noise) for block in blocks], float)
 
 
 def _of_arm(station: Station, arm: Estimate) -> np.ndarray:

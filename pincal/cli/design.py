@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 import numpy as np
 
-from pincal.cli.arguments import group, option, verb
+from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import (
     ANGLE,
     LENGTH,
@@ -19,14 +19,14 @@ from pincal.cli.common import (
     ModelOptions,
     Vector,
     base_option,
-    robot_argument,
     tip_option,
 )
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
-    from pincal.design.reach import Limits
+    from pincal.design.reach import Limits, SensorSetup
+    from pincal.identify.options import Options
     from pincal.robot.robot import Robot
 
 _EXAMPLES = """
@@ -36,6 +36,7 @@ Examples:
   pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
+  pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
 To practise:
   pincal simulate robot.urdf --at poses.csv --out tracker.csv
 
@@ -89,10 +90,23 @@ class InstrumentOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """What a health check is to notice."""
+
+    check: bool = option("Choose the fewest poses of a health check for pincal diagnose.", False)
+    notice: float = option("Motion of any point in reach that is to be noticed.", 1e-4, type=LENGTH, words="0.1mm")
+    power: float = option("Chance with which it is noticed.", 0.95)
+    alpha: float = option("Chance of a false alarm.", 0.01)
+    max_poses: int = option("Number of poses to stop at.", 40, metavar="N", type=_COUNT)
+
+
+@dataclass(frozen=True, kw_only=True)
 class DesignArguments:
     """Arguments of design."""
 
-    robot: str = robot_argument()
+    robot: str = argument(
+        "ROBOT", "URDF or xacro file, or the name of a robot of example-robot-data; with --check a model.json, too."
+    )
     out: Path = option("Table of poses to write, to be filled in.", MISSING)
     poses: int | None = option("Number of poses to choose.", metavar="N", type=_COUNT)
     accuracy: float | None = option("Instead of --poses: the fewest poses that reach this predicted error.", type=LENGTH)
@@ -110,28 +124,28 @@ class DesignArguments:
     seed: int = option("Random seed.", 0, type=click.IntRange(min=0))
     tip: str | None = tip_option(words="end of the longest chain")
     base: str | None = base_option()
+    health: CheckOptions = group("Health check")
     constraints: ConstraintOptions = group("Constraints")
     instrument: InstrumentOptions = group("Instrument")
     model: ModelOptions = group("Model")
     general: GeneralOptions = group("General")
 
 
-@verb(DesignArguments, examples=_EXAMPLES)
+@verb(DesignArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE,))
 def design(arguments: DesignArguments) -> Exit:
     """Choose the most informative poses to measure.
 
     All are within reach and in view; also reports how many are needed.
     """
-    from pincal.cli.inputs import EFFECTS, load_table
+    if arguments.health.check:
+        return _check(arguments)
+    from pincal.cli.inputs import load_table
     from pincal.design.design import design_poses
-    from pincal.design.reach import SensorSetup
-    from pincal.identify.options import Options
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
 
     if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError("give --poses N, or --accuracy for as many as are needed")
-    model, instrument, constraints = arguments.model, arguments.instrument, arguments.constraints
     robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
     task, measured = (
         None if path is None else load_table(robot, path, joints_only=True) for path in (arguments.task, arguments.measured)
@@ -139,28 +153,15 @@ def design(arguments: DesignArguments) -> Exit:
     found = design_poses(
         robot,
         arguments.poses,
-        Options(
-            effects=EFFECTS[model.model],
-            sigma=instrument.noise,
-            sigma_orientation=instrument.noise_angle,
-            moment_frame=model.moment_frame or "paper",
-            gravity=model.gravity,
-            payload_centre=model.payload_com,
-        ),
-        rig=SensorSetup(
-            sensor=instrument.sensor,
-            tool=instrument.tool,
-            instrument=constraints.instrument,
-            normal=constraints.normal,
-            cone=constraints.cone,
-        ),
+        _options(arguments),
+        rig=_rig(arguments),
         limits=_limits(robot, arguments),
         criterion=arguments.criterion,
         tell_apart=arguments.tell_apart,
         accuracy=arguments.accuracy,
         task=task,
         measured=measured,
-        payloads=instrument.payload,
+        payloads=arguments.instrument.payload,
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
@@ -174,6 +175,70 @@ def design(arguments: DesignArguments) -> Exit:
         print_design(found, console())
         click.echo(f"written to {arguments.out}, ordered for short motions")
     return Exit.DONE
+
+
+def _check(arguments: DesignArguments) -> Exit:
+    """Choose the poses of a health check."""
+    from pincal.calibration.calibrated import load_model
+    from pincal.design.health import CheckRequest, design_check
+    from pincal.measure.table import write_table
+    from pincal.robot.robot import Robot
+
+    wanted = arguments.health
+    is_model = Path(arguments.robot).suffix == ".json"
+    known = (
+        load_model(arguments.robot) if is_model else Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+    )
+    request = CheckRequest(
+        notice=wanted.notice,
+        power=wanted.power,
+        alpha=wanted.alpha,
+        max_poses=wanted.max_poses,
+        payloads=tuple(arguments.instrument.payload or ()),
+        candidates=arguments.candidates,
+        seed=arguments.seed,
+    )
+    robot = known if isinstance(known, Robot) else known.model.chain.robot
+    options, limits = _options(arguments), _limits(robot, arguments)
+    found = design_check(known, request, options=options, rig=_rig(arguments), limits=limits)
+    write_table(arguments.out, found.columns())
+    if arguments.general.as_json:
+        print_json(found.to_dict() | {"out": str(arguments.out)})
+    else:
+        from pincal.cli.progress import console
+        from pincal.cli.tables import print_check
+
+        print_check(found, console())
+        click.echo(f"written to {arguments.out}, ordered for short motions")
+    return Exit.DONE if found.is_met else Exit.INACCURATE
+
+
+def _options(arguments: DesignArguments) -> Options:
+    from pincal.cli.inputs import EFFECTS
+    from pincal.identify.options import Options
+
+    model, instrument = arguments.model, arguments.instrument
+    return Options(
+        effects=EFFECTS[model.model],
+        sigma=instrument.noise,
+        sigma_orientation=instrument.noise_angle,
+        moment_frame=model.moment_frame or "paper",
+        gravity=model.gravity,
+        payload_centre=model.payload_com,
+    )
+
+
+def _rig(arguments: DesignArguments) -> SensorSetup:
+    from pincal.design.reach import SensorSetup
+
+    instrument, constraints = arguments.instrument, arguments.constraints
+    return SensorSetup(
+        sensor=instrument.sensor,
+        tool=instrument.tool,
+        instrument=constraints.instrument,
+        normal=constraints.normal,
+        cone=constraints.cone,
+    )
 
 
 def _limits(robot: Robot, arguments: DesignArguments) -> Limits:

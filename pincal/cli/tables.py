@@ -11,6 +11,7 @@ from rich.console import Console
 from pincal.calibration.result import Result
 from pincal.calibration.tables import error_table, iso9283_table, parameter_table, station_table
 from pincal.design.design import Design
+from pincal.design.health import HealthCheck
 from pincal.design.observability import SOURCES
 from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.power import TOLD_APART
@@ -148,6 +149,32 @@ def print_design(found: Design, out: Console) -> None:
         out.print(hanging(f"{mark + ':':13s}", text))
     if found.curve:
         out.print(pose_count_table(found))
+    print_notes(found.notes, out)
+
+
+def print_check(found: HealthCheck, out: Console) -> None:
+    """Print what a health check takes, what it notices and what not, and what simulation says of that."""
+    out.print(one_line(found.summary()), markup=False)
+    if not found.is_met:
+        text = f"so many poses do not notice {1e3 * found.notice:.3g} mm; a calibration from more poses, or less noise, does"
+        out.print(hanging("not met:", text))
+    hardest = found.changes[0]
+    where = f"{hardest.change.name} {hardest.change.joint or ''}".strip()
+    parameters = ", ".join(hardest.change.parameters)
+    signal = f"signal {hardest.noncentrality:.1f}, {hardest.needed:.1f} are needed"
+    out.print(hanging("hardest:", f"{where} ({parameters}): {signal}"))
+    rates = f"alarms in {100 * found.alarms:.1f} % of {found.draws} checks of an unchanged robot, in "
+    rates += f"{100 * found.noticed:.1f} % of {found.draws} if the hardest change by {1e3 * found.notice:.3g} mm has come"
+    out.print(hanging("simulated:", rates))
+    if found.absorbed:
+        known, new = ([c for c in found.absorbed if (c.effect is None) is is_known] for is_known in (True, False))
+        parts = [*dict.fromkeys(name for change in known for name in change.parameters)]
+        names = ", ".join([*parts, *([f"{len(new)} new effects"] if new else [])])
+        why = "new places of instrument and target take them up, or they never move anything by so much"
+        out.print(hanging("not seen:", f"{names}: {why}"))
+    curves = "free curves of a drive, and what follows temperature, time or the direction of approach, are not promised"
+    out.print(hanging("beyond:", curves))
+    out.print(hanging("candidates:", found.drawn.in_words()))
     print_notes(found.notes, out)
 
 

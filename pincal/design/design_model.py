@@ -87,15 +87,15 @@ class DesignModel:
         _check(robot, options, rig)
         gravity = None if options.gravity is None else np.array(options.gravity)
         chain = Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity, targets=targets)
-        sensor = _problem(Model(chain, ()), np.zeros(0), rig.sensor, conditions).sensor
+        sensor = foreseen_station(Model(chain, ()), np.zeros(0), rig.sensor, conditions).sensor
         frames = (BaseFrame(sensor.base_symbols), ToolFrame(sensor.tool_symbols))
         model = Model(chain, (*frames, *options.effects), equilibrium=options.equilibrium)
         n_core = model.n_parameters
         for rival in rivals:
             if any(parameter.name not in model.names for parameter in rival.parameters(chain)):
                 model = model.with_effects([*model.effects, rival])
-        values = _nominal(model, rig, rig.target(robot))
-        problem = _problem(model, values, rig.sensor, conditions)
+        values = nominal_values(model, rig, rig.target(robot))
+        problem = foreseen_station(model, values, rig.sensor, conditions)
         free = model.largest_basis(conditions)[1]
         sizes = priors_of(Problem((problem,)), options).sizes[free]
         places = _places(model, free, rivals)
@@ -126,7 +126,7 @@ class DesignModel:
 
     def readings(self, conditions: Conditions) -> np.ndarray:
         """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
-        problem = _problem(self.model, self.values, self.sensor, conditions)
+        problem = foreseen_station(self.model, self.values, self.sensor, conditions)
         noise = np.repeat(self.sigma, [block.size for block in problem.sensor.blocks])
         return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
 
@@ -135,7 +135,7 @@ class DesignModel:
 
         It is what the error on rows held out is taken of: the first readings that are lengths, in the instrument's frame.
         """
-        problem = _problem(self.model, self.values, self.sensor, conditions)
+        problem = foreseen_station(self.model, self.values, self.sensor, conditions)
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
 
     def posterior(self, H: np.ndarray) -> Posterior:
@@ -148,14 +148,14 @@ class DesignModel:
         return np.concatenate(parts, axis=2).transpose(2, 1, 0)
 
 
-def _problem(model: Model, values: np.ndarray, sensor: str, conditions: Conditions) -> Station:
-    """Return the problem of the readings that a nominal arm gives."""
+def foreseen_station(model: Model, values: np.ndarray, sensor: str, conditions: Conditions) -> Station:
+    """Return the station that reads what a model predicts."""
     poses = model.predict(values, conditions)
     return Station(model, conditions, foreseeable()[sensor].foreseen(poses), np.ones(len(conditions)))
 
 
-def _nominal(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
-    """Return the values of the nominal arm, its targets in place and the instrument's axes parallel to the base's."""
+def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
+    """Return the values of the nominal arm, shape (P,), its targets in place and the instrument's axes those of the base."""
     values = np.zeros(model.n_parameters)
     instrument = np.zeros(3) if rig.instrument is None else np.array(rig.instrument)
     for element, place in [("base", -instrument), *((name, target) for name in model.chain.targets)]:
@@ -186,7 +186,12 @@ def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[n
     return tuple(found)
 
 
-def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:
+def check_rig(rig: SensorSetup) -> None:
+    """Refuse a sensor that a design can't be made for.
+
+    Raises:
+        BadInputError: for a sensor that is not known or lacks the place of its instrument.
+    """
     known = foreseeable()
     if rig.sensor not in known:
         raise BadInputError(f"sensor {rig.sensor!r}: not one to design for; expected one of {', '.join(known)}")
@@ -194,6 +199,10 @@ def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:
         raise BadInputError(
             f"what a {rig.sensor} tells depends on where it is measured from; give the place of the instrument"
         )
+
+
+def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:
+    check_rig(rig)
     if robot.massless and any(effect.uses_moments for effect in options.effects):
         raise BadInputError(
             f"{robot.source}: no mass for the links {', '.join(robot.massless)}, so elasticity can't be part of the model; "

@@ -163,17 +163,8 @@ def weigh(
         sigma: shape (blocks,), noise of one component of each block of readings.
     """
     A, r = whitened(station, values, sigma)
-    # Effects that are asked for may share names; those of the model and of masses come first.
-    index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
-    R = A[[index[name] for name in known.names]]
-    about = np.array([station.parameters[i].size for i in beside])
-    uncertain = [known.root.T @ R, about[:, None] * A[beside]]
-    if known.masses is not None:
-        masses = known.masses.parameters(station.model.chain)
-        sizes = np.array([parameter.size for parameter in masses])
-        uncertain.append(sizes[:, None] * (A[[index[p.name] for p in masses]] - known.taken_up.T @ R))
     F = A[free]
-    nuisance = np.vstack([*uncertain, F])
+    nuisance = np.vstack([spread(station, known, beside) @ A, F])
     H = nuisance @ nuisance.T
     H.flat[: (len(H) + 1) * (len(H) - len(F)) : len(H) + 1] += 1.0
     # Rows of Q are what is projected out, so that V^-1 = 1 - Q^T Q.
@@ -189,6 +180,28 @@ def weigh(
         degrees=len(r) - rank,
         rows=_rows_alone(left, Q, len(station)),
     )
+
+
+def spread(station: Station, known: Known, beside: np.ndarray) -> np.ndarray:
+    """Return how uncertain the parameters of a station are before its rows, shape (n, P): the root of their covariance.
+
+    Args:
+        station: as in :func:`weigh`.
+        known: what is known of the robot.
+        beside: places of parameters that are known to about their size.
+    """
+    # Effects that are asked for may share names; those of the model and of masses come first.
+    index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
+    robot = [index[name] for name in known.names]
+    masses = () if known.masses is None else known.masses.parameters(station.model.chain)
+    sizes = np.array([parameter.size for parameter in masses])
+    n, k = known.root.shape[1], known.root.shape[1] + len(beside)
+    out = np.zeros((k + len(masses), len(station.parameters)))
+    out[:n, robot] = known.root.T
+    out[np.arange(n, k), beside] = [station.parameters[i].size for i in beside]
+    out[np.arange(k, len(out)), np.array([index[p.name] for p in masses], int)] = sizes
+    out[k:, robot] = -sizes[:, None] * known.taken_up.T
+    return out
 
 
 def whitened(

@@ -63,16 +63,16 @@ def _weakest(found: Evidence, places: np.ndarray) -> tuple[int, float, np.ndarra
 
 
 @lru_cache(maxsize=256)
-def noticed_noncentrality(rank: int, degrees: float, limit: float) -> float:
-    """Return the non-centrality at which a change of some rank is noticed with the chance POWER."""
+def noticed_noncentrality(rank: int, degrees: float, limit: float, power: float = POWER) -> float:
+    """Return the non-centrality at which a change of some rank is noticed with the chance ``power``."""
     from scipy.optimize import brentq
 
     rest = max(degrees - rank, 1.0)
     F = float(fdtri(rank, rest, 1.0 - limit))
     upper = 100.0
-    while ncfdtr(rank, rest, upper, F) > 1.0 - POWER:
+    while ncfdtr(rank, rest, upper, F) > 1.0 - power:
         upper *= 2.0
-    return float(brentq(lambda value: ncfdtr(rank, rest, value, F) - (1.0 - POWER), 1e-6, upper))
+    return float(brentq(lambda value: ncfdtr(rank, rest, value, F) - (1.0 - power), 1e-6, upper))
 
 
 def tell_apart(verdict: Verdict, step: Step) -> str:
@@ -95,7 +95,7 @@ def _separation(verdict: Verdict, change: int, rival: int, more: int) -> float:
     conditions, robot = wider.conditions, wider.model.chain.robot
     q, payload = conditions.q.copy(), conditions.payload.copy()
     q[-more:] = robot.random_configurations(more, rng)
-    payload[-more:] = rng.choice(lineup.placed.model.covered.payload, more)
+    payload[-more:] = rng.choice(lineup.robot.covered.payload, more)
     there = replace(wider, conditions=replace(conditions, q=q, payload=payload))
     others = [i for i in verdict.happened if i != change]
     found = replace(lineup, station=there).weigh(verdict.values, others)

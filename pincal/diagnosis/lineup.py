@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel, estimate_of
-from pincal.calibration.placing import Placed
 from pincal.diagnosis.changes import Change, beside_changes, changes_of
 from pincal.diagnosis.evidence import Evidence, Known, weigh
 from pincal.diagnosis.mend import Posterior, Prior, most_probable
@@ -26,7 +25,7 @@ class Lineup:
     sensor's own.
 
     Attributes:
-        placed: the robot as it was, at the new station.
+        robot: as it was, at the new station.
         known: what its calibration knows of it.
         station: the rows that count, under the wide model.
         changes: what may have happened.
@@ -36,7 +35,7 @@ class Lineup:
         start: shape (P,), the robot as it was.
     """
 
-    placed: Placed
+    robot: CalibratedModel
     known: Known
     station: Station
     changes: tuple[Change, ...]
@@ -46,10 +45,10 @@ class Lineup:
     start: np.ndarray
 
     @classmethod
-    def of(cls, placed: Placed, known: Known) -> Lineup:
-        """Line up all that may have happened."""
-        station, model = placed.station, placed.station.model
-        of_model, of_sensor = station.split(placed.values)
+    def of(cls, robot: CalibratedModel, station: Station, known: Known) -> Lineup:
+        """Line up all that may have happened to a robot that was placed at the station of new rows."""
+        model = station.model
+        of_model, of_sensor = station.split(robot.values)
         compliances = tuple(compliances_of(model, of_model).tolist())
         situation = Situation(model.chain, _loaded_and_not(station.conditions), compliances)
         changes, others = changes_of(model, situation), beside_changes(model, situation)
@@ -64,7 +63,7 @@ class Lineup:
         own = np.append(own, wide.n_parameters + np.flatnonzero(~station.sensor.fixed))
         nothing = np.zeros(wide.n_parameters - model.n_parameters)
         start = np.concatenate([of_model, nothing, of_sensor])
-        return cls(placed, known, station.with_model(wide), changes, tuple(places), own, beside, start)
+        return cls(robot, known, station.with_model(wide), changes, tuple(places), own, beside, start)
 
     def without(self, row: int) -> Lineup:
         """Return the same without a row."""
@@ -81,13 +80,13 @@ class Lineup:
 
     def mend(self, happened: Sequence[int], start: np.ndarray) -> Posterior:
         """Return the same with the rest of the robot moved as far as its uncertainty lets it."""
-        names = self.placed.station.model.names
+        names = self.robot.model.names
         known = np.array([names.index(name) for name in self.known.names], int)
         return self._posterior(happened, start, known, self.known.root)
 
     def mended(self, happened: Sequence[int], found: Posterior) -> CalibratedModel:
         """Return the robot that was found at the new station, with what changed and nothing else of the wide model."""
-        model = self.placed.station.model
+        model = self.robot.model
         added = [(effect, self.places[i]) for i in happened if (effect := self.changes[i].effect) is not None]
         own = np.arange(self.station.model.n_parameters, len(found.values))
         places = np.concatenate([np.arange(model.n_parameters), *(at for _, at in added), own])
@@ -95,16 +94,16 @@ class Lineup:
         whole[np.ix_(found.places, found.places)] = found.covariance
         station = self.station.with_model(model.with_effects([*model.effects, *(effect for effect, _ in added)]))
         estimate = estimate_of(station.parameters, found.values[places], whole[np.ix_(places, places)])
-        return replace(self.placed.model, model=station.model, estimate=estimate)
+        return replace(self.robot, model=station.model, estimate=estimate)
 
     def _posterior(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Posterior:
         free = self.free(happened)
-        prior = Prior(known, root, free, self._sizes[free])
-        return most_probable(self.station, start, self.start, prior, self.placed.model.sigma)
+        prior = Prior(known, root, free, self.sizes[free])
+        return most_probable(self.station, start, self.start, prior, self.robot.sigma)
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> Evidence:
         """Return what the rows say of everything else, once some changes have happened."""
-        sigma = self.placed.model.sigma
+        sigma = self.robot.sigma
         return weigh(self.station, values, self.known, self.free(happened), beside=self.beside, sigma=sigma)
 
     def motion(self, values: np.ndarray) -> np.ndarray:
@@ -113,7 +112,7 @@ class Lineup:
         return model.linearise(model.own(values), self.station.conditions)[1]
 
     @cached_property
-    def _sizes(self) -> np.ndarray:
+    def sizes(self) -> np.ndarray:
         """How large a change is that the rows do not tell, shape (P,): as errors of such robots are."""
         largest = np.ones(len(self.start))
         self.station.split(largest)[0][:] = self.station.model.largest_basis(self.station.conditions)[0]

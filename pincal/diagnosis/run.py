@@ -19,6 +19,7 @@ from pincal.diagnosis.mend import Posterior
 from pincal.diagnosis.search import Verdict, search
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.fingerprints import count, fingerprints, known_rows, together
+from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile, ExcludedEntry, MovedEntry
 from pincal.measure.checks import check_table
 from pincal.measure.measurements import Measurements
@@ -127,9 +128,14 @@ def diagnose(calibrated: Calibrated | CalibratedStations, measurements: Measurem
 
 def verdict_of(model: CalibratedModel, placed: Placed, alpha: float) -> Verdict:
     """Return what has happened to a calibrated robot that was placed at a new station."""
-    rows, sizes = count(model.rows), [block.size for block in placed.station.sensor.blocks]
-    degrees = max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else _DEGREES
-    return search(Lineup.of(placed, Known.of(model)), alpha=alpha, degrees=degrees)
+    lineup = Lineup.of(placed.model, placed.station, Known.of(model))
+    return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station))
+
+
+def known_degrees(model: CalibratedModel, station: Station) -> float:
+    """Return the degrees of freedom by which a calibration knows the noise of readings like a station's."""
+    rows, sizes = count(model.rows), [block.size for block in station.sensor.blocks]
+    return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else _DEGREES
 
 
 def placed_anew(model: CalibratedModel, measurements: Measurements) -> Placed:
@@ -164,7 +170,7 @@ def _mended(model: CalibratedModel, verdict: Verdict, posterior: Posterior) -> C
     """Return the robot at the new station, with what changed found and nothing else released."""
     lineup, happened = verdict.lineup, verdict.happened
     if not happened:
-        return lineup.placed.model
+        return lineup.robot
     rows = together(model.rows, fingerprints(lineup.station))
     return replace(lineup.mended(happened, posterior), rows=rows)
 

@@ -108,7 +108,12 @@ class Verdict:
 
 def limit_of(verdict: Verdict) -> float:
     """Return the p-value that a change had to stay below."""
-    return verdict.alpha * _FOR_CHANGES / verdict.n_tested
+    return limit_for(verdict.alpha, verdict.n_tested)
+
+
+def limit_for(alpha: float, n_tested: int) -> float:
+    """Return the p-value below which one of so many changes is an alarm."""
+    return alpha * _FOR_CHANGES / max(n_tested, 1)
 
 
 def search(lineup: Lineup, *, alpha: float, degrees: float) -> Verdict:
@@ -151,6 +156,11 @@ def search(lineup: Lineup, *, alpha: float, degrees: float) -> Verdict:
         degrees=degrees,
         n_tested=max(len(state.scores), 1),
     )
+
+
+def raises_alarm(lineup: Lineup, *, alpha: float, degrees: float) -> bool:
+    """Return whether rows raise an alarm, without looking for what happened; arguments as in :func:`search`."""
+    return _State(lineup, lineup.release((), lineup.start), alpha, degrees).p_value < alpha
 
 
 @dataclass(frozen=True)
@@ -206,7 +216,7 @@ class _State:
 
     def best(self) -> Step | None:
         """Return the change that explains most for what it costs, if it is more than chance; equivalents with it."""
-        limit = self.alpha * _FOR_CHANGES / max(len(self.scores), 1)
+        limit = limit_for(self.alpha, len(self.scores))
         if not any(score.p_value < limit for score in self.scores):
             return None
         near = self.scores

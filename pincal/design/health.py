@@ -1,0 +1,336 @@
+"""A health check: the fewest poses by which a diagnosis notices that a calibrated robot has changed, and by how much."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_of
+from pincal.calibration.covered import Covered
+from pincal.design.design_model import DesignModel
+from pincal.design.exchange import covariance
+from pincal.design.guarded import Guarded, guarded_changes, lineup_over, watch_of
+from pincal.design.reach import Draw, Limits, Reach, SensorSetup
+from pincal.design.route import order_by_load
+from pincal.design.study import total
+from pincal.design.watch import Watch
+from pincal.diagnosis.changes import Change
+from pincal.diagnosis.evidence import spread
+from pincal.diagnosis.lineup import Lineup
+from pincal.diagnosis.run import ALPHA, known_degrees
+from pincal.diagnosis.search import raises_alarm
+from pincal.errors import BadInputError
+from pincal.identify.options import Options
+from pincal.model.conditions import Conditions
+from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.robot import Robot
+
+log = logging.getLogger(__name__)
+
+# Random poses to choose from, places of the working volume, and poses of the calibration of a robot without a model.
+_CANDIDATES, _PLACES, _CALIBRATED_FROM = 300, 100, 100
+# Fewest poses that tell where instrument and target stand.
+_FEWEST = 4
+# Time from one measured pose to the next [s].
+_SECONDS_PER_POSE = 20.0
+# Recorded temperature of a check [deg C], for models that follow it.
+_TEMPERATURE = 20.0
+
+
+@dataclass(frozen=True)
+class NoticedChange:
+    """A change of the least visible kind that still moves the target by what is to be noticed.
+
+    Attributes:
+        change: what it is.
+        noncentrality: its signal squared over what noise and calibration leave open.
+        needed: what the test needs to notice it with the power asked for.
+        step: shape (P,), it, in the parameters of the lineup.
+    """
+
+    change: Change
+    noncentrality: float
+    needed: float
+    step: np.ndarray
+
+
+@dataclass(frozen=True)
+class HealthCheck:
+    """Poses of a health check, and what it notices.
+
+    Attributes:
+        robot: the arm.
+        conditions: the N poses, in an order of short ways.
+        has_payloads: whether the payload was part of the design.
+        sensor: kind of the sensor.
+        notice: motion of the target that is to be noticed [m].
+        power: chance with which.
+        alpha: chance of a false alarm.
+        changes: every change that was looked at, the hardest to notice first.
+        absorbed: changes that base and target take up once they are placed anew, or that move nothing by so much.
+        alarms: part of simulated checks of an unchanged robot with an alarm.
+        noticed: part of simulated checks with an alarm, the first of ``changes`` having happened.
+        draws: number of simulated checks, of each.
+        drawn: the candidates, and what the constraints removed.
+        notes: what the user should know, in words.
+        seconds: that it took.
+    """
+
+    robot: Robot
+    conditions: Conditions
+    has_payloads: bool
+    sensor: str
+    notice: float
+    power: float
+    alpha: float
+    changes: tuple[NoticedChange, ...]
+    absorbed: tuple[Change, ...]
+    alarms: float
+    noticed: float
+    draws: int
+    drawn: Draw
+    notes: tuple[str, ...]
+    seconds: float
+
+    @property
+    def is_met(self) -> bool:
+        """Whether every change is noticed with the power asked for."""
+        return self.changes[0].noncentrality >= self.changes[0].needed
+
+    @property
+    def minutes(self) -> float:
+        """Time that the measurement takes, at 20 s a pose."""
+        return len(self.conditions) * _SECONDS_PER_POSE / 60.0
+
+    @property
+    def noticeable(self) -> float:
+        """Motion of the target from which on even the change that is hardest to notice is noticed [m]."""
+        hardest = self.changes[0]
+        return self.notice * float(np.sqrt(hardest.needed / max(hardest.noncentrality, 1e-300)))
+
+    def summary(self) -> str:
+        """Return in a sentence what the check takes and what it notices."""
+        what = "any change of the robot that moves some point by more than"
+        rates = f"is noticed with {100 * self.power:g} % at {100 * self.alpha:g} % false alarms"
+        size = self.notice if self.is_met else self.noticeable
+        return f"{len(self.conditions)} poses, {self.minutes:.0f} minutes: {what} {1e3 * size:.3g} mm {rates}"
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the table to be filled in: joints, and what else the model asks for of a pose."""
+        found: dict[str, np.ndarray] = dict(zip(self.robot.joint_names, self.conditions.q.T, strict=True))
+        if self.has_payloads:
+            found["payload"] = self.conditions.payload
+        if self.conditions.approach is not None:
+            for name, column in zip(self.robot.joint_names, self.conditions.approach.T, strict=True):
+                found[f"approach_{name}"] = column.astype(int)
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, without the poses."""
+        return {
+            "robot": self.robot.name,
+            "sensor": self.sensor,
+            "poses": len(self.conditions),
+            "minutes": self.minutes,
+            "notice_mm": 1e3 * self.notice,
+            "power": self.power,
+            "alpha": self.alpha,
+            "met": self.is_met,
+            "changes": [
+                noticed.change.describe() | {"noncentrality": noticed.noncentrality, "needed": noticed.needed}
+                for noticed in self.changes
+            ],
+            "absorbed": [change.describe() | {"parameters": list(change.parameters)} for change in self.absorbed],
+            "simulated": {"draws": self.draws, "alarms": self.alarms, "noticed": self.noticed},
+            "candidates": {"found": len(self.drawn.q), "drawn": self.drawn.drawn, "removed": self.drawn.removed},
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckRequest:
+    """What a health check is to notice.
+
+    Attributes:
+        notice: motion of the target anywhere in the working volume that is to be noticed [m].
+        power: chance with which.
+        alpha: chance of an alarm on a robot that has not changed.
+        max_poses: number of poses beyond which no more are added.
+        payloads: masses at the tip [kg], taken in turn; default: none.
+        candidates: number of random poses to choose from; default: 300.
+        draws: simulated checks of an unchanged robot, and of one with the change that is hardest to notice.
+        seed: of all random numbers.
+
+    Raises:
+        BadInputError: if one of them is invalid.
+    """
+
+    notice: float = 1e-4
+    power: float = 0.95
+    alpha: float = ALPHA
+    max_poses: int = 40
+    payloads: Sequence[float] = ()
+    candidates: int | None = None
+    draws: int = 150
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.notice < np.inf:
+            raise BadInputError(f"notice is {self.notice:g} m; expected a length above 0, such as 1e-4")
+        if not 0.0 < self.alpha < 0.5:
+            raise BadInputError(
+                f"alpha is {self.alpha:g}; expected a chance of a false alarm between 0 and 0.5, such as 0.01"
+            )
+        if not self.alpha < self.power < 1.0:
+            raise BadInputError(f"power is {self.power:g}; expected a chance between alpha and 1, such as 0.95")
+        if not _FEWEST <= self.max_poses <= self.n_candidates:
+            raise BadInputError(
+                f"at most {self.max_poses} poses of {self.n_candidates} candidates; expected {_FEWEST} to that many poses"
+            )
+        if not all(0.0 <= load < np.inf for load in self.payloads):
+            raise BadInputError(f"payloads {', '.join(map(str, self.payloads))}; expected masses of 0 kg or more")
+
+    @property
+    def n_candidates(self) -> int:
+        """Number of random poses to choose from."""
+        return _CANDIDATES if self.candidates is None else self.candidates
+
+
+def design_check(
+    known: Robot | Calibrated,
+    request: CheckRequest | None = None,
+    *,
+    options: Options | None = None,
+    rig: SensorSetup | None = None,
+    limits: Limits | None = None,
+) -> HealthCheck:
+    """Choose the fewest poses by which a diagnosis notices any change of a robot that moves the target by so much.
+
+    Args:
+        known: the calibrated robot; of a robot alone, what a calibration from 100 random poses would know.
+        request: what is to be noticed, and how surely.
+        options: of the calibration of a robot alone: effects, noise, moment frame.
+        rig: with what it is measured, and from where.
+        limits: where the arm may go.
+
+    Raises:
+        BadInputError: for constraints that leave too few poses, or a sensor or model that a check can't be designed for.
+
+    Example:
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> request = CheckRequest(notice=5e-4, candidates=60, draws=20)
+        >>> found = design_check(Robot.from_urdf("ur10"), request, options=Options(effects=GEOMETRIC))
+        >>> found.is_met, 5 < len(found.conditions) < 30
+        (True, True)
+    """
+    begun, request, rig = time.perf_counter(), request or CheckRequest(), rig or SensorSetup()
+    rng = np.random.default_rng([request.seed, 41])
+    if isinstance(known, Robot):
+        reach = Reach(known, rig, limits or Limits())
+        model = _as_if_calibrated(reach, options or Options(), request, rng=rng)
+    else:
+        model = known.robot_model()
+        rig = _rig_of(rig, model)
+        reach = Reach(model.model.chain.robot, rig, limits or Limits())
+    drawn = reach.draw(request.n_candidates, rng)
+    if len(drawn.q) < request.max_poses:
+        raise BadInputError(f"the constraints leave too few poses for {request.max_poses}: {drawn.in_words()}")
+    conditions = _conditions(model, drawn.q, request, rng=rng)
+    lineup = lineup_over(model, rig, conditions)
+    places = _conditions(model, reach.draw(_PLACES, rng, measured=False).q, request, rng=rng)
+    guarded, absorbed = guarded_changes(lineup, places, request.notice, rng=rng)
+    degrees = known_degrees(model, lineup.station)
+    watch = watch_of(lineup, guarded, alpha=request.alpha, power=request.power, degrees=degrees)
+    log.info("choosing among %d poses", len(conditions))
+    chosen = watch.fewest(request.max_poses)
+    order, _, _ = order_by_load(drawn.q[chosen], conditions.payload[chosen], reach.range)
+    rows = np.array(chosen)[order]
+    final = replace(lineup, station=lineup.station.select(rows))
+    changes = _noticed(watch, final, guarded, chosen)
+    log.info("simulating %d checks", 2 * request.draws)
+    rates = [_alarms(final, degrees, request, step=step, rng=rng) for step in (np.zeros(len(final.start)), changes[0].step)]
+    return HealthCheck(
+        robot=reach.robot,
+        conditions=conditions.select(rows),
+        has_payloads=bool(request.payloads),
+        sensor=rig.sensor,
+        notice=request.notice,
+        power=request.power,
+        alpha=request.alpha,
+        changes=changes,
+        absorbed=tuple(absorbed),
+        alarms=rates[0],
+        noticed=rates[1],
+        draws=request.draws,
+        drawn=drawn,
+        notes=(*reach.robot.notes, *reach.bodies.notes),
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, rng: np.random.Generator) -> CalibratedModel:
+    """Return what a calibration from random poses would know of a robot that is as its URDF says."""
+    q = reach.draw(_CALIBRATED_FROM, rng).q
+    loads = np.resize(np.array(request.payloads or (0.0,), float), len(q))
+    centre = np.array(options.payload_centre, float)
+    conditions = Conditions(q, np.zeros(len(q), int), loads, centre)
+    design = DesignModel.of(reach.robot, conditions, options, reach.rig)
+    C = covariance(np.eye(design.n_free) + total(design.readings(conditions)))
+    whole = np.zeros((len(design.values),) * 2)
+    whole[np.ix_(design.free, design.free)] = C * np.outer(design.units, design.units)
+    estimate = estimate_of(design.model.parameters, design.values, whole)
+    return CalibratedModel(design.model, estimate, reach.rig.sensor, centre, Covered.of(conditions), design.sigma, {})
+
+
+def _conditions(model: CalibratedModel, q: np.ndarray, request: CheckRequest, *, rng: np.random.Generator) -> Conditions:
+    """Return poses with the loads in turn and all that the effects of a model ask for."""
+    n, needs = len(q), {column for effect in model.model.effects for column in effect.needs}
+    return Conditions(
+        q,
+        np.zeros(n, int),
+        np.resize(np.array(request.payloads or (0.0,), float), n),
+        np.array(model.payload_centre, float),
+        temperature=np.full(n, _TEMPERATURE) if "temperature" in needs else None,
+        time=np.zeros(n) if "time" in needs else None,
+        approach=rng.choice([-1.0, 1.0], q.shape) if "approach" in needs else None,
+    )
+
+
+def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
+    """Return a rig with its target where that of the calibration is, unless it is told."""
+    names = [f"{model.model.chain.targets[0]}.{symbol}" for symbol in FRAME_SYMBOLS[:3]]
+    if rig.tool is not None or not set(names) <= set(model.estimate.names):
+        return rig
+    x, y, z = (model.estimate[name] for name in names)
+    return replace(rig, tool=(x, y, z))
+
+
+def _noticed(watch: Watch, final: Lineup, guarded: list[Guarded], chosen: list[int]) -> tuple[NoticedChange, ...]:
+    """Return how surely each change is noticed at the chosen poses, the hardest first and in its hardest direction."""
+    found, needed = watch.noncentralities(chosen), watch.needed(len(chosen))
+    order = np.argsort(found / needed)
+    hardest: dict[int, NoticedChange] = {}
+    for k in order:
+        i = guarded[k].change
+        hardest.setdefault(i, NoticedChange(final.changes[i], float(found[k]), float(needed[k]), guarded[k].step))
+    return tuple(hardest.values())
+
+
+def _alarms(lineup: Lineup, degrees: float, request: CheckRequest, *, step: np.ndarray, rng: np.random.Generator) -> float:
+    """Return the part of simulated checks that end in an alarm: noise and what the calibration left open are drawn."""
+    station, start = lineup.station, lineup.start
+    root = spread(station, lineup.known, lineup.beside)
+    noise = np.repeat(lineup.robot.sigma, [block.size for block in station.sensor.blocks])[:, None] / station.weights
+    alarms = 0
+    for _ in range(request.draws):
+        truth = start + step + root.T @ rng.standard_normal(len(root))
+        change = noise * rng.standard_normal(noise.shape) - station.residuals(truth)
+        rows = replace(station, sensor=station.sensor.shifted(change))
+        alarms += raises_alarm(replace(lineup, station=rows), alpha=request.alpha, degrees=degrees)
+    return alarms / request.draws
