@@ -28,6 +28,7 @@ class Change:
         parameters: names of the parameters that it moves.
         effect: the effect that the robot would have now; None where parameters of the model moved.
         source: the joint that drives this one, where an effect has one.
+        is_usual: whether it is what happens first: a drive that lost its zero.
         parts: whether other changes together are the same one, so that it is not counted among what is excluded.
     """
 
@@ -37,6 +38,7 @@ class Change:
     effect: Effect | None = None
     source: str | None = None
     parts: bool = False
+    is_usual: bool = False
 
     @property
     def heading(self) -> tuple[str, str | None, str | None]:
@@ -106,7 +108,8 @@ def _of_parameters(model: Model) -> Iterator[Change]:
             source = effect.heading[2]
             names = tuple(parameter.name for parameter in members)
             if single:
-                yield from (Change(effect.name, joint, (name,), source=source) for name in names)
+                usual = effect.locus.acts_on == "drive"
+                yield from (Change(effect.name, joint, (name,), source=source, is_usual=usual) for name in names)
             if len(names) > 1 or not single:
                 yield Change(effect.name, joint, names, source=source, parts=single)
     yield from _bent_links(model)

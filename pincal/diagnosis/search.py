@@ -15,6 +15,8 @@ from pincal.diagnosis.lineup import Lineup
 _FOR_CHANGES, _FOR_MISFIT = 0.8, 0.2
 # Two changes can't be told apart unless one is this many times as likely: -2 log odds.
 EQUIVALENT = 2.0 * np.log(100.0)
+# How much likelier the usual is than anything else, before any row is seen: -2 log odds.
+_USUAL = 2.0 * np.log(10.0)
 # Chance that a sound row is taken for a wrong reading.
 _WRONG_ROW = 0.001
 # Changes that are tried by a fit, where squares to first order are not enough.
@@ -195,7 +197,7 @@ class _State:
         left, degrees = self.evidence.square - gain, self.degrees + self.evidence.degrees - rank
         F = (gain / rank) / ((self.degrees + max(left, 0.0)) / max(degrees, 1.0))
         p_value = float(fdtrc(rank, max(degrees, 1.0), F)) if gain > 0.0 else 1.0
-        return Score(i, gain, rank, p_value, rank * self._price - gain)
+        return Score(i, gain, rank, p_value, rank * self._price - gain - _USUAL * self.lineup.changes[i].is_usual)
 
     @cached_property
     def _price(self) -> float:
