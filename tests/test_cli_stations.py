@@ -223,6 +223,26 @@ def aligned(fit: pincal.Fit, table: pincal.Measurements) -> float:
     return float(1e3 * np.linalg.norm(best.fun.reshape(-1, 3), axis=1).mean())
 
 
+def test_a_robot_of_several_stations_is_diagnosed(
+    results: Path, machine: sim.TrueMachine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At a third place: unchanged, and its rows taken in; hit, and named; rows of any station are known again."""
+    sound = tracked(machine, np.eye(4), poses=15, seed=11)
+    hit = sound | {"joint_3": sound["joint_3"] - 1e-3}
+    sound_file, hit_file = written(tmp_path, {"sound": sound, "hit": hit})
+    model, old = results / "model.json", results.parent
+    assert run("diagnose", model, sound_file, "--out", tmp_path / "d") == 0
+    assert run("diagnose", model, hit_file, "--out", tmp_path / "d") == 6
+    (change,) = json.loads((tmp_path / "d" / "diagnosis.json").read_text())["changes"]
+    assert ("joint_offset", "joint_3") in {(c["effect"], c["joint"]) for c in (change, *change["equivalent"])}
+    assert run("update", model, sound_file, "--out", tmp_path / "u") == 0
+    assert run("update", model, hit_file, "--out", tmp_path / "v") == 6 and not (tmp_path / "v").exists()
+    capsys.readouterr()
+    for table, rows in (("tracker", 52), ("sockets", 36)):
+        assert run("diagnose", model, old / f"{table}.csv", "--out", tmp_path / "d") == 3
+        assert f"fitted to {rows} of these" in capsys.readouterr().err
+
+
 def test_left_out_stations_do_not_depend_on_the_executor(days: list[Path]) -> None:
     """Processes give what one loop does, bit by bit."""
     robot = pincal.Robot.from_urdf(URDF)

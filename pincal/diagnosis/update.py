@@ -44,7 +44,7 @@ def update(
     verdict = verdict_of(model, placed, alpha)
     if verdict.changed:
         raise ChangedRobotError(
-            f"{measurements.source}: the robot is not any more what the model says (p = {verdict.p_value:.2g}), so that its "
+            f"{measurements.source}: the robot is no longer what the model says (p = {verdict.p_value:.2g}), so that its "
             "old rows and these don't belong together; pincal diagnose finds out what has changed and mends the model"
         )
     kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)

@@ -28,7 +28,11 @@ def headline(found: DiagnosisFile) -> str:
             "the robot still is what its model says."
         )
     changes = "; ".join(in_words(change) + (f", {sizes(change)}" if change.parameters else "") for change in found.changes)
-    return f"The robot has changed (p = {show_chance(found.p_value)}): {changes}."
+    return f"The robot has changed ({_chance(found.p_value)}): {changes}."
+
+
+def _chance(p_value: float) -> str:
+    return f"p = {show_chance(p_value)}" if p_value > 0.0 else f"p {show_chance(0.0)}"
 
 
 def in_words(change: ChangeName) -> str:
