@@ -251,3 +251,15 @@ def test_real_robot_says_where_its_measurements_come_from(tmp_path: Path) -> Non
 
     assert "christianlandgraf/ipa-robot-accuracy" in message
     assert "shoulder_pan_joint" in message and "Traceback" not in message
+
+
+def test_a_robots_life_is_told_by_its_figures(tmp_path: Path) -> None:
+    """A collision is named with its size; twelve poses bring the robot back to where it was, new rows further."""
+    text = run("life_of_a_robot.py", folder=tmp_path)
+    (hit,) = numbers(text, "joint_offset of joint_2, joint_2.theta by")[:1]
+    (calibrated,), (missed,) = numbers(text, "two set-ups:"), numbers(text, "as it was:")
+    mended, kept = numbers(text, "12 poses:")[0], numbers(text, "40 new rows:")[0]
+
+    assert "before the collision: changed False" in text
+    assert hit == pytest.approx(0.5, abs=0.04)
+    assert missed > 10.0 * calibrated and max(mended, kept) < 1.3 * calibrated
