@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
     from pincal.compensate.frames import false_targets
     from pincal.design.design import Design, design_poses
+    from pincal.design.health import CheckRequest, HealthCheck, design_check
     from pincal.design.reach import Limits, SensorSetup
     from pincal.diagnosis.run import Diagnosis, diagnose
     from pincal.diagnosis.update import update
@@ -60,6 +61,7 @@ _HOMES = {
     "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
     "pincal.compensate.frames": ("false_targets",),
     "pincal.design.design": ("Design", "design_poses"),
+    "pincal.design.health": ("CheckRequest", "HealthCheck", "design_check"),
     "pincal.design.reach": ("Limits", "SensorSetup"),
     "pincal.io.discovery_file": ("Findings", "FoundEffect", "Verdict"),
     "pincal.diagnosis.run": ("Diagnosis", "diagnose"),
@@ -107,6 +109,7 @@ __all__ = [
     "Calibration",
     "Candidate",
     "Chain",
+    "CheckRequest",
     "Compensation",
     "Conditions",
     "Design",
@@ -117,6 +120,7 @@ __all__ = [
     "Findings",
     "Fit",
     "FoundEffect",
+    "HealthCheck",
     "IdentificationError",
     "KnownDistance",
     "Lens",
@@ -146,6 +150,7 @@ __all__ = [
     "compensate_poses",
     "compensate_program",
     "cross_validate",
+    "design_check",
     "design_poses",
     "diagnose",
     "explain",

@@ -179,7 +179,7 @@ def design(arguments: DesignArguments) -> Exit:
 
 def _check(arguments: DesignArguments) -> Exit:
     """Choose the poses of a health check."""
-    from pincal.calibration.calibrated import load_model
+    from pincal.calibration.stations import load_stations
     from pincal.design.health import CheckRequest, design_check
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
@@ -187,7 +187,9 @@ def _check(arguments: DesignArguments) -> Exit:
     wanted = arguments.health
     is_model = Path(arguments.robot).suffix == ".json"
     known = (
-        load_model(arguments.robot) if is_model else Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+        load_stations(arguments.robot).robot_model()
+        if is_model
+        else Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
     )
     request = CheckRequest(
         notice=wanted.notice,
