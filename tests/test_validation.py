@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
-from placed_arms import FIRST, MOVE, measured, run, transform, written
+from placed_arms import FIRST, MOVE, NOISE, measured, run, transform, written
 
 from pincal import simulate as sim
 from pincal.calibration.calibrated import CalibratedModel
@@ -19,6 +19,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
 from pincal.robot.robot import Robot
+from pincal.simulate.paper_machine import PaperMachine
 from pincal.validate.agreement import is_anothers
 
 AWAY = MOVE @ FIRST
@@ -92,6 +93,26 @@ def test_another_robot_of_the_type_is_doubted(kuka: Robot, model: CalibratedMode
     """Its errors are not those that were calibrated."""
     for seed in (5, 6, 7):
         assert validate_rows([model], measured(drawn(seed), kuka, T_instrument_base=AWAY)).doubt
+
+
+def test_the_demos_robot_is_known_again_and_another_is_not(kuka: Robot) -> None:
+    """With the tracker elsewhere the elastic robot is right to the noise; another of its make is not."""
+    other = true_kuka().draw_errors(np.random.default_rng(3), sigma_length=5e-4, sigma_angle=1e-3)
+    first, again, stranger = (
+        measured(machine, kuka, poses=rows, seed=seed, T_instrument_base=at)
+        for machine, rows, seed, at in (
+            (PaperMachine(), 200, 1, FIRST),
+            (PaperMachine(), 40, 2, AWAY),
+            (other, 40, 3, AWAY),
+        )
+    )
+    options = Options(effects=ELASTIC, sigma=NOISE)
+    model = calibrate(kuka, first, options).to_model()
+    found, refused = validate_rows([model], again), validate_rows([model], stranger)
+
+    assert found.placed == "refitted" and found.doubt == "" and np.linalg.norm(MOVE[:3, 3]) > 1.0
+    assert np.linalg.norm(found.station.residuals(found.values), axis=0).mean() < 2.0 * NOISE
+    assert "wherever instrument and target stand" in refused.doubt
 
 
 def test_a_calibration_that_is_another_robots_does_no_good() -> None:

@@ -62,7 +62,8 @@ class Validation:
         rest = (
             f"{self.table.source}: off by {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
         )
-        rest += "allow, as arms may be on another day; pincal diagnose tells whether something has changed"
+        why = "arms may be beyond the loads of their calibration" if self.misfit.is_far() else "arms may be on another day"
+        rest += f"allow, as {why}; pincal diagnose tells whether something has changed"
         is_noted = self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt
         return ((self.note,) if self.note else ()) + ((rest,) if is_noted else ())
 
