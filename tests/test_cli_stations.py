@@ -291,3 +291,17 @@ def test_an_offset_that_jumped_is_named_with_its_station(tmp_path: Path, machine
     assert value["sigma"] < 3e-5 and found["verdict"] == "adequate"
     again = load_stations(tmp_path / "out" / "model.json").at("we").predict(q)[:, :, 3]
     assert np.linalg.norm(again - np.column_stack([days["we"][a] for a in "xyz"]), axis=1).mean() < 2.0 * NOISE
+
+
+def test_placements_of_a_pair_of_sockets_are_stations(shared_data: Path, tmp_path: Path) -> None:
+    """A Panda's ball in two sockets at two places: each is predicted by the other to a seventh of the nominal error."""
+    table = pl.read_csv(shared_data / "panda_sockets" / "panda_3.csv")
+    places = ("backcenter", "frontleft")
+    for place in places:
+        table.filter(pl.col("socket").str.starts_with(place)).write_csv(tmp_path / f"{place}.csv")
+    lengths = [word for place in places for word in ("--socket-distance", f"{place}/0", f"{place}/1", "0.05")]
+    options = ("--split", "station", "--model", "geometric", "--quiet", "--out", tmp_path / "out", *lengths)
+    assert run("calibrate", "panda", *(tmp_path / f"{place}.csv" for place in places), *options) == 0
+    for station, place in zip(of(tmp_path / "out")["stations"], places, strict=True):
+        assert (station["name"], station["kind"]) == (place, "socket")
+        assert station["left_out"]["mean_mm"] < 0.15 * station["error"]["nominal"]["train"]["mean_mm"]
