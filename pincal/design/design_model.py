@@ -87,9 +87,7 @@ class DesignModel:
         _check(robot, options, rig)
         gravity = None if options.gravity is None else np.array(options.gravity)
         chain = Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity, targets=targets)
-        sensor = foreseen_station(Model(chain, ()), np.zeros(0), rig.sensor, conditions).sensor
-        frames = (BaseFrame(sensor.base_symbols), ToolFrame(sensor.tool_symbols))
-        model = Model(chain, (*frames, *options.effects), equilibrium=options.equilibrium)
+        model = Model(chain, (*frames_of(chain, rig.sensor, conditions), *options.effects), equilibrium=options.equilibrium)
         n_core = model.n_parameters
         for rival in rivals:
             if any(parameter.name not in model.names for parameter in rival.parameters(chain)):
@@ -152,6 +150,12 @@ def foreseen_station(model: Model, values: np.ndarray, sensor: str, conditions: 
     """Return the station that reads what a model predicts."""
     poses = model.predict(values, conditions)
     return Station(model, conditions, foreseeable()[sensor].foreseen(poses), np.ones(len(conditions)))
+
+
+def frames_of(chain: Chain, sensor: str, conditions: Conditions) -> tuple[Effect, ...]:
+    """Return the frames of base and tool that readings of a kind depend on."""
+    bare = foreseen_station(Model(chain, ()), np.zeros(0), sensor, conditions).sensor
+    return BaseFrame(bare.base_symbols), ToolFrame(bare.tool_symbols)
 
 
 def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel, estimate_of
 from pincal.calibration.placing import noise_like
-from pincal.design.design_model import check_rig, foreseen_station, nominal_values
+from pincal.design.design_model import check_rig, foreseen_station, frames_of, nominal_values
 from pincal.design.reach import SensorSetup
 from pincal.design.watch import Watch
 from pincal.diagnosis.changes import Change
@@ -18,7 +18,6 @@ from pincal.diagnosis.search import limit_for
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Curve
-from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 
 # Random directions in which a change of several parameters is to be noticed.
@@ -47,8 +46,7 @@ def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions
     check_rig(rig)
     arm = model.model
     chain = Chain.of(arm.chain.robot, moment_frame=arm.chain.moment_frame, gravity=arm.chain.gravity)
-    bare = foreseen_station(Model(chain, ()), np.zeros(0), rig.sensor, conditions).sensor
-    frames = (BaseFrame(bare.base_symbols), ToolFrame(bare.tool_symbols))
+    frames = frames_of(chain, rig.sensor, conditions)
     effects = (*frames, *(effect for effect in arm.effects if effect.scope == "robot"))
     there = Model(chain, effects, equilibrium=arm.equilibrium)
     values = nominal_values(there, rig, rig.target(chain.robot))

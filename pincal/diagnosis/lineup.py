@@ -59,7 +59,7 @@ class Lineup:
         beside = np.concatenate([np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])])
         spans = iter(wide.spans[n + len(others) :])
         places = [_places(change, model.names) if change.effect is None else _span(next(spans)) for change in changes]
-        own = np.flatnonzero(station.is_own[: model.n_parameters])
+        own = np.flatnonzero(station.split(station.is_own)[0])
         own = np.append(own, wide.n_parameters + np.flatnonzero(~station.sensor.fixed))
         nothing = np.zeros(wide.n_parameters - model.n_parameters)
         start = np.concatenate([of_model, nothing, of_sensor])
