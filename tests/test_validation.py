@@ -95,6 +95,13 @@ def test_another_robot_of_the_type_is_doubted(kuka: Robot, model: CalibratedMode
         assert validate_rows([model], measured(drawn(seed), kuka, T_instrument_base=AWAY)).doubt
 
 
+def test_a_load_that_was_never_carried_hides_no_other_robot(kuka: Robot, model: CalibratedModel) -> None:
+    """A calibration that does no better than none is another robot's, with whatever load."""
+    table = measured(drawn(5), kuka, T_instrument_base=AWAY)
+
+    assert "nominal robot" in validate_rows([model], replace(table, payload=np.full(len(table), 20.0))).doubt
+
+
 def test_the_demos_robot_is_known_again_and_another_is_not(kuka: Robot) -> None:
     """With the tracker elsewhere the elastic robot is right to the noise; another of its make is not."""
     other = true_kuka().draw_errors(np.random.default_rng(3), sigma_length=5e-4, sigma_angle=1e-3)

@@ -205,12 +205,13 @@ def _where_it_was(name: str, here: _Stand, *, why: str, refit: bool) -> Validati
 def doubt_of(table: Measurements, placed: Placed) -> str:
     """Return why rows can't be of the robot as it was calibrated, wherever the instrument stands; empty if they can.
 
-    Loads that it never carried prove nothing, and drives where nobody saw their curves little.
+    Drives where nobody saw their curves prove little, and loads that it never carried only whether the calibration is
+    better than none.
     """
     known, station, values = placed.model, placed.station, placed.values
-    sound = (placed.solution.weights > 0.0) & known.covered.carries(station.conditions.payload)
-    seen = sound & inside_curves(known.model, station.conditions)
-    for rows, factor in ((seen, 1.0), (sound, _UNSEEN)):
+    used, inside = placed.solution.weights > 0.0, inside_curves(known.model, station.conditions)
+    sound = used & known.covered.carries(station.conditions.payload)
+    for rows, factor in ((sound & inside, 1.0), (sound, _UNSEEN), (used & inside, np.inf)):
         left = placed.misfit_of(rows)
         if not left.is_significant:
             continue
@@ -220,7 +221,7 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
             mixed = mix_up(table, station, values, options=_options(known))
             beyond = f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
             return f"{beyond}; {mixed}" if mixed else beyond
-        if rows is seen and (nominal := _as_good(table, placed, left=left, rows=rows)) is not None:
+        if factor != _UNSEEN and (nominal := _as_good(table, placed, left=left, rows=rows)) is not None:
             return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"
     return ""
 
