@@ -602,6 +602,14 @@ def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
         Robot.from_urdf(tmp_path)
 
 
+def test_a_folder_does_not_hide_a_robot_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The results of ``--out ur10`` stand beside the robot that they are of."""
+    monkeypatch.chdir(tmp_path)
+    Path("ur10").mkdir()
+
+    assert Robot.from_urdf("ur10").n_joints == 6
+
+
 def test_an_unknown_example_robot_names_the_nearest() -> None:
     """A name that is neither a file nor a robot of example-robot-data is answered with near ones."""
     with pytest.raises(RobotFileError, match=r"'ur11' is neither a file nor a robot .*ur10"):

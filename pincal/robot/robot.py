@@ -169,7 +169,8 @@ def find_file(source: str | os.PathLike[str]) -> Path:
         RobotFileError: for a name that is neither.
     """
     path = Path(source)
-    if path.exists() or path.suffix or os.sep in os.fspath(source):
+    # A folder of a robot's name, such as that of its results, is no URDF.
+    if path.is_file() or path.suffix or os.sep in os.fspath(source):
         return path
     from example_robot_data import robots_loader
 
