@@ -173,11 +173,17 @@ def test_check_looks_at_all_stations(tmp_path: Path, tables: dict[str, Columns],
 
 
 @pytest.fixture(scope="module")
-def days(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Return the tables of an elastic machine on two days, the tracker moved."""
+def elastic_machine() -> sim.TrueMachine:
+    """Return the machine of two days."""
     machine = true_kuka(compliance=np.tile([0.0, 0.0, 1e-6], (6, 1)))
-    machine = machine.draw_errors(np.random.default_rng(4), sigma_length=5e-4, sigma_angle=1e-3)
-    tables = {"mo": tracked(machine, np.eye(4), poses=80), "tu": tracked(machine, TURNED, poses=80, seed=1)}
+    return machine.draw_errors(np.random.default_rng(4), sigma_length=5e-4, sigma_angle=1e-3)
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory: pytest.TempPathFactory, elastic_machine: sim.TrueMachine) -> list[Path]:
+    """Return the tables of an elastic machine on two days, the tracker moved."""
+    first, second = (tracked(elastic_machine, at, poses=80, seed=i) for i, at in enumerate((np.eye(4), TURNED)))
+    tables = {"mo": first, "tu": second}
     return written(tmp_path_factory.mktemp("days"), tables)
 
 
@@ -241,6 +247,15 @@ def test_a_robot_of_several_stations_is_diagnosed(
     for table, rows in (("tracker", 52), ("sockets", 36)):
         assert run("diagnose", model, old / f"{table}.csv", "--out", tmp_path / "d") == 3
         assert f"fitted to {rows} of these" in capsys.readouterr().err
+
+
+def test_a_move_counts_from_the_nearest_station(days: list[Path], elastic_machine: sim.TrueMachine, tmp_path: Path) -> None:
+    """The tracker stands where it stood on Tuesday, three metres from where it stood on Monday."""
+    (new,) = written(tmp_path, {"new": tracked(elastic_machine, TURNED, poses=20, seed=7)})
+
+    assert run("calibrate", URDF, *days, "--quiet", "--out", tmp_path / "out") == 0
+    assert run("diagnose", tmp_path / "out" / "model.json", new, "--quiet", "--out", tmp_path / "d") == 0
+    assert json.loads((tmp_path / "d" / "diagnosis.json").read_text())["station"]["moved_mm"] < 1.0
 
 
 def test_left_out_stations_do_not_depend_on_the_executor(days: list[Path]) -> None:

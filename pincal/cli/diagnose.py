@@ -48,8 +48,8 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
     from pincal.diagnosis.run import diagnose as run
     from pincal.report.diagnosis import lines
 
-    calibrated = load_stations(arguments.model).robot_model()
-    table = load_table(calibrated.model.chain.robot, arguments.data, ignore=arguments.ignore)
+    calibrated = load_stations(arguments.model)
+    table = load_table(calibrated.robot_model().model.chain.robot, arguments.data, ignore=arguments.ignore)
     with output_folder(arguments.out) as draft:
         found = run(calibrated, table, alpha=arguments.alpha)
         write_diagnosis(draft, found, provenance([arguments.model, arguments.data]))

@@ -161,7 +161,7 @@ def print_check(found: HealthCheck, out: Console) -> None:
     hardest = found.changes[0]
     where = f"{hardest.change.name} {hardest.change.joint or ''}".strip()
     parameters = ", ".join(hardest.change.parameters)
-    signal = f"signal {hardest.noncentrality:.1f}, {hardest.needed:.1f} are needed"
+    signal = f"signal {hardest.noncentrality:.1f} of the {hardest.needed:.1f} needed"
     out.print(hanging("hardest:", f"{where} ({parameters}): {signal}"))
     rates = f"alarms in {100 * found.alarms:.1f} % of {found.draws} checks of an unchanged robot, in "
     rates += f"{100 * found.noticed:.1f} % of {found.draws} if the hardest change by {1e3 * found.notice:.3g} mm has come"

@@ -119,7 +119,7 @@ def diagnose(calibrated: Calibrated | CalibratedStations, measurements: Measurem
         changes=tuple(_entries(verdict, posterior)),
         excluded=tuple(excluded(verdict)),
         gap={"before": error_table(placed.station, placed.values), "after": after},
-        station=_moved(model, mended),
+        station=_moved(calibrated, mended),
         rows=len(measurements),
         notes=tuple(_notes(verdict, measurements)),
     )
@@ -210,8 +210,11 @@ def _parameters(verdict: Verdict, change: int, posterior: Posterior) -> Iterator
         yield parameter.name, ChangedParameter(before, before + moved_by, float(posterior.sigma[k]), parameter.unit)
 
 
-def _moved(before: CalibratedModel, after: CalibratedModel) -> MovedEntry:
-    way = moved(before, after)
+def _moved(calibrated: Calibrated | CalibratedStations, after: CalibratedModel) -> MovedEntry:
+    """Return how far instrument and target are from where they stood: of several stations, from the nearest."""
+    stations = calibrated.models.values() if isinstance(calibrated, CalibratedStations) else [calibrated.robot_model()]
+    ways = [moved(before, after) for before in stations]
+    way = min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument)
     parts = (way.instrument, way.turned, way.target)
     return MovedEntry(*(None if part is None else 1e3 * part for part in parts))
 
