@@ -29,7 +29,9 @@ class Terminal(io.StringIO):
 
 
 @pytest.fixture(autouse=True)
-def silence_after() -> Any:
+def silence() -> Any:
+    """Let no line of another test's command appear in these."""
+    progress.end_progress()
     yield
     progress.end_progress()
 
