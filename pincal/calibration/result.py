@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, cast
 
@@ -74,11 +74,7 @@ def result_of(
     p_value = float(chdtrc(solution.degrees, solution.chi2)) if fit.is_declared else None
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
     iso, lack = _replicates(fit, seen)
-    found = [*notes_on_fit(fit, p_value), *(note for part in seen for note in part.notes)]
-    found += [] if left_out or any(part.test for part in seen) else [Note(Kind.NOT_HELD_OUT)]
-    found += [Note(Kind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station) for one in left_out if one.obstacle]
-    found += [note for part in seen for note in notes_on_held_out(part.test, part.values["calibrated"], part.rows.test)]
-    found += notes_on_replicates(lack, p_value)
+    found = [*notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *notes_on_replicates(lack, p_value)]
     error, held = _errors(seen), sum(len(part.rows.test) for part in seen)
     alone = [one for one in left_out if one.sizes]
     if alone:
@@ -182,6 +178,19 @@ def _record(fit: Fit, seen: Sequence[_Seen], k: int, left_out: LeftOut) -> Stati
         record["left_out"] = error_statistics([left_out.sizes["calibrated"]])
         record["left_out_geometric"] = error_statistics([left_out.sizes["geometric"]])
     return record
+
+
+def _notes_on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Note]:
+    """Yield notes on the rows of each station: the fitted ones, then those that judge."""
+    for part in seen:
+        yield from part.notes
+    if not left_out and not any(part.test for part in seen):
+        yield Note(Kind.NOT_HELD_OUT)
+    for one in left_out:
+        if one.obstacle:
+            yield Note(Kind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
+    for part in seen:
+        yield from notes_on_held_out(part.test, part.values["calibrated"], part.rows.test)
 
 
 def _replicates(fit: Fit, seen: Sequence[_Seen]) -> tuple[dict[str, Any] | None, LackOfFit | None]:

@@ -120,14 +120,21 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
         unknown = np.zeros(len(rows))
         arrays["approach"] = np.column_stack([values.pop(f"approach_{name}", unknown) for name in joints])
     for field in schema.fields:
-        given = [part for part in field.columns if part in values]
-        if given and len(given) < len(field.columns):
-            missing = " ".join(part for part in field.columns if part not in given)
-            raise MeasurementError(f"{path.name}: {' '.join(given)} without {missing}; add what is missing")
-        if given:
-            parts = [values.pop(part) for part in given]
-            arrays[field.name] = np.column_stack(parts) if len(parts) > 1 else parts[0]
+        if any(part in values for part in field.columns):
+            arrays[field.name] = _whole(field, values, source=path.name)
     return Cells(arrays, rows, {column.name: column.unit for column in columns if column.unit})
+
+
+def _whole(field: Field, values: Mapping[str, np.ndarray], *, source: str) -> np.ndarray:
+    """Return the array of a field whose columns have to come together.
+
+    Raises:
+        MeasurementError: if some of them are missing.
+    """
+    given = [part for part in field.columns if part in values]
+    if missing := [part for part in field.columns if part not in values]:
+        raise MeasurementError(f"{source}: {' '.join(given)} without {' '.join(missing)}; add what is missing")
+    return np.column_stack([values[part] for part in given]) if len(given) > 1 else values[given[0]]
 
 
 def read_columns(
