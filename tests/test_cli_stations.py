@@ -258,6 +258,21 @@ def test_a_move_counts_from_the_nearest_station(days: list[Path], elastic_machin
     assert json.loads((tmp_path / "d" / "diagnosis.json").read_text())["station"]["moved_mm"] < 1.0
 
 
+def test_a_fit_of_several_stations_is_diagnosed_as_its_file_is(days: list[Path], elastic_machine: sim.TrueMachine) -> None:
+    """From Python, too, a move counts from the nearest station, and rows of every station are known again."""
+    robot = pincal.Robot.from_urdf(URDF)
+    tables = {path.stem: pincal.read_measurements(path, robot.joint_names) for path in days}
+    fit = pincal.calibrate(robot, tables)
+    seen = tracked(elastic_machine, TURNED, poses=20, seed=7)
+    q, position = (np.column_stack([seen[name] for name in names]) for names in (robot.joint_names, "xyz"))
+    found = pincal.diagnose(fit, pincal.measurements_from_arrays(robot.joint_names, q, position=position)).found
+
+    assert not found.changed and found.station.moved_mm is not None and found.station.moved_mm < 1.0
+    for name, table in tables.items():
+        with pytest.raises(pincal.BadInputError, match=f"{name}.csv: the model was fitted to 80 of these 80 rows"):
+            pincal.diagnose(fit, table)
+
+
 def test_left_out_stations_do_not_depend_on_the_executor(days: list[Path]) -> None:
     """Processes give what one loop does, bit by bit."""
     robot = pincal.Robot.from_urdf(URDF)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -59,6 +59,11 @@ class Calibrated(ABC):
     @abstractmethod
     def summary(self) -> str:
         """Return what was calibrated and how well, in a few lines."""
+
+    @property
+    def models(self) -> Mapping[str, CalibratedModel]:
+        """The calibrated model of each station by its name; of a single one, which needs none, under ""."""
+        return {"": self.to_model()}
 
     def robot_model(self) -> CalibratedModel:
         """Return a calibrated model of the robot itself, whatever it was measured with."""

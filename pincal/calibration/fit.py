@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -72,9 +72,14 @@ class Fit(identified.Fit, Calibrated):
         else:
             self.to_model().save(path)
 
+    @property
+    def models(self) -> Mapping[str, CalibratedModel]:
+        """The calibrated model of each station by its name."""
+        return self.to_stations().models
+
     def robot_model(self) -> CalibratedModel:
-        """Return the calibrated model of the first station; the robot is the same in all of them."""
-        return self.at(self.names[0]) if len(self.names) > 1 else self.to_model()
+        """Return the model of the first station with all that the rows of all cover: the robot is the same in each."""
+        return self.to_stations().robot_model() if len(self.names) > 1 else self.to_model()
 
     @property
     def names(self) -> tuple[str, ...]:

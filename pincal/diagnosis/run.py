@@ -212,11 +212,8 @@ def _parameters(verdict: Verdict, change: int, posterior: Posterior) -> Iterator
 
 def _moved(calibrated: Calibrated | CalibratedStations, after: CalibratedModel) -> MovedEntry:
     """Return how far instrument and target are from where they stood: of several stations, from the nearest."""
-    stations = calibrated.models.values() if isinstance(calibrated, CalibratedStations) else [calibrated.robot_model()]
-    ways = [moved(before, after) for before in stations]
-    way = min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument)
-    parts = (way.instrument, way.turned, way.target)
-    return MovedEntry(*(None if part is None else 1e3 * part for part in parts))
+    ways = [moved(before, after) for before in calibrated.models.values()]
+    return MovedEntry(**min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument).to_dict())
 
 
 def _notes(verdict: Verdict, measurements: Measurements) -> Iterator[str]:
