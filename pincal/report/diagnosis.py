@@ -89,14 +89,16 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
     entries = [entry for entry in found.excluded if entry.source is None]
     places = {entry.joint or "whole arm" for entry in entries}
     joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
-    least: dict[str, dict[str, float]] = {}
+    smallest: dict[str, dict[str, float]] = {}
     for entry in entries:
         symbol = entry.parameter.rpartition(".")[2]
         several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
-        name = f"{entry.effect} {symbol}" if several else entry.effect
-        least.setdefault(name, {})[entry.joint or "whole arm"] = entry.tip_mm
+        sizes_on = smallest.setdefault(f"{entry.effect} {symbol}" if several and symbol else entry.effect, {})
+        # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is hardest to notice.
+        where = entry.joint or "whole arm"
+        sizes_on[where] = max(entry.tip_mm, sizes_on.get(where, 0.0))
     columns = (Column("change"), *(Column(joint, "mm", Kind.NUMBER, fixed(2)) for joint in joints))
-    rows: tuple[tuple[Cell, ...], ...] = tuple((name, *(by.get(joint) for joint in joints)) for name, by in least.items())
+    rows: tuple[tuple[Cell, ...], ...] = tuple((name, *(on.get(joint) for joint in joints)) for name, on in smallest.items())
     notes = ("A dash: these poses see nothing of it, or not on this joint. Sizes in their own units are in diagnosis.json.",)
     return Table("Smallest change that would have been noticed with 90 %, as motion of the target", columns, rows, notes)
 
