@@ -35,7 +35,7 @@ def leave_out_stations(
         robot: the arm.
         tables: rows of each station.
         options: how to calibrate.
-        fit_others: makes the model; a calibration unless given.
+        fit_others: makes the model; default: a calibration.
         executor: runs one fit per station; default: one after the other, here.
 
     Raises:

@@ -30,7 +30,7 @@ def update(
         calibrated: the robot as it was calibrated.
         measurements: new rows, with any instrument, set up anew.
         alpha: chance that the rows of a robot that has not changed are refused.
-        sigma: noise of the new rows [m]; unless given that of the calibration if it was declared, else estimated.
+        sigma: noise of the new rows [m]; default: that of the calibration if it was declared, else estimated.
 
     Returns:
         The robot at the new station, with all that is known of it now.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -83,10 +83,10 @@ def run_discovery(
     Args:
         robot: the arm.
         measurements: the table, or several, which are a station each.
-        options: how to calibrate; its effects are the model to start from, the geometric one unless given.
+        options: how to calibrate; its effects are the model to start from, default: the geometric one.
         extra: effects of the user's own that take part.
         test_fraction: part of the rows held out.
-        split: how rows are chosen; whole regions of joint space unless given. With "station" each station in turn is
+        split: how rows are chosen; default: whole regions of joint space. With "station" each station in turn is
             predicted by a discovery on the others.
         seed: of the choice.
         holdout: other measurements to hold out instead.
@@ -118,39 +118,17 @@ def run_discovery(
     """
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
-    frames = list(moment_frames) or [options.moment_frame]
+    search = partial(_search, frames=tuple(moment_frames), extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()
     if split == "station":
         # Stations are held out instead of rows.
         split, test_fraction = "random", 0.0
-        discovered = partial(_discovered, extra=extra, moment_frames=moment_frames, policy=policy)
-        tables = tables_of(measurements)
-        left_out = leave_out_stations(robot, tables, options, fit_others=discovered, executor=executor)
-
-    def start(frame: MomentFrame) -> Calibration:
-        return run_calibration(
-            robot,
-            measurements,
-            replace(options, moment_frame=frame),
-            test_fraction=test_fraction,
-            split=split,
-            seed=seed,
-            holdout=holdout,
-        )
-
-    first = start(frames[0])
-    likeliest = frames[0] if robot.massless else likeliest_frame(first.fit, frames, policy)
-    found = {likeliest: _discover(first if likeliest == frames[0] else start(likeliest), extra, policy)}
-    others = other_frames(found[likeliest][1], [frame for frame in frames if frame != likeliest], policy)
-    for k, frame in enumerate(others, 1):
-        log.info("once more with --moment-frame %s", frame, extra={"done": k, "of": 1 + len(others)})
-        found[frame] = _discover(start(frame), extra, policy)
-    costs = {frame: cost_of(trail) + FRAME_BETTER * (frame != frames[0]) for frame, (_, trail) in found.items()}
-    frame = min(costs, key=lambda f: costs[f])
-    first, trail = found[frame]
-    notes = first.notes
-    if frame != frames[0]:
-        notes = (*notes, f"moments bend the arm as with --moment-frame {frame}: it fits better than {frames[0]}")
+        others = partial(_discovered, search)
+        left_out = leave_out_stations(robot, tables_of(measurements), options, fit_others=others, executor=executor)
+    start = partial(
+        run_calibration, robot, measurements, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout
+    )
+    first, trail, notes = search(start, options)
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
     result = result_of(trail.final, first.stations, seconds=seconds, notes=notes, left_out=left_out)
@@ -159,9 +137,46 @@ def run_discovery(
     return Discovery(final, trail, findings_of(final, trail, traces), gaps, traces)
 
 
-def _discovered(robot: Robot, tables: dict[str, Measurements], options: Options, **choice: Any) -> CalibratedFit:
+def _search(
+    start: Callable[..., Calibration],
+    options: Options,
+    *,
+    frames: tuple[MomentFrame, ...],
+    extra: tuple[Effect, ...],
+    policy: Policy,
+) -> tuple[Calibration, History, tuple[str, ...]]:
+    """Return a calibration, what was found from there on and notes, with the convention of moments that fits best."""
+    frames = frames or (options.moment_frame,)
+    first = start(replace(options, moment_frame=frames[0]))
+    likeliest = frames[0] if first.robot.massless else likeliest_frame(first.fit, frames, policy)
+    if likeliest != frames[0]:
+        first = start(replace(options, moment_frame=likeliest))
+    found = {likeliest: _discover(first, extra, policy)}
+    others = other_frames(found[likeliest][1], [frame for frame in frames if frame != likeliest], policy)
+    for k, frame in enumerate(others, 1):
+        log.info("once more with --moment-frame %s", frame, extra={"done": k, "of": 1 + len(others)})
+        found[frame] = _discover(start(replace(options, moment_frame=frame)), extra, policy)
+    costs = {frame: cost_of(trail) + FRAME_BETTER * (frame != frames[0]) for frame, (_, trail) in found.items()}
+    frame = min(costs, key=lambda f: costs[f])
+    first, trail = found[frame]
+    if frame == frames[0]:
+        return first, trail, first.notes
+    return (
+        first,
+        trail,
+        (*first.notes, f"moments bend the arm as with --moment-frame {frame}: it fits better than {frames[0]}"),
+    )
+
+
+def _discovered(
+    search: Callable[..., tuple[Calibration, History, tuple[str, ...]]],
+    robot: Robot,
+    tables: dict[str, Measurements],
+    options: Options,
+) -> CalibratedFit:
     """Return the fit of all that is discovered on all rows of some stations."""
-    return run_discovery(robot, tables, options, test_fraction=0.0, **choice).calibration.fit
+    _, trail, _ = search(partial(run_calibration, robot, tables, test_fraction=0.0), options)
+    return CalibratedFit.of(trail.final)
 
 
 def _discover(first: Calibration, extra: tuple[Effect, ...], policy: Policy) -> tuple[Calibration, History]:

@@ -24,7 +24,7 @@ class AtStation(Effect):
     Attributes:
         effect: the effect; not one of static moments.
         station: name of the station.
-        joint: the joint whose parameters it has; all of them unless given.
+        joint: the joint whose parameters it has; default: all of them.
     """
 
     effect: Effect

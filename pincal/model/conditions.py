@@ -164,7 +164,7 @@ class Situation:
     Attributes:
         chain: the chain.
         conditions: the N poses.
-        compliances: shape (3 n,), those of each joint about x, y, z as far as they are known [rad/(N m)]; zero unless given.
+        compliances: shape (3 n,), those of each joint about x, y, z as far as they are known [rad/(N m)]; default: zero.
     """
 
     chain: Chain

@@ -166,7 +166,7 @@ class Candidate:
 
     Attributes:
         effect: the effect.
-        variants: the forms that are worth telling apart, from few parameters to many; itself unless given. None of them
+        variants: the forms that are worth telling apart, from few parameters to many; default: itself. None of them
             if it can't be tried before more is known.
         obstacle: why it can't be tested, where the effect itself knows a reason; empty otherwise.
     """

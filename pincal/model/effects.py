@@ -134,7 +134,7 @@ class Compliance(Discoverable):
     """Elastic rotations gamma_l = k_l n_l about chosen axes of some joints (paper, III.B).
 
     Attributes:
-        joints: the joints; all unless given.
+        joints: the joints; default: all.
         axes: the axes about which they turn, some of "xyz".
     """
 
