@@ -38,6 +38,12 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
+def published_robots() -> Path:
+    """Return the folder of robot descriptions as they are published; skip the test where it is absent."""
+    return _folder("robots", "published robot descriptions")
+
+
+@pytest.fixture(scope="session")
 def hidden_examples() -> Path:
     """Return the folder of simulated cases with an undisclosed effect; skip the test where it is absent."""
     return _folder("hidden_examples", "cases with a hidden effect")

@@ -82,6 +82,19 @@ class Masses(click.ParamType[tuple[float, ...]]):
         return loads
 
 
+class XacroArgument(click.ParamType[tuple[str, str]]):
+    """An argument of a xacro file, as xacro itself takes it."""
+
+    name = "argument"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        """Return name and value."""
+        name, sign, text = str(value).partition(":=")
+        if not sign or not name:
+            self.fail(f"{value!r}; expected NAME:=VALUE, such as ur_type:=ur5e", param, ctx)
+        return name, text
+
+
 LENGTH = Quantity(_LENGTHS, "0.05mm")
 ANGLE = Quantity(ANGLES, "0.1mrad")
 
@@ -89,7 +102,12 @@ max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds
 ignore_option = partial(option, "Ignore this column of the table.", (), metavar="COLUMN")
 tip_option = partial(option, "Last link of the arm.", metavar="LINK")
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
-robot_argument = partial(argument, "ROBOT.urdf", "URDF file, or the name of a robot that comes with example-robot-data.")
+robot_argument = partial(
+    argument, "ROBOT.urdf", "URDF or xacro file, or the name of a robot that comes with example-robot-data."
+)
+xacro_option = partial(
+    option, "Argument of a xacro file.", (), metavar="NAME:=VALUE", name="--xacro-arg", type=XacroArgument()
+)
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
 station_option = partial(option, "Take the place of instrument and targets at this station of the model.", metavar="NAME")
 
@@ -136,6 +154,7 @@ class InputOptions:
     )
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option()
+    xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     ignore: tuple[str, ...] = ignore_option()
 
 

@@ -20,6 +20,7 @@ from pincal.cli.common import (
     Vector,
     base_option,
     tip_option,
+    xacro_option,
 )
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
@@ -124,6 +125,7 @@ class DesignArguments:
     seed: int = option("Random seed.", 0, type=click.IntRange(min=0))
     tip: str | None = tip_option(words="end of the longest chain")
     base: str | None = base_option()
+    xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     health: CheckOptions = group("Health check")
     constraints: ConstraintOptions = group("Constraints")
     instrument: InstrumentOptions = group("Instrument")
@@ -142,11 +144,10 @@ def design(arguments: DesignArguments) -> Exit:
     from pincal.cli.inputs import load_table
     from pincal.design.design import design_poses
     from pincal.measure.table import write_table
-    from pincal.robot.robot import Robot
 
     if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError("give --poses N, or --accuracy for as many as are needed")
-    robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+    robot = _robot(arguments)
     task, measured = (
         None if path is None else load_table(robot, path, joints_only=True) for path in (arguments.task, arguments.measured)
     )
@@ -186,11 +187,7 @@ def _check(arguments: DesignArguments) -> Exit:
 
     wanted = arguments.health
     is_model = Path(arguments.robot).suffix == ".json"
-    known = (
-        load_stations(arguments.robot).robot_model()
-        if is_model
-        else Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
-    )
+    known = load_stations(arguments.robot).robot_model() if is_model else _robot(arguments)
     request = CheckRequest(
         notice=wanted.notice,
         power=wanted.power,
@@ -213,6 +210,13 @@ def _check(arguments: DesignArguments) -> Exit:
         print_check(found, console())
         click.echo(f"written to {arguments.out}, ordered for short motions")
     return Exit.DONE if found.is_met else Exit.INACCURATE
+
+
+def _robot(arguments: DesignArguments) -> Robot:
+    from pincal.robot.robot import Robot
+
+    xacro_args = dict(arguments.xacro_args)
+    return Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base, xacro_args=xacro_args)
 
 
 def _options(arguments: DesignArguments) -> Options:

@@ -90,11 +90,12 @@ def with_effects(options: Options, added: tuple[str, ...], *, robot: Robot, tabl
 
 def load_robot(source: InputOptions) -> Robot:
     """Return the arm whose joints are columns of the (first) table."""
+    tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
     if source.tip is not None:
-        return Robot.from_urdf(source.robot, tip=source.tip, base=source.base)
-    known = {joint.name for joint in read_urdf(find_file(source.robot)).joints}
+        return Robot.from_tree(tree, tip=source.tip, base=source.base)
+    known = {joint.name for joint in tree.joints}
     joints = [name for name in column_names(source.data[0]) if name in known]
-    return Robot.from_urdf(source.robot, base=source.base, joints=joints or None)
+    return Robot.from_tree(tree, base=source.base, joints=joints or None)
 
 
 def load_stations(robot: Robot, paths: Iterable[Path], *, ignore: tuple[str, ...] = ()) -> dict[str, Measurements]:

@@ -57,7 +57,8 @@ def simulate(arguments: SimulateArguments) -> Exit:
     from pincal.simulate.request import Stream
 
     arguments.check()
-    robot = Robot.from_urdf(arguments.robot, tip=arguments.machine.tip, base=arguments.machine.base)
+    given = arguments.machine
+    robot = Robot.from_urdf(arguments.robot, tip=given.tip, base=given.base, xacro_args=dict(given.xacro_args))
     machine = _machine(robot, arguments)
     campaign = _campaign(robot, machine, arguments)
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
@@ -82,12 +83,13 @@ def simulate(arguments: SimulateArguments) -> Exit:
 def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     """Return the machine that is measured."""
     from pincal.cli.effect_option import parse_effect
+    from pincal.robot.urdf import plain_text
     from pincal.simulate.machine import TrueMachine
     from pincal.simulate.request import draw_machine
 
     given = arguments.machine
     nominal = TrueMachine.from_urdf(
-        Path(robot.source),
+        plain_text(robot.urdf, robot.source),
         tip=robot.tip,
         base=robot.base,
         moment_frame=given.moment_frame,
@@ -164,6 +166,7 @@ def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
     words = [f"pincal discover {arguments.robot} {arguments.out} --out results"]
     words += [f"--tip {machine.tip}"] if machine.tip else []
     words += [f"--base {machine.base}"] if machine.base else []
+    words += [f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args]
     words += [f"--noise {_noise(setup)}"] if setup.sigma else []
     angle = setup.truth()["noise"]["sigma_rad"]
     words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []

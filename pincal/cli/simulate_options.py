@@ -22,6 +22,7 @@ from pincal.cli.common import (
     base_option,
     robot_argument,
     tip_option,
+    xacro_option,
 )
 from pincal.errors import BadInputError
 
@@ -94,6 +95,7 @@ class MachineArguments:
 
     tip: str | None = tip_option(words="end of the longest chain")
     base: str | None = base_option()
+    xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
     elastic: float | None = option(
         "Compliance of drives and bearings: 1 is typical, 0 rigid.",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.robot.kinematics import find_mesh
+from pincal.robot.packages import find_mesh
 from pincal.robot.robot import Robot
 from pincal.robot.urdf import parse_xml, plain_text
 

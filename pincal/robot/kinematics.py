@@ -1,12 +1,8 @@
-"""The nominal arm as products of constant steps and joint motions, at many poses at once; and where its parts are."""
+"""The nominal arm as products of constant steps and joint motions, at many poses at once."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from urllib.parse import unquote, urlparse
 
 import numpy as np
 
@@ -75,33 +71,3 @@ def joint_axis(robot: Robot, i: int) -> np.ndarray:
     before = robot.frames.T_base_first if i == 0 else robot.frames.T_base_link[i - 1]
     s_x, s_y = robot.frames.parameters[i, :2]
     return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])
-
-
-def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | None:
-    """Return the mesh file that a URDF names, None if it is not on this machine; nothing is fetched.
-
-    Args:
-        name: file name or URL in the URDF.
-        source: the URDF's file; meshes are looked for beside it, in the packages above it and in those of ROS.
-        folders: further folders with meshes, or with packages.
-    """
-    url = urlparse(name)
-    if url.scheme not in ("", "file", "package", "model"):
-        return None
-    beside = Path(source).resolve().parent
-    if url.scheme in ("", "file"):
-        path = Path(unquote(url.path))
-        candidates = [path] if path.is_absolute() else [folder / path for folder in (beside, *folders)]
-    else:
-        path = Path(unquote(f"{url.netloc}{url.path}"))
-        inside = Path(*path.parts[1:]) if len(path.parts) > 1 else path
-        homes = [beside, *beside.parents]
-        candidates = [home / inside for home in homes if path.parts[:1] == (home.name,)]
-        candidates += [home / path for home in (*homes, *folders, *_ros_folders())]
-        candidates += [folder / inside for folder in folders]
-    return next((file for file in candidates if file.is_file()), None)
-
-
-def _ros_folders() -> Iterator[Path]:
-    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
-        yield from (Path(entry, below) for entry in os.environ.get(variable, "").split(os.pathsep) if entry)

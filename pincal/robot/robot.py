@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,18 +70,21 @@ class Robot:
         tip: str | None = None,
         base: str | None = None,
         joints: Sequence[str] | None = None,
+        xacro_args: Mapping[str, str] | None = None,
     ) -> Robot:
         """Load an arm from a URDF.
 
         Joints off the path from base to tip are locked at their neutral position.
 
         Args:
-            source: path of a URDF, the name of a robot of example-robot-data ("ur10"), or the URDF's text as bytes.
+            source: path of a URDF or xacro file, the name of a robot of example-robot-data ("ur10"), or the URDF's text as
+                bytes.
             tip: link at the end of the arm; default: the end of the chain of ``joints``, or of the longest moving chain
                 without its gripper.
             base: link at its start; default: the root of the URDF, or the parent of the first of ``joints`` where other
                 moving joints stand before it.
             joints: names of the joints that the arm consists of (the columns of a table of measurements).
+            xacro_args: values of the arguments of a xacro file, such as ``{"ur_type": "ur5e"}``.
 
         Raises:
             RobotFileError: if the URDF can't be read, is no tree, lacks a link or has no moving joint on the path.
@@ -91,7 +94,14 @@ class Robot:
             >>> robot.joint_names[:2]
             ('shoulder_pan_joint', 'shoulder_lift_joint')
         """
-        tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(find_file(source))
+        tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(find_file(source), xacro_args=xacro_args)
+        return cls.from_tree(tree, tip=tip, base=base, joints=joints)
+
+    @classmethod
+    def from_tree(
+        cls, tree: UrdfTree, *, tip: str | None = None, base: str | None = None, joints: Sequence[str] | None = None
+    ) -> Robot:
+        """Take an arm from a URDF that has been read; see :meth:`from_urdf`."""
         tip = tree.default_tip(joints) if tip is None else tip
         base = _default_base(tree, tip, joints) if base is None else base
         path = _moving_path(tree, base, tip)
@@ -288,5 +298,5 @@ def _locked_notes(tree: UrdfTree, names: tuple[str, ...], base: str, tip: str) -
         return ()
     shown = ", ".join(joint.name for joint in locked[:6]) + (f" and {len(locked) - 6} more" if len(locked) > 6 else "")
     note = f"{len(locked)} joints off the path from {base} to {tip} are locked at their neutral position: {shown}"
-    warnings.warn(f"{tree.source}: {note}", PincalWarning, stacklevel=4)
+    warnings.warn(f"{tree.source}: {note}", PincalWarning, stacklevel=5)
     return (note,)

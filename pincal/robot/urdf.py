@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from lxml import etree
 
 from pincal.errors import RobotFileError, nearest_first
+from pincal.robot.xacro_file import expand_xacro, is_xacro
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 _UNSUPPORTED_TYPES = ("planar", "floating")
@@ -132,8 +133,7 @@ def parse_xml(text: bytes, source: str) -> Any:
     if dtd is not None and any(True for _ in dtd.iterentities()):
         raise RobotFileError(f"{source}: declares XML entities, which are refused; expand them in the file first")
     if root.tag != "robot":
-        hint = "; run xacro first" if "xacro" in str(root.nsmap) else ""
-        raise RobotFileError(f"{source}: root element is <{root.tag}>, expected <robot>{hint}")
+        raise RobotFileError(f"{source}: root element is <{root.tag}>, expected <robot>")
     return root
 
 
@@ -142,17 +142,26 @@ def plain_text(text: bytes, source: str) -> str:
     return str(etree.tostring(parse_xml(text, source), encoding="unicode"))
 
 
-def read_urdf(path: str | os.PathLike[str]) -> UrdfTree:
-    """Read and check a URDF file.
+def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | None = None) -> UrdfTree:
+    """Read and check a URDF file, which may be written as xacro.
+
+    Args:
+        path: the file.
+        xacro_args: values of the arguments of a xacro file.
 
     Raises:
-        RobotFileError: if the file can't be read, is not XML, or is not a tree of links with finite numbers.
+        RobotFileError: if the file can't be read or expanded, is not XML, or is not a tree of links with finite numbers; or
+            if arguments are given for a file that is no xacro.
     """
     source = os.fspath(path)
     try:
         text = Path(path).read_bytes()
     except OSError as error:
         raise RobotFileError(f"{source}: can't be read ({error.strerror}); expected a URDF file") from None
+    if is_xacro(text):
+        text = expand_xacro(Path(path), text, xacro_args or {})
+    elif xacro_args:
+        raise RobotFileError(f"{source}: is no xacro file, so it takes no xacro arguments; leave them out")
     return parse_urdf(text, source=source)
 
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import RobotFileError
-from pincal.robot.kinematics import find_mesh, joint_axis
+from pincal.robot.kinematics import joint_axis
+from pincal.robot.packages import find_mesh
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf import parse_xml

@@ -1,0 +1,75 @@
+"""ROS packages beside a robot's file, and the meshes in them; nothing is fetched."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+from lxml import etree
+
+# What marks the folder of a ROS package.
+_MARK = "package.xml"
+
+
+def packages_beside(file: str | os.PathLike[str]) -> dict[str, Path]:
+    """Return the folders of the ROS packages around a file, by name; of two with one name, the nearer one.
+
+    A workspace is walked up from the file: each folder above it, with the packages in it and one level deeper, until one
+    holds none any more.
+    """
+    found: dict[str, Path] = {}
+    for home in Path(file).resolve().parents:
+        if home == home.parent:
+            break
+        marks = [mark for pattern in ("", "*/", "*/*/") for mark in sorted(home.glob(pattern + _MARK))]
+        if found and not marks:
+            break
+        for mark in marks:
+            found.setdefault(_package_name(mark), mark.parent)
+    return found
+
+
+def _package_name(mark: Path) -> str:
+    try:
+        name = etree.parse(mark, etree.XMLParser(resolve_entities=False, no_network=True)).findtext("name")
+    except (OSError, etree.XMLSyntaxError):
+        name = None
+    return (name or "").strip() or mark.parent.name
+
+
+def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | None:
+    """Return the mesh file that a URDF names, None if it is not on this machine; nothing is fetched.
+
+    Args:
+        name: file name or URL in the URDF.
+        source: the URDF's file; meshes are looked for beside it, in the packages around it and in those of ROS.
+        folders: further folders with meshes, or with packages.
+    """
+    url = urlparse(name)
+    if url.scheme not in ("", "file", "package", "model"):
+        return None
+    beside = Path(source).resolve().parent
+    if url.scheme in ("", "file"):
+        path = Path(unquote(url.path))
+        candidates = [path] if path.is_absolute() else [folder / path for folder in (beside, *folders)]
+        return next((file for file in candidates if file.is_file()), None)
+    return next(
+        (file for file in _in_packages(Path(unquote(f"{url.netloc}{url.path}")), source, folders) if file.is_file()), None
+    )
+
+
+def _in_packages(path: Path, source: str, folders: Sequence[Path]) -> Iterator[Path]:
+    """Yield where a path that begins with the name of a package may be, the likeliest place first."""
+    beside = Path(source).resolve().parent
+    homes, inside = [beside, *beside.parents], Path(*path.parts[1:]) if len(path.parts) > 1 else path
+    yield from (home / inside for home in homes if path.parts[:1] == (home.name,))
+    yield from (home / path for home in (*homes, *folders, *_ros_folders()))
+    yield from (folder / inside for folder in folders)
+    yield from (home / inside for name, home in packages_beside(source).items() if path.parts[:1] == (name,))
+
+
+def _ros_folders() -> Iterator[Path]:
+    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        yield from (Path(entry, below) for entry in os.environ.get(variable, "").split(os.pathsep) if entry)
