@@ -29,6 +29,8 @@ from pincal.model.effects import GEOMETRIC
 
 SIGMA = 5e-5
 TOOL = (0.12, 0.05, 0.2)
+SOCKETS = {"left": (1.6, 0.6, 0.9), "right": (1.4, -0.8, 1.3)}
+HELD = SensorSetup(sensor="socket", tool=TOOL, held_at=tuple(SOCKETS.values()))
 
 
 def machine_and_model(seed: int) -> tuple[sim.TrueMachine, CalibratedModel]:
@@ -124,6 +126,33 @@ def test_a_distance_takes_more_poses_than_a_position() -> None:
     assert len(position.conditions) < len(distance.conditions)
 
 
+def test_a_check_with_sockets_holds_the_tool_point_in_them() -> None:
+    """Every pose brings the target to the socket that its row names, and each socket has rows to spare."""
+    robot = Robot.from_urdf(kuka_urdf_path())
+    request = CheckRequest(notice=5e-3, candidates=60, draws=2, max_poses=60)
+    found = design_check(robot, request, options=Options(effects=GEOMETRIC), rig=HELD)
+    columns = found.columns()
+    q = np.column_stack([columns[name] for name in robot.joint_names])
+    tips = robot.forward_kinematics(q)
+    places = dict(zip(("socket_1", "socket_2"), SOCKETS.values(), strict=True))
+
+    assert found.is_met
+    off = tips[:, :3, :3] @ TOOL + tips[:, :3, 3] - [places[name] for name in columns["socket"]]
+    np.testing.assert_allclose(off, 0.0, atol=1e-4)
+    assert np.unique(columns["socket"], return_counts=True)[1].min() >= 2
+    assert not {"joint_3.theta"} & {name for change in found.absorbed for name in change.parameters}
+
+
+def test_sockets_are_asked_for_and_only_of_a_check() -> None:
+    """A check with sockets needs their places, one without has none, and a design of other kinds is refused."""
+    robot, request = Robot.from_urdf(kuka_urdf_path()), CheckRequest(candidates=60, draws=2)
+    for rig in (SensorSetup(sensor="socket"), SensorSetup(held_at=HELD.held_at)):
+        with pytest.raises(BadInputError, match="place"):
+            design_check(robot, request, options=Options(effects=GEOMETRIC), rig=rig)
+    with pytest.raises(BadInputError, match="--check"):
+        pincal.design_poses(robot, 20, rig=HELD)
+
+
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [({"notice": 0.0}, "notice"), ({"power": 1.0}, "power"), ({"alpha": 0.7}, "alpha"), ({"max_poses": 3}, "3 poses")],
@@ -182,6 +211,31 @@ def test_a_diagnosis_of_the_table_keeps_what_the_check_promises() -> None:
 
     assert alarms <= 2
     assert noticed >= 18
+
+
+@pytest.mark.long
+def test_contacts_keep_what_a_check_with_sockets_promises() -> None:
+    """The true machine is held in two sockets: no alarm where nothing changed, an offset of the promised size is noticed."""
+    rng = np.random.default_rng(8)
+    alarms, noticed, draws = 0, 0, 15
+    for seed in range(draws):
+        machine, model = machine_and_model(100 + seed)
+        check = design_check(model, CheckRequest(notice=3e-3, candidates=150, draws=100, seed=seed), rig=HELD)
+        assert check.is_met and check.alarms <= 0.05 and check.noticed >= 0.85
+        q = check.conditions.q
+        later = replace(machine, joint_offsets=machine.joint_offsets + offset_of(check, "joint_3") * np.eye(6)[2])
+        alarms += pincal.diagnose(model, touched(machine, q, rng)).changed
+        noticed += pincal.diagnose(model, touched(later, q, rng)).changed
+
+    assert alarms <= 1
+    assert noticed >= 13
+
+
+def touched(machine: sim.TrueMachine, q: np.ndarray, rng: np.random.Generator) -> Measurements:
+    """Return the joints of a machine whose tool point is held in sockets near some poses."""
+    seen = sim.Contact(fixed=SOCKETS, tool=TOOL, sigma=SIGMA).measure(machine, q, rng=rng)
+    joints = np.column_stack([seen[name] for name in machine.names])
+    return pincal.measurements_from_arrays(machine.names, joints, socket=seen["socket"])
 
 
 def offset_of(check: HealthCheck, joint: str) -> float:

@@ -38,6 +38,8 @@ Examples:
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
   pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
+  pincal design results/model.json --check --notice 0.5mm --out check.csv \\
+      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                # the same with two sockets
 To practise:
   pincal simulate robot.urdf --at poses.csv --out tracker.csv
 
@@ -79,7 +81,15 @@ class ConstraintOptions:
 class InstrumentOptions:
     """What is measured, and how well."""
 
-    sensor: Literal["position", "pose", "distance"] = option("Kind of measurement.", "position")
+    sensor: Literal["position", "pose", "distance", "socket"] | None = option(
+        "Kind of measurement.", words="position, or socket with --socket"
+    )
+    sockets: tuple[Vector, ...] = option(
+        "With --check: about where a socket holds the tool point, in the robot's base frame [m].",
+        (),
+        metavar="X Y Z",
+        name="--socket",
+    )
     tool: Vector | None = option("Approximate target position in the tip frame [m].", words="slightly off the last axis")
     noise: float = option(
         "Standard deviation of one position coordinate, or of a distance.", 5e-05, type=LENGTH, words="0.05mm"
@@ -239,8 +249,9 @@ def _rig(arguments: DesignArguments) -> SensorSetup:
 
     instrument, constraints = arguments.instrument, arguments.constraints
     return SensorSetup(
-        sensor=instrument.sensor,
+        sensor=instrument.sensor or ("socket" if instrument.sockets else "position"),
         tool=instrument.tool,
+        held_at=instrument.sockets,
         instrument=constraints.instrument,
         normal=constraints.normal,
         cone=constraints.cone,

@@ -17,7 +17,7 @@ from pincal.design.refine import refine as refined
 from pincal.design.request import Criterion, DesignRequest
 from pincal.design.route import order_by_load
 from pincal.design.study import CurvePoint, Quality, Study, total
-from pincal.errors import PincalWarning
+from pincal.errors import BadInputError, PincalWarning
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import Conditions
@@ -193,6 +193,11 @@ def design_poses(
         seed=seed,
     )
     reach = Reach(robot, rig or SensorSetup(), limits or Limits())
+    if reach.rig.held_at:
+        raise BadInputError(
+            f"sensor {reach.rig.sensor}: poses in which the target is held are designed for a health check alone; expected "
+            "--check (design_check), or another sensor"
+        )
     return _design(request, reach, options or Options(), refine=refine, curve=curve)
 
 

@@ -45,7 +45,7 @@ class DesignModel:
         free: shape (P,), the F parameters that these poses excite at all.
         sizes: shape (F,), standard deviations of the priors; inf for base and tool.
         sigma: shape (blocks,), noise of one component of each block of readings [m, rad].
-        sensor: kind of the sensor.
+        rig: with what and from where poses are measured.
         rivals: for each of the effects to be told apart, its places among the F parameters.
         core: shape (F,), the parameters of the model as it is fitted, without rivals that were added to it.
     """
@@ -55,7 +55,7 @@ class DesignModel:
     free: np.ndarray
     sizes: np.ndarray
     sigma: np.ndarray
-    sensor: str
+    rig: SensorSetup
     rivals: tuple[np.ndarray, ...]
     core: np.ndarray
 
@@ -87,20 +87,20 @@ class DesignModel:
         _check(robot, options, rig)
         gravity = None if options.gravity is None else np.array(options.gravity)
         chain = Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity, targets=targets)
-        model = Model(chain, (*frames_of(chain, rig.sensor, conditions), *options.effects), equilibrium=options.equilibrium)
+        model = Model(chain, (*frames_of(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
         n_core = model.n_parameters
         for rival in rivals:
             if any(parameter.name not in model.names for parameter in rival.parameters(chain)):
                 model = model.with_effects([*model.effects, rival])
         values = nominal_values(model, rig, rig.target(robot))
-        problem = foreseen_station(model, values, rig.sensor, conditions)
-        free = model.largest_basis(conditions)[1]
+        problem = foreseen_station(model, values, rig, conditions)
+        free = np.append(model.largest_basis(conditions)[1], ~problem.sensor.fixed)
         sizes = priors_of(Problem((problem,)), options).sizes[free]
         places = _places(model, free, rivals)
         for columns in places:
             sizes[columns] *= RIVAL
         core = np.flatnonzero(free) < n_core
-        return cls(model, values, free, sizes, _sigma(problem, options), rig.sensor, places, core)
+        return cls(model, values, free, sizes, _sigma(problem, options), rig, places, core)
 
     @cached_property
     def units(self) -> np.ndarray:
@@ -115,16 +115,16 @@ class DesignModel:
     @property
     def quantity(self) -> str:
         """What :meth:`errors` are errors of: "position" or "distance"."""
-        return foreseeable()[self.sensor].blocks[0].name
+        return foreseeable()[self.rig.sensor].blocks[0].name
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the F parameters."""
-        return tuple(np.array(self.model.names)[self.free])
+        """Names of those of the F parameters that are the model's, which come first."""
+        return tuple(np.array(self.model.names)[self.model.own(self.free)])
 
     def readings(self, conditions: Conditions) -> np.ndarray:
         """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
-        problem = foreseen_station(self.model, self.values, self.sensor, conditions)
+        problem = foreseen_station(self.model, self.values, self.rig, conditions)
         noise = np.repeat(self.sigma, [block.size for block in problem.sensor.blocks])
         return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
 
@@ -133,7 +133,7 @@ class DesignModel:
 
         It is what the error on rows held out is taken of: the first readings that are lengths, in the instrument's frame.
         """
-        problem = foreseen_station(self.model, self.values, self.sensor, conditions)
+        problem = foreseen_station(self.model, self.values, self.rig, conditions)
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
 
     def posterior(self, H: np.ndarray) -> Posterior:
@@ -146,26 +146,30 @@ class DesignModel:
         return np.concatenate(parts, axis=2).transpose(2, 1, 0)
 
 
-def foreseen_station(model: Model, values: np.ndarray, sensor: str, conditions: Conditions) -> Station:
-    """Return the station that reads what a model predicts."""
-    poses = model.predict(values, conditions)
-    return Station(model, conditions, foreseeable()[sensor].foreseen(poses), np.ones(len(conditions)))
+def foreseen_station(model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions) -> Station:
+    """Return the station that reads what a model predicts; of the values, shape (P,), the model's come first."""
+    poses = model.predict(model.own(values), conditions)
+    return Station(model, conditions, foreseeable()[rig.sensor].foreseen(poses, rig.places), np.ones(len(conditions)))
 
 
-def frames_of(chain: Chain, sensor: str, conditions: Conditions) -> tuple[Effect, ...]:
+def frames_of(chain: Chain, rig: SensorSetup, conditions: Conditions) -> tuple[Effect, ...]:
     """Return the frames of base and tool that readings of a kind depend on."""
-    bare = foreseen_station(Model(chain, ()), np.zeros(0), sensor, conditions).sensor
+    bare = foreseen_station(Model(chain, ()), np.zeros(0), rig, conditions).sensor
     return BaseFrame(bare.base_symbols), ToolFrame(bare.tool_symbols)
 
 
 def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
-    """Return the values of the nominal arm, shape (P,), its targets in place and the instrument's axes those of the base."""
-    values = np.zeros(model.n_parameters)
+    """Return the values of the nominal arm, shape (P,), its targets in place and the instrument's axes those of the base.
+
+    What the sensor has of its own stands at the end: the places where the target is held.
+    """
+    values = np.zeros(model.n_parameters + rig.places.size)
     instrument = np.zeros(3) if rig.instrument is None else np.array(rig.instrument)
     for element, place in [("base", -instrument), *((name, target) for name in model.chain.targets)]:
         for symbol, coordinate in zip("xyz", place, strict=True):
             if f"{element}.{symbol}" in model.names:
                 values[model.index(f"{element}.{symbol}")] = coordinate
+    values[model.n_parameters :] = rig.places.ravel()
     return values
 
 
@@ -194,7 +198,7 @@ def check_rig(rig: SensorSetup) -> None:
     """Refuse a sensor that a design can't be made for.
 
     Raises:
-        BadInputError: for a sensor that is not known or lacks the place of its instrument.
+        BadInputError: for a sensor that is not known or lacks the place of its instrument, or where the target is held.
     """
     known = foreseeable()
     if rig.sensor not in known:
@@ -203,6 +207,13 @@ def check_rig(rig: SensorSetup) -> None:
         raise BadInputError(
             f"what a {rig.sensor} tells depends on where it is measured from; give the place of the instrument"
         )
+    if known[rig.sensor].needs_places and not rig.held_at:
+        raise BadInputError(
+            f"sensor {rig.sensor}: no place where the target is held; expected one or, better, two in reach: "
+            f"--{rig.sensor} X Y Z for each"
+        )
+    if rig.held_at and not known[rig.sensor].needs_places:
+        raise BadInputError(f"sensor {rig.sensor}: it holds the target at no place, but {len(rig.held_at)} are given")
 
 
 def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:

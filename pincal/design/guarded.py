@@ -46,14 +46,14 @@ def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions
     check_rig(rig)
     arm = model.model
     chain = Chain.of(arm.chain.robot, moment_frame=arm.chain.moment_frame, gravity=arm.chain.gravity)
-    frames = frames_of(chain, rig.sensor, conditions)
+    frames = frames_of(chain, rig, conditions)
     effects = (*frames, *(effect for effect in arm.effects if effect.scope == "robot"))
     there = Model(chain, effects, equilibrium=arm.equilibrium)
     values = nominal_values(there, rig, rig.target(chain.robot))
     known = model.robot_estimate
     places = [there.index(name) for name in known.names]
     values[places] = known.values
-    station = foreseen_station(there, values, rig.sensor, conditions)
+    station = foreseen_station(there, values, rig, conditions)
     of_arm = np.zeros((len(values),) * 2)
     of_arm[np.ix_(places, places)] = known.dense_covariance()
     placed = replace(

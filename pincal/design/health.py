@@ -26,6 +26,8 @@ from pincal.diagnosis.run import ALPHA, known_degrees
 from pincal.diagnosis.search import raises_alarm
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
+from pincal.identify.station import Station
+from pincal.measure.point_sensor import PointSensor
 from pincal.model.conditions import Conditions
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
@@ -68,6 +70,7 @@ class HealthCheck:
         conditions: the N poses, in an order of short ways.
         has_payloads: whether the payload was part of the design.
         sensor: kind of the sensor.
+        held_at: column that names where the target is held -> shape (N,), its contents; empty where it is held nowhere.
         notice: motion of the target that is to be noticed [m].
         power: chance with which.
         alpha: chance of a false alarm.
@@ -85,6 +88,7 @@ class HealthCheck:
     conditions: Conditions
     has_payloads: bool
     sensor: str
+    held_at: dict[str, np.ndarray]
     notice: float
     power: float
     alpha: float
@@ -128,7 +132,7 @@ class HealthCheck:
         if self.conditions.approach is not None:
             for name, column in zip(self.robot.joint_names, self.conditions.approach.T, strict=True):
                 found[f"approach_{name}"] = column.astype(int)
-        return found
+        return found | self.held_at
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, without the poses."""
@@ -248,7 +252,8 @@ def design_check(
     degrees = known_degrees(model, lineup.station)
     watch = watch_of(lineup, guarded, alpha=request.alpha, power=request.power, degrees=degrees)
     log.info("choosing among %d poses", len(conditions))
-    chosen = watch.fewest(request.max_poses)
+    groups = lineup.station.sensor.groups
+    chosen = watch.fewest_of(request.max_poses, np.zeros(len(conditions)) if groups is None else groups)
     order, _, _ = order_by_load(drawn.q[chosen], conditions.payload[chosen], reach.range)
     rows = np.array(chosen)[order]
     final = replace(lineup, station=lineup.station.select(rows))
@@ -260,6 +265,7 @@ def design_check(
         conditions=conditions.select(rows),
         has_payloads=bool(request.payloads),
         sensor=rig.sensor,
+        held_at=_held_at(final.station),
         notice=request.notice,
         power=request.power,
         alpha=request.alpha,
@@ -284,7 +290,8 @@ def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, 
     C = covariance(np.eye(design.n_free) + total(design.readings(conditions)))
     whole = np.zeros((len(design.values),) * 2)
     whole[np.ix_(design.free, design.free)] = C * np.outer(design.units, design.units)
-    estimate = estimate_of(design.model.parameters, design.values, whole)
+    n = design.model.n_parameters
+    estimate = estimate_of(design.model.parameters, design.values[:n], whole[:n, :n])
     return CalibratedModel(design.model, estimate, reach.rig.sensor, centre, Covered.of(conditions), design.sigma, {})
 
 
@@ -309,6 +316,14 @@ def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
         return rig
     x, y, z = (model.estimate[name] for name in names)
     return replace(rig, tool=(x, y, z))
+
+
+def _held_at(station: Station) -> dict[str, np.ndarray]:
+    """Return the column that names where the target is held, if it is."""
+    sensor = station.sensor
+    if not isinstance(sensor, PointSensor) or sensor.names_points is None:
+        return {}
+    return {sensor.names_points: np.array(sensor.points.names)[sensor.index]}
 
 
 def _noticed(watch: Watch, final: Lineup, guarded: list[Guarded], chosen: list[int]) -> tuple[NoticedChange, ...]:

@@ -20,6 +20,8 @@ CONE = np.pi / 6.0
 _OFF_THE_FLOOR = 3
 # Random poses tried for one that is wanted, and at once.
 _TRIES, _BATCH = 200, 4096
+# Steps towards a place where the target is held, their damping in reaches, and how near they have to come [m].
+_STEPS, _DAMPING, _THERE = 25, 0.03, 1e-4
 # Where a target sits by default: off the last axis and along it, in reaches of the arm.
 _OFF_AXIS, _ALONG = 0.05, 0.05
 
@@ -29,11 +31,12 @@ class SensorSetup:
     """With what and from where poses are measured.
 
     Attributes:
-        sensor: "position", "pose" or "distance".
+        sensor: "position", "pose", "distance" or "socket".
         tool: about where the target sits in the tip frame [m]; default: off the last axis by a twentieth of the reach.
         instrument: where the instrument stands in the robot's base frame [m]; None where it sees everything.
         normal: where the target looks, in the tip frame; None where it is seen from all sides.
         cone: angle off the normal at which it is still seen [rad].
+        held_at: about where the target is held, one place after the other, in the robot's base frame [m]: sockets.
     """
 
     sensor: str = "position"
@@ -41,9 +44,11 @@ class SensorSetup:
     instrument: tuple[float, float, float] | None = None
     normal: tuple[float, float, float] | None = None
     cone: float = CONE
+    held_at: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for what, place in (("tool", self.tool), ("instrument", self.instrument), ("normal", self.normal)):
+        held = [("place", place) for place in self.held_at]
+        for what, place in (("tool", self.tool), ("instrument", self.instrument), ("normal", self.normal), *held):
             if place is not None and not np.isfinite(place).all():
                 raise BadInputError(f"{what} {' '.join(f'{v:g}' for v in place)}; expected three finite numbers")
         if self.normal is not None and self.instrument is None:
@@ -52,6 +57,11 @@ class SensorSetup:
             raise BadInputError(f"normal of the target {self.normal}; expected a direction")
         if not 0.0 < self.cone <= np.pi:
             raise BadInputError(f"cone of {np.degrees(self.cone):g} deg about the target's normal; expected 0 to 180 deg")
+
+    @property
+    def places(self) -> np.ndarray:
+        """Where the target is held, shape (K, 3) [m]."""
+        return np.array(self.held_at, float).reshape(-1, 3)
 
     def target(self, robot: Robot) -> np.ndarray:
         """Return where the target sits in the tip frame, shape (3,) [m]."""
@@ -192,7 +202,8 @@ class Reach:
         while len(found) < n and drawn < _TRIES * n + _BATCH:
             # About as many as are still needed, by what has come out so far.
             wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
-            placed = self._place(rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower))))
+            q = rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower)))
+            placed = self._place(self._brought(q, rng) if measured and self.rig.held_at else q)
             drawn += len(placed.q)
             left = np.ones(len(placed.q), bool)
             for name, at_fault in self._faults(placed, measured=measured, colliding=True):
@@ -200,6 +211,25 @@ class Reach:
                 left &= ~at_fault
             found = np.vstack([found, placed.q[left]])
         return Draw(found[:n], drawn, removed)
+
+    def _brought(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return poses near some, shape (N, n), that hold the target at one of the places, where that is in reach.
+
+        Steps are Levenberg's: Newton's of least length, damped so that they stay short near singular poses.
+        """
+        goals = self.rig.places[rng.integers(len(self.rig.held_at), size=len(q))]
+        turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
+        first = np.broadcast_to(self._kinematics.first, (len(q), 1, 4, 4))
+        for _ in range(_STEPS):
+            placed = self._place(q)
+            joints = np.concatenate([first, placed.frames[:, 1:-1]], axis=1) @ self._kinematics.before
+            axes, arms = joints[..., :3, 2], placed.targets[:, None] - joints[..., :3, 3]
+            J = np.where(turns[:, None], np.cross(axes, arms), axes).transpose(0, 2, 1)
+            damped = J @ J.transpose(0, 2, 1) + (_DAMPING * self.robot.reach) ** 2 * np.eye(3)
+            q = q + (J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None]))[..., 0]
+        # A joint at q and q + 2 pi is at the same place: the one nearest to the middle of its range is taken.
+        middle = np.mean(self.range, axis=0)
+        return np.asarray(q - np.where(turns, 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), 0.0))
 
     def _place(self, q: np.ndarray) -> _Placed:
         frames = self._kinematics.frames(q)
@@ -226,6 +256,10 @@ class Reach:
     def _unseen(self, placed: _Placed) -> Iterator[tuple[str, np.ndarray]]:
         """Yield what keeps a target from being measured."""
         rig, box = self.rig, self.limits.box
+        if rig.held_at:
+            off = np.linalg.norm(placed.targets[:, None] - rig.places, axis=2).min(axis=1)
+            lower, upper = self.range
+            yield "bringing the target there", (off > _THERE) | np.any((placed.q < lower) | (placed.q > upper), axis=1)
         if box is not None:
             low, high = np.array(box[:3]), np.array(box[3:])
             yield "box", np.any((placed.targets < low) | (placed.targets > high), axis=1)

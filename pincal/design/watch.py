@@ -59,9 +59,14 @@ class Watch:
         """Return the non-centrality over the one needed, of the change that is hardest to notice."""
         return float((self.noncentralities(chosen) / self.needed(len(chosen))).min())
 
-    def fewest(self, most: int) -> list[int]:
-        """Return the fewest candidates found that notice every change; ``most`` of them if those don't suffice."""
-        chosen: list[int] = []
+    def fewest(self, most: int, start: Sequence[int] = ()) -> list[int]:
+        """Return the fewest candidates found that notice every change; ``most`` of them if those don't suffice.
+
+        Args:
+            most: number of candidates.
+            start: candidates to begin with.
+        """
+        chosen = list(start)
         while len(chosen) < most and (not chosen or self.certainty(chosen) < 1.0):
             chosen.append(self._best(chosen, self._costs(chosen)))
         if self.certainty(chosen) < 1.0:
@@ -72,6 +77,15 @@ class Watch:
                 break
             chosen = fewer
         return chosen
+
+    def fewest_of(self, most: int, groups: np.ndarray) -> list[int]:
+        """Return the best found from nothing and from two candidates of each group, shape (M,).
+
+        A first pose in a place that is not known tells nothing, so that one by one no place but the first would be taken.
+        """
+        pairs = [int(j) for group in np.unique(groups) for j in np.flatnonzero(groups == group)[:2]]
+        found = [self.fewest(most), self.fewest(most, pairs)] if len(pairs) > 2 else [self.fewest(most)]
+        return min(found, key=lambda chosen: (self.certainty(chosen) < 1.0, len(chosen), -self.certainty(chosen)))
 
     def _seen(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the non-centralities, shape (Q,), all z, shape (K, Q), and the inverse of K, shape (K, K)."""

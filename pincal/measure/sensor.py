@@ -320,15 +320,23 @@ class Foreseeable(ABC):
 
     Attributes:
         needs_instrument: whether what readings tell depends on where the instrument stands.
+        needs_places: whether the target is held at places, which are the sensor's own parameters, one after the other.
     """
 
     blocks: ClassVar[tuple[Block, ...]]
     needs_instrument: ClassVar[bool] = False
+    needs_places: ClassVar[bool] = False
 
     @classmethod
     @abstractmethod
-    def foreseen(cls, poses: np.ndarray) -> Sensor:
-        """Return what an instrument without errors reads of poses in its frame, shape (N, 3, 4)."""
+    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Sensor:
+        """Return what an instrument without errors reads of poses.
+
+        Args:
+            poses: shape (N, 3, 4), in the instrument's frame.
+            places: shape (K, 3), in that frame [m], where the target is held by what needs places; each pose belongs to the
+                nearest.
+        """
 
 
 class Plausible(ABC):

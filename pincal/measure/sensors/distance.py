@@ -81,7 +81,7 @@ class DistanceSensor(PlausibleDistances, Sensor, Foreseeable):
         return cls(table.array("distance"))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray) -> Self:
+    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         """Return the distances of poses."""
         return cls(np.linalg.norm(poses[:, :, 3], axis=1))
 

@@ -53,7 +53,7 @@ class PoseSensor(PlausiblePositions, Sensor, Foreseeable):
         return cls(table.array("position"), rotation_matrices(table.array("quaternion")))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray) -> Self:
+    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         """Return the poses themselves."""
         return cls(poses[:, :, 3], poses[:, :, :3])
 

@@ -70,7 +70,7 @@ class PositionSensor(PlausiblePositions, Sensor, Foreseeable):
         return cls(table.array("position"))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray) -> Self:
+    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         """Return the positions of poses."""
         return cls(poses[:, :, 3])
 

@@ -14,14 +14,15 @@ import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics, by_target
 from pincal.measure.fields import Field, Table
+from pincal.measure.named_points import NamedPoints
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.sensor import Block
+from pincal.measure.sensor import Block, Foreseeable
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
-class ContactSensor(PointSensor):
+class ContactSensor(PointSensor, Foreseeable):
     """3D: that the tool point is in its socket.
 
     Rows in a socket that ``points`` do not know (``index`` -1 and below, one number for each socket) are judged by their
@@ -43,6 +44,7 @@ class ContactSensor(PointSensor):
     fewest: ClassVar[int] = 2
     impossible: ClassVar[None] = None
     judges_new_points: ClassVar[bool] = True
+    needs_places: ClassVar[bool] = True
 
     shift: np.ndarray | None = None
 
@@ -51,6 +53,14 @@ class ContactSensor(PointSensor):
         """Return the contacts of a table; sockets that the setup does not have are judged by their mean."""
         points = setup.named()
         return cls(points, index_of(table, points, may_be_new=True))
+
+    @classmethod
+    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
+        """Return the contacts of poses in sockets of unknown position, called socket_1, socket_2, ..."""
+        assert places is not None, "contacts need places"
+        points = poses[:, :, 3]
+        index = np.linalg.norm(points[:, None] - places, axis=2).argmin(axis=1)
+        return cls(NamedPoints({f"socket_{k + 1}": None for k in range(len(places))}), index, points - places[index])
 
     @property
     def own_parameters(self) -> tuple[Parameter, ...]:
