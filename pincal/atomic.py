@@ -1,20 +1,39 @@
-"""Files written as a whole or not at all."""
+"""Files and folders written as a whole or not at all.
+
+A draft stands beside what it will replace and is locked by the process that writes it. A process that is killed leaves its
+draft without a lock; the next one that writes to the same place removes it.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
+import platform
+import re
+import shutil
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 from pincal.errors import OutputError
 
+fcntl: ModuleType | None
+try:
+    import fcntl
+except ImportError:
+    # Without locks nobody can tell whether the process that wrote a draft still runs: none is removed.
+    fcntl = None
+
+ELSEWHERE = "choose a folder that exists and is writable"
+
+# renameat2(2): paths relative to the working directory, and both names exchanged. renamex_np(2) of macOS: likewise.
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
 
 @contextlib.contextmanager
-def replacing(
-    path: str | os.PathLike[str], *, advice: str = "choose a folder that exists and is writable"
-) -> Iterator[Path]:
+def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Iterator[Path]:
     """Yield a draft beside ``path``, which replaces it at a good end; else what was there before is untouched.
 
     Args:
@@ -36,20 +55,15 @@ def replacing(
         ('whole', 1)
     """
     path = Path(path)
-    draft = path.with_name(f".{uuid.uuid4().hex}-{path.name}")
     try:
-        yield draft
-        os.replace(draft, path)
+        with drafted(path.parent, path.name) as draft:
+            yield draft
+            os.replace(draft, path)
     except OSError as error:
         raise OutputError(f"{path}: can't be written ({error.strerror or error}); {advice}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
 
 
-def write_whole(
-    path: str | os.PathLike[str], content: str | bytes, *, advice: str = "choose a folder that exists and is writable"
-) -> None:
+def write_whole(path: str | os.PathLike[str], content: str | bytes, *, advice: str = ELSEWHERE) -> None:
     """Write a file as a whole or not at all; text as UTF-8 with the line ends that it has.
 
     Raises:
@@ -57,3 +71,93 @@ def write_whole(
     """
     with replacing(path, advice=advice) as draft:
         draft.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+@contextlib.contextmanager
+def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path]:
+    """Yield an empty file or folder in ``place`` that only this process writes to, and remove it if it is still there after.
+
+    Drafts of the same name that killed processes have left there are removed first.
+
+    Raises:
+        OSError: if the place can't be written to.
+    """
+    _sweep(place, name)
+    while True:
+        draft = place / f".{uuid.uuid4().hex}-{name}"
+        with contextlib.suppress(FileNotFoundError):
+            if is_folder:
+                draft.mkdir()
+            lock = os.open(draft, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+            # Another process may have taken it for a leftover before it was locked; then the next name is tried.
+            if _locked(lock) is not False and draft.exists():
+                break
+            os.close(lock)
+        if not place.is_dir():
+            raise FileNotFoundError(2, os.strerror(2))
+    try:
+        yield draft
+    finally:
+        _remove(draft)
+        os.close(lock)
+
+
+def exchanged(one: Path, other: Path) -> bool:
+    """Give two folders each other's name in one step; return False where the system can't, and nothing has changed."""
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        paths = os.fsencode(one), os.fsencode(other)
+        if platform.system() == "Darwin":
+            return bool(libc.renamex_np(*paths, _RENAME_EXCHANGE) == 0)
+        return bool(libc.renameat2(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0)
+    except (OSError, AttributeError, TypeError):
+        return False
+
+
+@contextlib.contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Let only one process at a time do this to a folder, where the system has locks."""
+    if fcntl is None:
+        yield
+        return
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _sweep(place: Path, name: str) -> None:
+    """Remove the drafts of a name that nobody has locked."""
+    pattern = re.compile(rf"\.[0-9a-f]{{32}}-{re.escape(name)}")
+    with contextlib.suppress(OSError):
+        for leftover in [entry for entry in os.listdir(place) if pattern.fullmatch(entry)]:
+            lock = os.open(place / leftover, os.O_RDONLY | os.O_NOFOLLOW)
+            try:
+                if _locked(lock):
+                    _remove(place / leftover)
+            finally:
+                os.close(lock)
+
+
+def _locked(descriptor: int) -> bool | None:
+    """Return whether this process has got the lock of an open file; None where there are no locks."""
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    with contextlib.suppress(OSError):
+        path.unlink()

@@ -302,6 +302,7 @@ class CalibratedModel(Calibrated):
                 format_version=FORMAT_VERSION,
                 parameters=tuple(map(ParameterEntry.of_parameter, self.estimate.parameters)),
                 model=ModelEntry.of_model(self.model),
+                files=None,
             )
         except Fault as fault:
             place = fault.key.removeprefix(".")

@@ -14,8 +14,9 @@ import numpy as np
 
 from pincal.cli.arguments import group, option, verb
 from pincal.cli.common import GeneralOptions
-from pincal.cli.outputs import output_folder, print_json, provenance
+from pincal.cli.outputs import print_json, provenance
 from pincal.errors import Exit
+from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
     from pincal.calibration.run import Calibration

@@ -10,8 +10,9 @@ import click
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import GeneralOptions, ignore_option, model_argument
-from pincal.cli.outputs import output_folder, print_json, print_notes, provenance
+from pincal.cli.outputs import print_json, print_notes, provenance
 from pincal.errors import Exit
+from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
     from pincal.diagnosis.run import Diagnosis

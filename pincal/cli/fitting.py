@@ -20,8 +20,9 @@ from pincal.cli.common import (
     load_plugins,
     max_error_option,
 )
-from pincal.cli.outputs import output_folder, print_json, provenance, require_accuracy
+from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.errors import Exit, IdentificationError
+from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

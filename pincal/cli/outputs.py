@@ -1,20 +1,17 @@
-"""Results of a verb: folders written whole or not at all, columns of poses, JSON on stdout, notes on stderr, limits."""
+"""Results of a verb: columns of poses, JSON on stdout, notes on stderr, limits."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pincal.errors import AccuracyGateError, OutputError
+from pincal.errors import AccuracyGateError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,28 +22,6 @@ if TYPE_CHECKING:
 # Rows outside the calibrated range that are listed one by one.
 _SHOWN = 5
 _UNITS = {"time": "s", "temperature": "deg C", "payload": "kg"}
-
-
-@contextmanager
-def output_folder(path: Path) -> Iterator[Path]:
-    """Yield a folder to write to; at a good end its files move to ``path``, else nothing there has changed.
-
-    Raises:
-        OutputError: if ``path`` is a file or can't be written.
-    """
-    is_new = not path.exists()
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        try:
-            with tempfile.TemporaryDirectory(prefix=".pincal-", dir=path, ignore_cleanup_errors=True) as draft:
-                yield Path(draft)
-                for file in sorted(Path(draft).iterdir()):
-                    os.replace(file, path / file.name)
-        finally:
-            if is_new and not any(path.iterdir()):
-                path.rmdir()
-    except OSError as error:
-        raise OutputError(f"{path}: can't write here ({error.strerror}); choose another --out") from None
 
 
 def print_json(contents: Mapping[str, Any]) -> None:

@@ -9,8 +9,9 @@ import click
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import LENGTH, GeneralOptions, ignore_option, model_argument
-from pincal.cli.outputs import output_folder, print_json, provenance
+from pincal.cli.outputs import print_json, provenance
 from pincal.errors import Exit
+from pincal.io.result_folder import output_folder
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import msgspec
@@ -21,6 +22,7 @@ from pincal.io.entries import (
     plain,
     restored,
 )
+from pincal.io.result_folder import not_written_with
 from pincal.io.strict_json import MODEL_FILE, Fault, read_json, write_json
 from pincal.measure.registry import known_kinds
 from pincal.model.effects import Effect
@@ -90,6 +92,7 @@ class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
         covariance: shape (P, P), of the values; zero for those that were not fitted.
         model: robot, chain and effects.
         nominal_values: shape (P,), the values with only base and tool fitted; not in files of version 0.1.0.
+        files: the files that were written with it, with their SHA-256; none where it was saved alone.
     """
 
     format_version: int
@@ -99,6 +102,7 @@ class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
     covariance: Annotated[Matrix, Shape("parameters", "parameters")]
     model: ModelEntry
     nominal_values: Annotated[Numbers | None, Shape("parameters")] = None
+    files: dict[str, str] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -154,6 +158,7 @@ class StationsFile(Record, frozen=True, kw_only=True):
         fitted: shape (P,), which parameters were fitted.
         covariance: of the fitted ones.
         stations: the stations.
+        files: the files that were written with it, with their SHA-256; none where it was saved alone.
     """
 
     format_version: int
@@ -165,6 +170,7 @@ class StationsFile(Record, frozen=True, kw_only=True):
     fitted: Annotated[tuple[bool, ...], Shape("parameters")]
     covariance: CovarianceEntry
     stations: tuple[StationEntry, ...]
+    files: dict[str, str] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -200,6 +206,7 @@ class _Head(msgspec.Struct, frozen=True):
     """What is read first: whether the rest can be read at all."""
 
     format_version: int
+    files: dict[str, str] | None = None
 
     def __post_init__(self) -> None:
         if self.format_version < 1:
@@ -208,11 +215,17 @@ class _Head(msgspec.Struct, frozen=True):
 
 
 def _version_of(path: str | os.PathLike[str]) -> int:
-    version = read_json(path, _Head, MODEL_FILE).format_version
+    head = read_json(path, _Head, MODEL_FILE)
+    version = head.format_version
     if version > STATIONS_VERSION:
         raise MODEL_FILE.error(
             f"{os.fspath(path)}: format_version is {version}, written by a newer pincal; "
             f"expected at most {STATIONS_VERSION}: update pincal"
+        )
+    if mixed := not_written_with(Path(path), head.files or {}):
+        raise MODEL_FILE.error(
+            f"{os.fspath(path)}: {mixed} beside it was not written with it: a run was stopped while it wrote this folder, "
+            "or files of two runs were put together; calibrate again, or move the model to a folder of its own"
         )
     return version
 

@@ -1,0 +1,128 @@
+"""A folder of results: all of one run, or all of another.
+
+What belongs together is said by ``model.json``, which every such folder has: it lists the files that were written with it,
+with their hashes. Where the system can exchange two folders in one step, a run is published so. Elsewhere the files are
+replaced one by one, ``model.json`` last: until then it lists files that are no longer there, and readers refuse it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from pincal.atomic import drafted, exchanged, one_at_a_time
+from pincal.errors import OutputError
+
+MODEL = "model.json"
+# All that a run may write about its model. A run that does not write one of them takes that of an earlier run away.
+RESULTS = (
+    "result.json",
+    "discovery.json",
+    "diagnosis.json",
+    "calibrated.urdf",
+    "residuals.csv",
+    "report.html",
+    "view3d.html",
+)
+
+
+@contextmanager
+def output_folder(path: Path) -> Iterator[Path]:
+    """Yield a folder to write to; at a good end ``path`` holds its files, else what it held before.
+
+    Results of an earlier run that this one does not write go away; other files at ``path`` stay there.
+
+    Raises:
+        OutputError: if ``path`` is a file or can't be written.
+    """
+    try:
+        goal = Path(os.path.realpath(path))
+        if goal.exists() and not goal.is_dir():
+            raise NotADirectoryError(20, os.strerror(20))
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        place = goal.parent if _is_exchangeable(goal) else goal
+        with drafted(place, goal.name, is_folder=True) as draft:
+            yield draft
+            model = draft / MODEL
+            if model.exists():
+                listed = {name: _hash(draft / name) for name in RESULTS if (draft / name).exists()}
+                model.write_bytes(_sealed(model.read_bytes(), listed))
+            _publish(draft, goal)
+    except OSError as error:
+        raise OutputError(f"{path}: can't write here ({error.strerror}); choose another --out") from None
+
+
+def not_written_with(model: Path, files: Mapping[str, str]) -> str:
+    """Return the name of a file beside a model that was not written with it; empty if there is none.
+
+    Args:
+        model: path of the ``model.json``.
+        files: what it lists.
+    """
+    for name, expected in files.items():
+        beside = model.parent / name
+        # What people may have edited tells no runs apart; absent files are none of another run.
+        if name in RESULTS and beside.suffix == ".json" and beside.is_file() and _hash(beside) != expected:
+            return name
+    return ""
+
+
+def _sealed(content: bytes, files: Mapping[str, str]) -> bytes:
+    """Return the text of a ``model.json``, one line for each key, that lists the files written with it."""
+    head, line_end, rest = content.partition(b"\n")
+    return head + line_end + b'"files": ' + json.dumps(dict(files)).encode() + b",\n" + rest
+
+
+def _hash(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _is_exchangeable(goal: Path) -> bool:
+    """Return whether another folder may take the place of this one, as far as one can tell beforehand."""
+    if not os.access(goal.parent, os.W_OK | os.X_OK):
+        return False
+    # Whoever works in the folder would stay in the old one; on another device are mounted ones.
+    is_apart = goal.exists() and goal.stat().st_dev != goal.parent.stat().st_dev
+    return not is_apart and not Path.cwd().is_relative_to(goal)
+
+
+def _publish(draft: Path, goal: Path) -> None:
+    """Put the files of a draft where they belong."""
+    if not goal.exists():
+        # Fails if another run has been faster and left files there.
+        try:
+            return os.rename(draft, goal)
+        except OSError:
+            pass
+    if draft.parent == goal.parent and _has_joined(draft, goal) and exchanged(draft, goal):
+        return
+    with one_at_a_time(goal):
+        files = sorted(draft.iterdir(), key=lambda file: file.name == MODEL)
+        for name in {*RESULTS} - {file.name for file in files}:
+            (goal / name).unlink(missing_ok=True)
+        for file in files:
+            os.replace(file, goal / file.name)
+
+
+def _has_joined(draft: Path, goal: Path) -> bool:
+    """Return whether all that has to stay has been given a second name in the draft; of folders that is impossible."""
+    owners = [(folder.stat().st_uid, folder.stat().st_gid) for folder in (draft, goal)]
+    kept = [entry for entry in goal.iterdir() if entry.name not in (MODEL, *RESULTS) and not (draft / entry.name).exists()]
+    if owners[0] != owners[1] or any(entry.is_dir() or entry.is_symlink() for entry in kept):
+        return False
+    joined: list[Path] = []
+    try:
+        for entry in kept:
+            os.link(entry, draft / entry.name)
+            joined.append(draft / entry.name)
+        shutil.copystat(goal, draft)
+    except OSError:
+        for entry in joined:
+            entry.unlink()
+        return False
+    return True
