@@ -7,11 +7,35 @@ The exit code of the command follows from the class.
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 from enum import IntEnum
 
+# The longest message [bytes]: names in it come from files and may have any length.
+LONGEST = 1900
 # Likeness of two names, 0 to 1, below which they have nothing to do with each other.
 _ALIKE = 0.5
+
+
+def printable(text: str, most: int | None = None) -> str:
+    r"""Return a text as a terminal may show it: what would control the terminal is escaped, line ends stay.
+
+    Args:
+        text: any text; names in it may come from files.
+        most: size [bytes] beyond which the middle is left out; default: any size.
+
+    Example:
+        >>> printable("joint \x1b[2J"), printable("a" * 50, 20)
+        ('joint \\\\x1b[2J', 'aaaaaaaa ... aaaaaaa')
+    """
+    if not text.isprintable():
+        text = "".join(c if c in "\n\t" or unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in text)
+    content = text.encode("utf-8")
+    if most is None or len(content) <= most:
+        return text
+    after = (most - 5) // 2
+    ends = content[: most - 5 - after], content[len(content) - after :]
+    return " ... ".join(end.decode("utf-8", "ignore") for end in ends)
 
 
 class Exit(IntEnum):
@@ -41,9 +65,12 @@ class Exit(IntEnum):
 
 
 class PincalError(Exception):
-    """Base of all errors raised by pincal."""
+    """Base of all errors raised by pincal; its message can be printed as it is, whatever the files held."""
 
     exit_code = Exit.INTERNAL_ERROR
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(str(message), LONGEST))
 
 
 class BadInputError(PincalError, ValueError):
@@ -87,7 +114,10 @@ class ChangedRobotError(PincalError):
 
 
 class PincalWarning(UserWarning):
-    """Something that the user should know but that does not stop the run."""
+    """Something that the user should know but that does not stop the run; can be printed as it is."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(str(message), LONGEST))
 
 
 def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:

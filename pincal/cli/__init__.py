@@ -11,7 +11,8 @@ from typing import Any
 
 import click
 
-from pincal.errors import Exit, PincalError
+from pincal.cli.streams import guard_streams
+from pincal.errors import LONGEST, Exit, PincalError, printable
 
 # New objects after which garbage is collected.
 _GARBAGE = 200_000
@@ -72,15 +73,16 @@ def entry() -> None:
     frees nothing that the system does not; files are closed by then. Small matrices gain nothing from several threads.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    results = guard_streams()
     try:
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    try:
-        sys.stdout.flush()
-        sys.stderr.flush()
-    except (OSError, ValueError):
-        code = code or 1
+    sys.stdout.flush()
+    if results.lost:
+        click.echo(f"pincal: stdout can't be written ({results.lost}); files that were asked for are whole", err=True)
+        code = code or Exit.BAD_INPUT
+    sys.stderr.flush()
     os._exit(code)
 
 
@@ -107,13 +109,10 @@ def main(arguments: list[str] | None = None) -> None:
     except PincalError as error:
         click.echo(f"pincal: {error}", err=True)
         sys.exit(error.exit_code)
-    except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(Exit.INTERNAL_ERROR)
     except Exception as error:
         if os.environ.get("PINCAL_TRACEBACK"):
             raise
-        click.echo(f"pincal: internal error: {type(error).__name__}: {error}", err=True)
+        click.echo(f"pincal: internal error: {printable(f'{type(error).__name__}: {error}', LONGEST)}", err=True)
         click.echo("pincal: this is a bug in pincal; please report the output of a run with PINCAL_TRACEBACK=1", err=True)
         sys.exit(Exit.INTERNAL_ERROR)
     sys.exit(code if isinstance(code, int) else Exit.DONE)
