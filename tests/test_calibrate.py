@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from pincal import (
     ELASTIC,
     GEOMETRIC,
-    BadInputError,
     Options,
     Robot,
     calibrate,
@@ -252,15 +251,6 @@ def test_too_few_rows_for_the_noise_are_refused(kuka):
     with pytest.raises(MeasurementError, match="declare the noise"):
         calibrate(kuka, table, OPTIONS)
     assert calibrate(kuka, table, replace(OPTIONS, sigma=5e-5)).solution.converged
-
-
-def test_elasticity_without_masses_is_refused():
-    """An arm without inertia can be calibrated geometrically only, and the links are named."""
-    robot = Robot.from_urdf("ur10")
-    light = replace(robot, massless=("wrist_1_link",))
-    table = measurements_from_arrays(robot.joint_names, np.zeros((30, 6)), position=np.zeros((30, 3)))
-    with pytest.raises(BadInputError, match="wrist_1_link"):
-        calibrate(light, table, Options())
 
 
 @pytest.mark.parametrize("split", ["random", "blocked"])

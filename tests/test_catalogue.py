@@ -32,6 +32,7 @@ from pincal.model.catalogue import (
     GravityCompensator,
     JointCoupling,
     LinkBending,
+    LinkMass,
     LoadBacklash,
     MeasurementScale,
     NonlinearElasticity,
@@ -67,6 +68,8 @@ EFFECTS: dict[str, Make] = {
     "nonlinear_elasticity": lambda j: NonlinearElasticity(j[1]),
     "nonlinear_elasticity that stiffens": lambda j: NonlinearElasticity(j[1], stiffening=30.0),
     "link_bending": lambda j: LinkBending(j[1]),
+    "link_mass": lambda j: LinkMass(),
+    "link_mass of some": lambda j: LinkMass((j[1], j[-1])),
     "base_elasticity": lambda j: BaseElasticity(),
     "gravity_compensator": lambda j: GravityCompensator(j[1]),
     "payload_error": lambda j: PayloadError(),
@@ -144,6 +147,9 @@ def units_of(model: Model, conditions: Conditions) -> np.ndarray:
         for term in effect.terms(model.chain, conditions, moments if effect.uses_moments else None):
             largest = 1.0 if term.basis is None else np.abs(term.basis).max()
             units[start + term.parameter] = max(units[start + term.parameter], largest)
+        for body in effect.bodies(model.chain):
+            # A tenth of what the prior allows.
+            units[start + body.parameter] = 0.03 / model.parameters[start + body.parameter].size
         start += len(effect.parameters(model.chain))
     floor = 0.05 * np.abs(moments).max()
     compliant = np.array([p.unit == "rad/(N m)" for p in model.parameters])
@@ -219,10 +225,16 @@ def test_parameters_and_terms_fit_each_other(robot: Robot, name: str, rng: np.ra
 
     assert len(set(model.names)) == model.n_parameters
     assert effect.name == name.split()[0] and repr(effect).startswith(type(effect).__name__ + "(")
-    assert {term.parameter for term in terms} <= set(range(len(parameters))) and parameters
+    bodies = effect.bodies(chain)
+    assert {of.parameter for of in (*terms, *bodies)} <= set(range(len(parameters))) and parameters
+    assert all(0 <= body.joint < robot.n_joints and np.shape(body.moment) == (3,) for body in bodies)
     for parameter in parameters:
         assert parameter.name.rsplit(".", 1)[0] in {*robot.joint_names, "base", "arm", "instrument"}
-        assert parameter.effect == effect.name and parameter.nominal == 0.0 and 0.0 < parameter.size < 1e-2
+        assert parameter.effect == effect.name
+        if parameter.unit in ("kg", "kg m"):
+            assert 0.0 <= parameter.nominal < 1e3 and 0.0 < parameter.size < 1e3
+        else:
+            assert parameter.nominal == 0.0 and 0.0 < parameter.size < 1e-2
     for term in terms:
         assert 0 <= term.coordinate < chain.size and term.basis is not None and term.basis.shape == (7,)
         assert term.moment is None or (0 <= term.moment < n and effect.uses_moments)
@@ -657,7 +669,7 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     found, n = candidates(chain, conditions), robot.n_joints
     counts = {name: sum(effect.name == name for effect in found) for name in {effect.name for effect in found}}
 
-    assert set(counts) == {name.split()[0] for name in EFFECTS} - {"unnamed"}
+    assert set(counts) == {name.split()[0] for name in EFFECTS} - {"unnamed", "link_mass"}
     assert counts["joint_coupling"] == n * (n - 1) and counts["gear_eccentricity"] == 2 * n
     assert counts["axis_wobble"] == 4 * n and counts["backlash"] == counts["thermal_offset"] == n
     first = robot.joint_names[0]

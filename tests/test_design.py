@@ -287,13 +287,12 @@ def test_what_can_not_be_designed_is_refused(kuka, given, words):
         design_poses(kuka, **arguments)
 
 
-def test_elasticity_of_an_arm_without_masses_is_refused():
-    """Its moments are unknown; the geometric model can be designed for."""
+def test_an_arm_without_masses_can_be_designed_for():
+    """Its moments are those that its shape suggests."""
     robot = Robot.from_urdf(planar_arm().replace('<mass value="10"/>', '<mass value="0"/>').encode())
 
-    with pytest.raises(BadInputError, match="no mass for the links upper"):
-        design_poses(robot, 5, **SMALL)
-    assert len(design_poses(robot, 5, Options(effects=GEOMETRIC), limits=Limits(floor=None), **SMALL).q) == 5
+    assert robot.massless == ("upper",)
+    assert len(design_poses(robot, 5, limits=Limits(floor=None), **SMALL).q) == 5
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,6 @@ def calibrate(
         The fit, ready to predict; look at ``solution.converged``.
 
     Raises:
-        BadInputError: if an elastic effect is asked of an arm without masses.
         MeasurementError: if the rows are too few to tell the parameters and the noise.
 
     Example:

@@ -81,10 +81,10 @@ class DesignModel:
             targets: names of the targets; all sit where the rig has its target.
 
         Raises:
-            BadInputError: for a sensor that is not known or lacks the place of its instrument, elasticity of an arm
-                without masses, noise that no instrument has, or a rival that does nothing in these poses.
+            BadInputError: for a sensor that is not known or lacks the place of its instrument, noise that no
+                instrument has, or a rival that does nothing in these poses.
         """
-        _check(robot, options, rig)
+        check_rig(rig)
         gravity = None if options.gravity is None else np.array(options.gravity)
         chain = Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity, targets=targets)
         model = Model(chain, (*frames_of(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
@@ -214,15 +214,6 @@ def check_rig(rig: SensorSetup) -> None:
         )
     if rig.held_at and not known[rig.sensor].needs_places:
         raise BadInputError(f"sensor {rig.sensor}: it holds the target at no place, but {len(rig.held_at)} are given")
-
-
-def _check(robot: Robot, options: Options, rig: SensorSetup) -> None:
-    check_rig(rig)
-    if robot.massless and any(effect.uses_moments for effect in options.effects):
-        raise BadInputError(
-            f"{robot.source}: no mass for the links {', '.join(robot.massless)}, so elasticity can't be part of the model; "
-            "add <inertial> to these links or design for the geometric model"
-        )
 
 
 def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:

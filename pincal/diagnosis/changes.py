@@ -80,13 +80,12 @@ def _of_effect(effect: Effect, model: Model) -> Change:
 def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
     """Yield the effects that these poses could show, and the compliances of single joints that the model does not have."""
     known, present = {parameter.name for parameter in model.parameters}, {effect.identity for effect in model.effects}
-    if not model.chain.robot.massless:
-        kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
-        for kind in kinds:
-            for joint in situation.revolute:
-                effect = kind(joints=(joint,))
-                if known.isdisjoint(p.name for p in effect.parameters(model.chain)):
-                    yield effect
+    kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
+    for kind in kinds:
+        for joint in situation.revolute:
+            effect = kind(joints=(joint,))
+            if known.isdisjoint(p.name for p in effect.parameters(model.chain)):
+                yield effect
     for candidate in testable(situation):
         for form in candidate.forms:
             size = form.resolution if isinstance(form, Curve) else 1
@@ -97,7 +96,8 @@ def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
 def _of_parameters(model: Model) -> Iterator[Change]:
     """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
     for effect in model.effects:
-        if effect.scope == "station":
+        # Links don't lose weight.
+        if effect.scope == "station" or effect.bodies(model.chain):
             continue
         single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
         by_element: dict[str, list[Parameter]] = {}

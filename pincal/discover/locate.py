@@ -282,8 +282,7 @@ def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
             yield joint, _basis(q, size)
     if conditions.approach is not None and varies(approach := _variable(fit, joint, "approach")):
         yield "approach", approach[None]
-    if not fit.model.chain.robot.massless:
-        yield "load", _basis(_variable(fit, joint, "load"), _SIZE)
+    yield "load", _basis(_variable(fit, joint, "load"), _SIZE)
 
 
 def _variable(fit: Fit, joint: str | None, name: str) -> np.ndarray:

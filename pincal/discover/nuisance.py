@@ -34,19 +34,22 @@ class MassError(Effect):
     Attributes:
         compliance: shape (3 n,), k of each joint's x, y, z [rad/(N m)].
         coordinates: shape (K,), the rigid arm's coordinates at q = 0.
+        links: the joints that move the links whose masses a URDF tells; of the others they are parameters of the model.
     """
 
     compliance: np.ndarray
     coordinates: np.ndarray
+    links: tuple[int, ...]
     name: ClassVar[str] = "mass_error"
     meaning: ClassVar[str] = "masses and centres of mass of the links differ from the URDF"
     family: ClassVar[Family] = Family.LOAD
 
     @classmethod
     def of(cls, model: Model, values: np.ndarray) -> MassError | None:
-        """Return the effect for a model's present compliances, None for a rigid model."""
-        k = compliances_of(model, values)
-        return cls(k, model.rigid_coordinates(values)) if k.any() else None
+        """Return the effect for a model's present compliances, None for a rigid model, or one that has all masses itself."""
+        k, found = compliances_of(model, values), {body.joint for body in model.bodies}
+        links = tuple(i for i in range(model.chain.robot.n_joints) if i not in found)
+        return cls(k, model.rigid_coordinates(values), links) if k.any() and links else None
 
     @property
     def locus(self) -> Locus:
@@ -57,7 +60,7 @@ class MassError(Effect):
         """Relative error of mass, and of the first moment along x, y, z in units of mass times link size."""
         return tuple(
             Parameter(f"{joint}.{symbol}", "1", self.name, 0.0, MASS_SIZE if symbol == "mass" else CENTRE_SIZE)
-            for joint in chain.robot.joint_names
+            for joint in (chain.robot.joint_names[i] for i in self.links)
             for symbol in ("mass", "mc_x", "mc_y", "mc_z")
         )
 
@@ -67,9 +70,9 @@ class MassError(Effect):
         n = chain.robot.n_joints
         bent = [(m, chain.joint(m // 3, f"gamma_{'xyz'[m % 3]}")) for m in range(3 * n) if self.compliance[m]]
         terms = []
-        for i in range(n):
+        for p, i in enumerate(self.links):
             for c, change in enumerate(self._moments(chain, conditions, values, i)):
-                terms += [Term(4 * i + c, k, self.compliance[m] * change[m]) for m, k in bent if m // 3 <= i]
+                terms += [Term(4 * p + c, k, self.compliance[m] * change[m]) for m, k in bent if m // 3 <= i]
         return tuple(terms)
 
     def _moments(self, chain: Chain, conditions: Conditions, values: Values, i: int) -> Iterator[np.ndarray]:

@@ -17,7 +17,7 @@ from pincal.identify.options import Options
 from pincal.identify.reasons import Reason, Status
 from pincal.measure.admit import admit, unobservable_notes
 from pincal.model.catalogue import candidates, untestable
-from pincal.model.effects import ELASTIC, GEOMETRIC
+from pincal.model.effects import ELASTIC
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.agreement import check_agreement
@@ -142,8 +142,8 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
 
 
 def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
-    """Return what could be found beyond the elastic model, or the geometric one of an arm without masses."""
-    base = refit(fit, GEOMETRIC if robot.massless else ELASTIC)
+    """Return what could be found beyond the elastic model."""
+    base = refit(fit, ELASTIC)
     declared = fit.noise.declared
     assumed = np.array([block.noise for block in base.problem.blocks])
     degrees = base.solution.degrees
@@ -152,13 +152,11 @@ def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
     source = "declared" if fit.is_declared else ("estimated" if degrees >= FEWEST else "assumed")
     chain, conditions = base.problem.chain, base.problem.conditions
     tested = candidates(chain, conditions)
-    if robot.massless:
-        tested = tuple(effect for effect in tested if not effect.uses_moments)
     sights = minimum_detectable(base, tested, sigma=sigma)
     sights += [Detectable(effect, reason=reason) for effect, reason in untestable(chain, conditions)]
     first, places, _ = next(iter(fit.stations))
     sigma_m = float(sigma[0]) * first.metres_per_reading(fit.nominal.values[places])
-    return DetectabilityTable("geometric" if robot.massless else "elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
+    return DetectabilityTable("elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
 
 
 def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:

@@ -23,6 +23,7 @@ from pincal.identify.solve import Priors, Solution, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensor import KnownParameters
 from pincal.measure.stations import stations_of
+from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import Effect
 from pincal.robot.robot import Robot
@@ -62,11 +63,10 @@ def calibrate(
         The fit; look at ``solution.exit``. See :func:`pincal.calibrate` for an example.
 
     Raises:
-        BadInputError: if an elastic effect is asked of an arm without masses.
         MeasurementError: if the rows are too few to tell the parameters and the noise.
     """
     tables = tables_of(measurements)
-    options = _completed(options, tables)
+    options = _completed(robot, options, tables)
     problem, nominal, priors, noise = _begin(robot, tables, options, executor)
     fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options, executor=executor)
     _refuse_too_few(tables, problem, fitted, noise)
@@ -90,9 +90,10 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     return tables
 
 
-def _completed(options: Options | None, tables: dict[str, Measurements]) -> Options:
-    """Return the options with all points that the training rows name."""
+def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
+    """Return the options with all points that the training rows name, and the masses that nobody knows as effects."""
     options = Options() if options is None else options
+    options = replace(options, effects=with_masses(robot, options.effects))
     unknown = set(options.stations) - set(tables)
     if unknown:
         raise BadInputError(
@@ -131,7 +132,7 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
         BadInputError: as :func:`calibrate`.
     """
     tables = tables_of(measurements)
-    options = _completed(options, tables)
+    options = _completed(robot, options, tables)
     problem, nominal, priors, noise = _begin(robot, tables, options, None)
     fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options)
     free = released_of(problem, options) & excited_of(problem)
@@ -153,6 +154,7 @@ def refit(fit: Fit, effects: Sequence[Effect], *, moment_frame: MomentFrame | No
         rough: whether to stop before the last stage, close to the end, outliers only weighed down.
     """
     frame = moment_frame or fit.options.moment_frame
+    effects = with_masses(fit.problem.chain.robot, effects)
     problem = fit.problem.with_effects(effects, moment_frame=frame)
     options = replace(fit.options, effects=tuple(effects), moment_frame=frame)
     priors = priors_of(problem, options)
@@ -165,7 +167,6 @@ def _begin(
     robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None
 ) -> tuple[Problem, Solution, Priors, Noise]:
     """Return the problem, its fit of base and tool alone, the priors and the noise."""
-    _refuse_massless(robot, options.effects)
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
     placed = place(robot, tables, options)
@@ -272,12 +273,4 @@ def _refuse_too_few(tables: dict[str, Measurements], problem: Problem, fitted: S
             f"{', '.join(table.source for table in tables.values())}: {counts.sum()} training rows give {readings} "
             "readings, no more than the parameters that they would fit, so nothing is left to tell the noise from; measure "
             "more poses, declare the noise (--noise) or take the geometric model"
-        )
-
-
-def _refuse_massless(robot: Robot, effects: Sequence[Effect]) -> None:
-    if robot.massless and any(effect.uses_moments for effect in effects):
-        raise BadInputError(
-            f"{robot.source}: no mass for the links {', '.join(robot.massless)}, so static moments are unknown and "
-            "elasticity can't be fitted; add <inertial> to these links or calibrate with the geometric model"
         )

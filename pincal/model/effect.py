@@ -41,6 +41,22 @@ class Term(NamedTuple):
     slope: np.ndarray | None = None
 
 
+class Body(NamedTuple):
+    """What one unit of a parameter adds to the mass that a joint moves.
+
+    Attributes:
+        parameter: index among the effect's parameters.
+        joint: index of the joint; the mass moves with it but not with the next.
+        mass: [kg].
+        moment: first moment of mass in the joint's link frame [kg m].
+    """
+
+    parameter: int
+    joint: int
+    mass: float
+    moment: tuple[float, float, float]
+
+
 class Family(Enum):
     """What kind of cause an effect is, as far as it matters to whoever looks for missing ones."""
 
@@ -128,6 +144,10 @@ class Effect(ABC):
             conditions: the N poses.
             moments: shape (N, 3 n), static moments [N m]; None for an effect that does not use them.
         """
+
+    def bodies(self, chain: Chain) -> tuple[Body, ...]:
+        """Return what each parameter adds to the masses of which the static moments are taken; most add nothing."""
+        return ()
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -105,6 +105,21 @@ class Compliances(NamedTuple):
     rate: np.ndarray
 
 
+class Bodies(NamedTuple):
+    """What parameters add to the masses beyond joints.
+
+    Attributes:
+        joint, parameter: shape (E,), the link that an entry belongs to, and the parameter's column.
+        mass: shape (E,), by one unit of the parameter [kg].
+        moment: shape (E, 3), first moment of mass in the link frame by one unit [kg m].
+    """
+
+    joint: np.ndarray
+    parameter: np.ndarray
+    mass: np.ndarray
+    moment: np.ndarray
+
+
 class Places(NamedTuple):
     """Which reference orientations hold at each pose: of the base, and of the tool; both of shape (N,)."""
 
@@ -228,14 +243,20 @@ def _add_body(R, p, mass, centre, B):
 
 
 @njit(**_COMPILE)
-def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass):
-    """Walk the arm from its base; M[j] is the mass beyond joint j, B[j] the sum of mass times centre there."""
+def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F):
+    """Walk the arm from its base; M[j] is the mass beyond joint j, B[j] the sum of mass times centre there.
+
+    The link frames are noted in F, rotation and then origin, where it has room for them.
+    """
     n = len(layout.masses)
     _identity(R, p)
     B[:] = 0.0
     for j in range(n):
         first = FRAME + j * BLOCK
         _walk(layout, first, first + BLOCK, x, c, s, R, p, W, O)
+        if len(F) > 0:
+            F[j, :3] = R
+            F[j, 3] = p
         mass[:] = layout.masses[j]
         M[j] = mass
         _add_body(R, p, mass, layout.centres[j], B[j])
@@ -386,6 +407,35 @@ def _parameter_columns(terms, start, m, J, V, through, loop, out):
 
 
 @njit(**_COMPILE)
+def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
+    """Set the columns of what masses depend on: they act through the moments alone.
+
+    A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moment n_l of each
+    joint up to j; weighed with a_l these are sums over l of g x w_l, in U, and of o_l . (g x w_l), in S.
+    """
+    for r in range(len(a)):
+        U[:] = 0.0
+        S[:] = 0.0
+        for j in range(len(layout.masses)):
+            o = O[FRAME + j * BLOCK]
+            for l in range(3 * j, 3 * j + 3):
+                _turned_gravity(layout.gravity, A[l], u)
+                _add_scaled(a[r, l], u, U)
+                for i in range(m):
+                    S[i] += a[r, l, i] * (o[0, i] * u[0, i] + o[1, i] * u[1, i] + o[2, i] * u[2, i])
+            for e in range(len(bodies.joint)):
+                if bodies.joint[e] != j:
+                    continue
+                column, mass, H = out[bodies.parameter[e], r], bodies.mass[e], bodies.moment[e]
+                for q in range(3):
+                    for i in range(m):
+                        turned = F[j, q, 0, i] * H[0] + F[j, q, 1, i] * H[1] + F[j, q, 2, i] * H[2]
+                        column[start + i] += U[q, i] * (mass * F[j, 3, q, i] + turned)
+                for i in range(m):
+                    column[start + i] -= mass * S[i]
+
+
+@njit(**_COMPILE)
 def _buffers(K):
     """Return room for x, c, s (see _load) and R, p, W, O (see _walk) of one group of poses."""
     x, c, s = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
@@ -398,13 +448,13 @@ def static_moments(layout, values, payload):
     N, K, n = len(payload.mass), len(values.constant), len(layout.masses)
     x, c, s, R, p, W, O = _buffers(K)
     M, B, mass, D = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES), np.empty((3, LANES))
-    A, H = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES))
+    A, H, F = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES)), np.empty((0, 4, 3, LANES))
     out = np.empty((3 * n, N))
     g = layout.gravity
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
         _load(layout, values, start, m, x, c, s, start == 0)
-        _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass)
+        _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F)
         _moment_levers(layout, W, O, M, B, A, H, D)
         for l in range(3 * n):
             for i in range(m):
@@ -428,7 +478,7 @@ def tip_poses(layout, values, places):
 
 
 @njit(**_COMPILE)
-def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, n_parameters, rows, sweeps):
+def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, bodies, n_parameters, rows, sweeps):
     """Return the target's poses and the derivative of its motion by every parameter.
 
     Args:
@@ -439,6 +489,7 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, n_p
         payload: mass beyond the tip.
         terms: the parameters.
         compliances: how coordinates follow the moments; may be empty.
+        bodies: the parameters that masses depend on; may be empty.
         n_parameters: number P of columns.
         rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the instrument's axes.
         sweeps: 0 for moments on the undeformed arm; else how often the effect of deformation on the moments is
@@ -457,7 +508,8 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, n_p
     ahead, behind = np.empty((rows, 3, LANES)), np.empty((rows, 3, LANES))
     J, V = np.empty((rows, K, LANES)), np.zeros((rows, K, LANES))
     poses, out = np.empty((3, 4, N)), np.zeros((n_parameters, rows, N))
-    through = len(compliances.coordinate) > 0
+    through, weighs = len(compliances.coordinate) > 0, len(bodies.joint) > 0
+    F, U, S = np.empty((n if weighs else 0, 4, 3, LANES)), np.empty((3, LANES)), np.empty(LANES)
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
         _load(layout, values, start, m, x, c, s, start == 0)
@@ -467,7 +519,7 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, n_p
         _kinematic_columns(layout, W, O, p, J)
         if through:
             _load(layout, rigid, start, m, y, cy, sy, start == 0)
-            _walk_bodies(layout, payload, start, m, y, cy, sy, Rb, q, Wb, Ob, M, B, mass)
+            _walk_bodies(layout, payload, start, m, y, cy, sy, Rb, q, Wb, Ob, M, B, mass, F)
             _moment_levers(layout, Wb, Ob, M, B, A, H, u)
             a0[:] = 0.0
             _pull_back(compliances, start, m, J, a0)
@@ -477,5 +529,7 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, n_p
                 a[:] = a0
                 _pull_back(compliances, start, m, V, a)
                 _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
+            if weighs:
+                _body_columns(layout, bodies, start, m, Ob, F, A, a, u, U, S, out)
         _parameter_columns(terms, start, m, J, V, through, sweeps > 0, out)
     return poses, out

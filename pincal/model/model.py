@@ -14,8 +14,8 @@ import numpy as np
 from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.conditions import UNFELT, Conditions
-from pincal.model.effect import Effect, Term
-from pincal.model.kernels import Compliances, Payload, Places, Terms, Values
+from pincal.model.effect import Body, Effect, Term
+from pincal.model.kernels import Bodies, Compliances, Layout, Payload, Places, Terms, Values
 from pincal.parameters import Parameter
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
@@ -25,8 +25,10 @@ _SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 # Parameters that act on one coordinate by a basis function from which their column is shared.
 _WORTH_SHARING = 6
+# A link that weighs less than this [kg] is given it: its centre is its first moment over its mass.
+_LIGHTEST = 1e-9
 # What a model keeps of its parameters once it has been asked for it.
-_OF_PARAMETERS = ("parameters", "names", "spans", "of_station")
+_OF_PARAMETERS = ("parameters", "names", "spans", "of_station", "bodies")
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,12 @@ class Model:
         """All parameters, effect by effect."""
         found = (p for effect in self.effects for p in effect.parameters(self.chain))
         return tuple(_interned(p, math.copysign(1.0, p.nominal)) for p in found)
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """What parameters add to the masses of the links, their places those among all parameters."""
+        pairs = zip(self.spans, self.effects, strict=True)
+        return tuple(b._replace(parameter=of.start + b.parameter) for of, e in pairs for b in e.bodies(self.chain))
 
     @property
     def has_tool_orientation(self) -> bool:
@@ -179,13 +187,14 @@ class Model:
         """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
         n_columns = int(columns.max(initial=-1)) + 1
         return kernels.tip_jacobian(  # type: ignore[no-any-return]
-            self.chain.layout,
+            state.layout,
             state.deformed,
             state.rigid,
             state.places,
             state.payload,
             state.kernel_terms(columns, coordinates, n_columns),
             state.compliances(),
+            state.kernel_bodies(columns),
             n_columns + len(coordinates),
             rows,
             _SWEEPS if self.equilibrium else 0,
@@ -194,7 +203,7 @@ class Model:
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
         state = _State.at(self, values, conditions)
-        return np.asarray(kernels.static_moments(self.chain.layout, state.rigid, state.payload).T)
+        return np.asarray(kernels.static_moments(state.layout, state.rigid, state.payload).T)
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
@@ -249,6 +258,8 @@ class Model:
                 excited[:, p] |= size > 0.0
             largest[:, p] = np.maximum(largest[:, p], size)
         for span, effect in zip(self.spans, self.effects, strict=True):
+            for body in effect.bodies(self.chain):
+                excited[:, span.start + body.parameter] = heaviest > 0.0
             if effect.alike:
                 largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
                 excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
@@ -266,6 +277,7 @@ class _State:
     """Terms and coordinates of a model at one set of values."""
 
     model: Model
+    layout: Layout
     terms: list[tuple[int, Term]]
     values: _RowValues
     rigid: Values
@@ -287,12 +299,13 @@ class _State:
         payload = Payload(mass, np.array(conditions.payload_centre, float))
         plain = _terms(model, conditions, None)
         rigid = _coordinates(model, by_row, conditions, plain)
+        layout = _laden(model, by_row)
         if not any(effect.uses_moments for effect in model.effects):
-            return cls(model, plain, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
+            return cls(model, layout, plain, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
         deformed = rigid
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
-            moments = kernels.static_moments(model.chain.layout, deformed, payload)
+            moments = kernels.static_moments(layout, deformed, payload)
             elastic = _terms(model, conditions, moments.T)
             deformed = _coordinates(model, by_row, conditions, plain + elastic)
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
@@ -300,6 +313,7 @@ class _State:
                 break
         return cls(
             model,
+            layout,
             plain + elastic,
             by_row,
             deformed if model.equilibrium else rigid,
@@ -321,6 +335,16 @@ class _State:
             slot=np.where(varies, np.cumsum(varies) - 1, -1),
             elastic=np.array([term.moment is not None for _, term in used], bool),
             basis=_stack(bases, len(self.places.tool)),
+        )
+
+    def kernel_bodies(self, columns: np.ndarray) -> Bodies:
+        """Return what the parameters that have a column add to the masses."""
+        used = [(int(columns[body.parameter]), body) for body in self.model.bodies if columns[body.parameter] >= 0]
+        return Bodies(
+            joint=np.array([body.joint for _, body in used], np.int64),
+            parameter=np.array([column for column, _ in used], np.int64),
+            mass=np.array([body.mass for _, body in used], float),
+            moment=np.array([body.moment for _, body in used], float).reshape(-1, 3),
         )
 
     def shared(self, free: np.ndarray) -> list[Shared]:
@@ -360,6 +384,21 @@ def _terms(model: Model, conditions: Conditions, moments: np.ndarray | None) -> 
         if effect.uses_moments == (moments is not None)
         for term in effect.terms(model.chain, conditions, moments)
     ]
+
+
+def _laden(model: Model, by_row: _RowValues) -> Layout:
+    """Return the chain's layout with the masses that the links have at these values, the same at all poses."""
+    layout = model.chain.layout
+    if not model.bodies:
+        return layout
+    masses, moments = layout.masses.copy(), layout.masses[:, None] * layout.centres
+    for body in model.bodies:
+        value = by_row.of_parameter[body.parameter]
+        assert body.parameter not in by_row.varied, "masses are the robot's, not a station's"
+        masses[body.joint] += value * body.mass
+        moments[body.joint] += value * np.array(body.moment)
+    masses = np.where(np.abs(masses) < _LIGHTEST, _LIGHTEST, masses)
+    return layout._replace(masses=masses, centres=moments / masses[:, None])
 
 
 class _RowValues(NamedTuple):

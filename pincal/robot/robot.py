@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import PincalWarning, RobotFileError, nearest_first
+from pincal.errors import BadInputError, PincalWarning, RobotFileError, nearest_first
 from pincal.robot.dh import DhFrames, dh_frames
+from pincal.robot.inertia import are_placeholders, guessed_masses
 from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf, plain_text, read_urdf
 
 if TYPE_CHECKING:
@@ -36,9 +37,10 @@ class Robot:
         tip: name of the tip link.
         frames: Denavit-Hartenberg frames at q = 0 in the base frame.
         T_link_joint: shape (n, 4, 4), the URDF's joint frame i in the link frame S_i; both move with joint i.
-        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with joint i+1.
-        centres: shape (n, 3), its centre of mass in the link frame S_i [m].
-        massless: names of the links on the arm for which the URDF has no mass.
+        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with joint i+1; guessed from the shape
+            of the arm where the URDF does not tell.
+        centres: shape (n, 3), its centre of mass in the link frame S_i [m]; likewise.
+        massless: names of the links on the arm for which the URDF has no mass, or only a placeholder, as one that all have.
         gravity: shape (3,), gravity in the base frame [m/s^2]: along -z of the URDF's root link.
         notes: what was locked, in words.
         urdf: the URDF's text as it was read.
@@ -71,6 +73,7 @@ class Robot:
         base: str | None = None,
         joints: Sequence[str] | None = None,
         xacro_args: Mapping[str, str] | None = None,
+        mass: float | None = None,
     ) -> Robot:
         """Load an arm from a URDF.
 
@@ -85,8 +88,12 @@ class Robot:
                 moving joints stand before it.
             joints: names of the joints that the arm consists of (the columns of a table of measurements).
             xacro_args: values of the arguments of a xacro file, such as ``{"ur_type": "ur5e"}``.
+            mass: of the whole robot with its base, as on its data sheet [kg]; masses of the links are then guessed from the
+                shape of the arm, and found by a calibration, whatever the URDF says. Default: those of the URDF; where it
+                has none, masses as industrial arms of this size have them.
 
         Raises:
+            BadInputError: if the mass is no mass.
             RobotFileError: if the URDF can't be read, is no tree, lacks a link or has no moving joint on the path.
 
         Example:
@@ -95,17 +102,25 @@ class Robot:
             ('shoulder_pan_joint', 'shoulder_lift_joint')
         """
         tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(find_file(source), xacro_args=xacro_args)
-        return cls.from_tree(tree, tip=tip, base=base, joints=joints)
+        return cls.from_tree(tree, tip=tip, base=base, joints=joints, mass=mass)
 
     @classmethod
     def from_tree(
-        cls, tree: UrdfTree, *, tip: str | None = None, base: str | None = None, joints: Sequence[str] | None = None
+        cls,
+        tree: UrdfTree,
+        *,
+        tip: str | None = None,
+        base: str | None = None,
+        joints: Sequence[str] | None = None,
+        mass: float | None = None,
     ) -> Robot:
         """Take an arm from a URDF that has been read; see :meth:`from_urdf`."""
         tip = tree.default_tip(joints) if tip is None else tip
         base = _default_base(tree, tip, joints) if base is None else base
         path = _moving_path(tree, base, tip)
-        return _build(cls, tree, path, base, tip)
+        if mass is not None and not 0.0 < mass < np.inf:
+            raise BadInputError(f"mass of the robot is {mass} kg; expected more than 0")
+        return _build(cls, tree, path, base, tip, mass=mass)
 
     @property
     def n_joints(self) -> int:
@@ -116,6 +131,14 @@ class Robot:
     def joint_units(self) -> tuple[str, ...]:
         """Units of the joint positions: "rad", or "m" for a prismatic joint."""
         return tuple("m" if kind == "prismatic" else "rad" for kind in self.joint_types)
+
+    @property
+    def unweighed(self) -> tuple[str, ...]:
+        """Names of the joints that move the links without a mass that is known."""
+        if not self.massless:
+            return ()
+        path = parse_urdf(self.urdf).path(self.base, self.tip)
+        return tuple(joint.name for joint in path if joint.child in self.massless and joint.name in self.joint_names)
 
     @property
     def reach(self) -> float:
@@ -240,7 +263,9 @@ def _reduced_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pi
         ) from None
 
 
-def _build(cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str) -> Robot:
+def _build(
+    cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str, *, mass: float | None
+) -> Robot:
     import pinocchio as pin
 
     names = tuple(joint.name for joint in path)
@@ -255,11 +280,17 @@ def _build(cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: 
     T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
     levers = np.array([model.inertias[i].lever for i in ids])
     centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
+    masses = np.array([model.inertias[i].mass for i in ids])
+    unknown = (masses <= 0.0) | are_placeholders(masses.tolist()) | (mass is not None)
+    if unknown.any():
+        tip_at = (frames.T_base_link[-1] @ frames.T_last_tip)[:3, 3]
+        masses, middles = guessed_masses(masses, np.vstack([joints[:, :3, 3], tip_at]), unknown, total=mass)
+        middles = np.einsum("nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3])
+        centres = np.where(unknown[:, None], middles, centres)
     places = [model.joints[i].idx_q for i in ids]
     lower, upper = model.lowerPositionLimit[places], model.upperPositionLimit[places]
     turns = np.array([joint.kind == "continuous" for joint in path])
     bounded = ~turns & (upper > lower) & (upper - lower < _NO_LIMIT)
-    masses = np.array([model.inertias[i].mass for i in ids])
     return cls(
         name=tree.name,
         joint_names=names,
@@ -272,7 +303,7 @@ def _build(cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: 
         T_link_joint=T_link_joint,
         masses=masses,
         centres=centres,
-        massless=tuple(joint.child for joint, mass in zip(path, masses, strict=True) if mass <= 0.0),
+        massless=tuple(joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown),
         gravity=T_base_world.rotation @ model.gravity.linear,
         notes=_locked_notes(tree, names, base, tip),
         urdf=tree.text,

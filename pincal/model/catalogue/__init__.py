@@ -27,6 +27,7 @@ from pincal.model.catalogue.elasticity import (
     PayloadError,
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
+from pincal.model.catalogue.masses import LinkMass
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.registry import EFFECTS
 
@@ -40,6 +41,7 @@ __all__ = [
     "GravityCompensator",
     "JointCoupling",
     "LinkBending",
+    "LinkMass",
     "LoadBacklash",
     "MeasurementScale",
     "NonlinearElasticity",
@@ -62,6 +64,7 @@ for _effect in (
     BaseElasticity,
     PayloadError,
     ThermalExpansion,
+    LinkMass,
     NonlinearElasticity,
     LoadBacklash,
     GravityCompensator,

@@ -142,8 +142,6 @@ def needs_column(text: str, column: str, robot: Robot) -> bool:
 
 def _compliances(situation: Situation) -> list[Effect]:
     """Return the compliances of single joints."""
-    if situation.chain.robot.massless:
-        return []
     kinds = [effect for effect in elasticity(situation) if isinstance(effect, Compliance)]
     return [type(kind)(joints=(joint,)) for joint in situation.revolute for kind in kinds]
 

@@ -1,0 +1,89 @@
+"""Masses that nobody published: parameters beside the compliances through which they are seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.model.chain import Chain
+from pincal.model.conditions import MOMENT, Conditions
+from pincal.model.effect import Body, Effect, Family, Locus, Term
+from pincal.parameters import Parameter
+from pincal.robot.robot import Robot
+
+# How well the shape of an arm tells its masses and centres of mass: fractions of the link's own mass, and of its size.
+MASS_SIZE = 0.5
+CENTRE_SIZE = 0.3
+_AXES: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+# A link's size is at least this part of the arm's.
+_SHORTEST = 0.1
+
+
+@dataclass(frozen=True)
+class LinkMass(Effect):
+    """Mass of each link and first moment of mass about where the shape has its centre, both linear in the static moments.
+
+    Seen only through the compliances, gamma = k n, they are identified up to a factor that all masses and the inverse of
+    all compliances share, unless the payload varies; the priors hold this factor, and no prediction depends on it.
+
+    Attributes:
+        joints: the joints whose links have no mass that is known; default: all.
+    """
+
+    joints: tuple[str, ...] | None = None
+    name: ClassVar[str] = "link_mass"
+    meaning: ClassVar[str] = "masses and centres of mass of the links, which the robot's description does not tell"
+    family: ClassVar[Family] = Family.LOAD
+
+    @property
+    def locus(self) -> Locus:
+        """All elastic rotations, by the moments."""
+        return Locus(acts_on="gamma", follows=MOMENT)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Mass [kg], and first moment of mass beside that of the mass where the shape has its centre [kg m]."""
+        found = []
+        for i in self._indices(chain):
+            joint, mass = chain.robot.joint_names[i], float(chain.robot.masses[i])
+            found.append(Parameter(f"{joint}.mass", "kg", self.name, mass, MASS_SIZE * mass))
+            size = CENTRE_SIZE * mass * self._length(chain, i)
+            found += [Parameter(f"{joint}.mc_{axis}", "kg m", self.name, 0.0, size) for axis in "xyz"]
+        return tuple(found)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add nothing by itself: masses act through the moments that compliances follow."""
+        return ()
+
+    def bodies(self, chain: Chain) -> tuple[Body, ...]:
+        """Add mass at the link's centre, and first moment."""
+        found = []
+        for k, i in enumerate(self._indices(chain)):
+            x, y, z = chain.robot.centres[i].tolist()
+            found.append(Body(4 * k, i, 1.0, (x, y, z)))
+            found += [Body(4 * k + 1 + a, i, 0.0, moment) for a, moment in enumerate(_AXES)]
+        return tuple(found)
+
+    def _indices(self, chain: Chain) -> list[int]:
+        names = chain.robot.joint_names
+        return list(range(len(names))) if self.joints is None else [names.index(name) for name in self.joints]
+
+    @staticmethod
+    def _length(chain: Chain, i: int) -> float:
+        robot = chain.robot
+        return max(float(np.hypot(*robot.frames.parameters[i, 3:5])), _SHORTEST * robot.reach)
+
+
+def with_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return effects with the masses of the links where these matter and the robot's description does not tell them.
+
+    Where nothing is elastic masses do nothing, and are left out.
+    """
+    if not any(effect.uses_moments for effect in effects):
+        return tuple(effect for effect in effects if not isinstance(effect, LinkMass))
+    if not robot.massless or any(isinstance(effect, LinkMass) for effect in effects):
+        return tuple(effects)
+    joints = robot.unweighed
+    return (*effects, LinkMass(None if len(joints) == robot.n_joints else joints))

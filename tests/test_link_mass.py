@@ -1,0 +1,201 @@
+"""Elasticity without masses: they are found with the compliances, and no prediction depends on their common factor."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pincal import ELASTIC, GEOMETRIC, Measurements, Options, Robot, calibrate, load_model, read_measurements
+from pincal.builtin import kuka_urdf_path
+from pincal.discover.nuisance import MassError
+from pincal.errors import BadInputError
+from pincal.identify.calibrate import refit
+from pincal.measure.measurements import measurements_from_arrays
+from pincal.model.catalogue.masses import LinkMass, with_masses
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions
+from pincal.model.model import Model
+from pincal.robot.inertia import are_placeholders, guessed_masses
+from pincal.simulate import paper_positions
+from pincal.simulate.paper_machine import PAYLOAD_COM
+
+TOOL = (0.05, 0.03, 0.12)
+
+
+def without_inertials(urdf: Path) -> bytes:
+    """Return the text of a URDF as most makers publish it."""
+    return re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(encoding="utf-8"), flags=re.DOTALL).encode()
+
+
+def with_masses_of(urdf: Path, mass: str) -> bytes:
+    """Return the text of a URDF in which every link has the same mass."""
+    return re.sub(r'<mass value="[^"]*"', f'<mass value="{mass}"', urdf.read_text(encoding="utf-8")).encode()
+
+
+def paper_table(robot: Robot, n: int, seed: int, payload: np.ndarray | None = None) -> Measurements:
+    """Return noise-free readings of the paper's true machine, an independent NumPy program."""
+    q = robot.random_configurations(n, np.random.default_rng(seed))
+    payload = np.full(n, 125.0) if payload is None else payload
+    p = paper_positions(q, tool_offset=TOOL, payload_mass=payload)
+    return measurements_from_arrays(robot.joint_names, q, position=p, payload=payload)
+
+
+def errors(fit, table: Measurements) -> np.ndarray:
+    """Return the distances between readings and predictions [m]."""
+    return np.linalg.norm(fit.readings(table).residuals(fit.values)[:3], axis=0)
+
+
+@pytest.fixture(scope="module")
+def bare() -> Robot:
+    """Return the paper's KUKA without inertials."""
+    return Robot.from_urdf(without_inertials(Path(kuka_urdf_path())))
+
+
+# What is known of masses.
+
+
+def test_placeholders_are_taken_for_what_they_are() -> None:
+    """Links that all weigh the same were given a mass for a program's sake; arms with masses of their own keep them."""
+    path = Path(kuka_urdf_path())
+    alike, own = Robot.from_urdf(with_masses_of(path, "2")), Robot.from_urdf(path)
+
+    assert len(alike.massless) == 6 and alike.masses.max() > 100.0
+    assert own.massless == () and own.unweighed == ()
+    assert are_placeholders([1.0] * 7) and not are_placeholders([0.0] * 6) and not are_placeholders([3.0, 3.0])
+
+
+def test_masses_are_guessed_from_the_shape() -> None:
+    """Weight falls off along the arm, centres lie between the joints, and what is known sets the scale."""
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [1.0, 0.0, 1.0]])
+    known = np.array([False, True, False])
+    masses, centres = guessed_masses(np.array([0.0, 10.0, 0.0]), ends, ~known)
+
+    np.testing.assert_allclose(masses, [20.0, 10.0, 5.0])
+    np.testing.assert_allclose(centres, [[0.0, 0.0, 1.0], [0.5, 0.0, 2.0], [1.0, 0.0, 1.5]])
+    masses, _ = guessed_masses(np.zeros(3), ends, np.ones(3, bool), total=100.0)
+    np.testing.assert_allclose(masses, [40.0, 20.0, 10.0])
+
+
+def test_a_guess_is_near_the_masses_of_a_real_arm(bare: Robot, kuka: Robot) -> None:
+    """Of the paper's KUKA all links together are guessed to a third, and on the data sheet's mass better."""
+    assert bare.masses.sum() == pytest.approx(kuka.masses.sum(), rel=0.33)
+    told = Robot.from_urdf(without_inertials(Path(kuka_urdf_path())), mass=975.0)
+    assert told.masses.sum() == pytest.approx(kuka.masses.sum(), rel=0.05)
+
+
+def test_a_mass_that_is_none_is_refused() -> None:
+    """The mass of a robot is more than nothing."""
+    for mass in (0.0, -3.0, np.inf, np.nan):
+        with pytest.raises(BadInputError, match="mass of the robot"):
+            Robot.from_urdf("ur10", mass=mass)
+
+
+def test_masses_join_the_model_where_they_matter(bare: Robot, kuka: Robot) -> None:
+    """Not beside rigid geometry, not where the URDF has them, and only of the links that it has none for."""
+    assert with_masses(bare, GEOMETRIC) == GEOMETRIC == with_masses(bare, (*GEOMETRIC, LinkMass()))
+    assert with_masses(kuka, ELASTIC) == ELASTIC
+    assert with_masses(bare, ELASTIC) == (*ELASTIC, LinkMass()) == with_masses(bare, (*ELASTIC, LinkMass()))
+    some = replace(kuka, massless=("link_4", "link_6"))
+    assert with_masses(some, ELASTIC) == (*ELASTIC, LinkMass(("joint_4", "joint_6")))
+
+
+# The gauge.
+
+
+def test_predictions_do_not_depend_on_the_gauge(bare: Robot, rng: np.random.Generator) -> None:
+    """All masses times c and all compliances over c predict the same, whatever they are."""
+    model = Model(Chain.of(bare), (*ELASTIC, LinkMass()))
+    conditions = Conditions.at(bare.random_configurations(20, rng))
+    values = np.zeros(model.n_parameters)
+    nominal = np.array([parameter.nominal for parameter in model.parameters])
+    soft = np.array([parameter.unit == "rad/(N m)" for parameter in model.parameters])
+    heavy = np.array([parameter.unit.startswith("kg") for parameter in model.parameters])
+    values[soft] = rng.uniform(0.0, 1e-6, soft.sum())
+    values[heavy] = 0.1 * nominal[heavy] + rng.uniform(-3.0, 3.0, heavy.sum())
+    expected = model.predict(values, conditions)
+    for factor in (0.1, 3.0):
+        other = values.copy()
+        other[soft] /= factor
+        other[heavy] = factor * (nominal + values)[heavy] - nominal[heavy]
+        np.testing.assert_allclose(model.predict(other, conditions), expected, rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("folder", "frame", "limit_um"), [("elastic_after", "after", 14.0), ("elastic_paper", "paper", 16.0)]
+)
+def test_elastic_arms_are_predicted_without_their_masses(
+    shared_data: Path, folder: str, frame: str, limit_um: float
+) -> None:
+    """With inertials thrown away held-out poses are predicted nearly as with them, and alike whatever mass is told."""
+    found = []
+    for mass in (None, 1120.0, 112.0):
+        robot = Robot.from_urdf(without_inertials(shared_data / folder / "robot.urdf"), mass=mass)
+        train = read_measurements(shared_data / folder / "train.csv", robot.joint_names)
+        held = read_measurements(shared_data / folder / "heldout.csv", robot.joint_names)
+        fit = calibrate(robot, train, Options(moment_frame=frame))
+        found.append(fit.readings(held).residuals(fit.values))
+        assert fit.solution.converged
+        assert 1e6 * np.sqrt(np.mean(np.sum(found[-1] ** 2, axis=0))) <= limit_um
+        masses = robot.masses + fit.estimate.take(f"{j}.mass" for j in robot.joint_names).values
+        assert 0.5 * robot.masses.sum() < masses.sum() < 2.0 * robot.masses.sum()
+    np.testing.assert_allclose(found[1], found[0], rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(found[2], found[0], rtol=0.0, atol=1e-8)
+
+
+def test_the_kuka_of_the_paper_is_found_without_its_masses(bare: Robot) -> None:
+    """Noise-free, other poses are predicted to 1 um, with one payload and with several."""
+    for payload in (np.full(120, 125.0), np.resize([0.0, 60.0, 125.0], 120)):
+        fit = calibrate(bare, paper_table(bare, 120, 0, payload), Options(payload_centre=PAYLOAD_COM))
+
+        assert errors(fit, paper_table(bare, 200, 1, np.resize(payload, 200))).max() < 1e-6
+
+
+def test_payloads_make_masses_absolute(bare: Robot, kuka: Robot) -> None:
+    """Where the payload changes, the moment at the shoulder is found as it is; with one payload only its proportions."""
+    tables = [paper_table(bare, 120, 0, np.resize(loads, 120)) for loads in ([0.0, 60.0, 125.0], [0.0])]
+    rng, moments, sigmas = np.random.default_rng(3), [], []
+    pose = Conditions.at(np.array([[0.0, -0.3, 0.2, 0.0, 0.3, 0.0]]))
+    for table in tables:
+        noisy = table.with_readings(position=table.position + 2e-5 * rng.standard_normal(table.position.shape))
+        fit = calibrate(bare, noisy, Options(payload_centre=PAYLOAD_COM, sigma=2e-5))
+        moments.append(float(fit.model.static_moments(fit.model_values, pose)[0, 5]))
+        sigmas.append(
+            float(
+                fit.estimate.sigma[fit.estimate.index(f"{bare.joint_names[1]}.k_z")]
+                / fit.values[fit.estimate.index(f"{bare.joint_names[1]}.k_z")]
+            )
+        )
+    rigid = Model(Chain.of(kuka), ELASTIC)
+    truth = float(rigid.static_moments(np.zeros(rigid.n_parameters), pose)[0, 5])
+
+    assert moments[0] == pytest.approx(truth, rel=0.03)
+    assert abs(sigmas[0]) < 0.03 < 0.15 < abs(sigmas[1])
+
+
+# Beside the rest.
+
+
+def test_what_is_known_of_some_masses_is_doubted_of_these_alone(kuka: Robot) -> None:
+    """Masses that are parameters are no longer uncertain beside the model; those of the URDF are."""
+    values = {"joint_2.k_z": 1e-7}
+    for joints, links in (((), (0, 1, 2, 3, 4, 5)), (("joint_4", "joint_6"), (0, 1, 2, 4)), (None, ())):
+        model = Model(Chain.of(kuka), (*ELASTIC, LinkMass(joints)))
+        found = MassError.of(model, np.array([values.get(name, 0.0) for name in model.names]))
+        assert (() if found is None else found.links) == links
+        if found is not None:
+            assert len(found.parameters(model.chain)) == 4 * len(links)
+            Model(model.chain, (*model.effects, found)).index("joint_1.mass")
+
+
+def test_masses_go_when_elasticity_goes(bare: Robot, tmp_path: Path) -> None:
+    """A fit with them is saved, loaded and predicts the same; made rigid again it has none."""
+    table = paper_table(bare, 60, 0)
+    fit = calibrate(bare, table, Options(payload_centre=PAYLOAD_COM, sigma=5e-5))
+    fit.save(tmp_path / "model.json")
+    loaded = load_model(tmp_path / "model.json")
+
+    np.testing.assert_array_equal(loaded.predict(table.q, payload=125.0), fit.predict(table.q, payload=125.0))
+    assert not any(p.effect == LinkMass.name for p in refit(fit, GEOMETRIC).problem.parameters)
+    assert "link_mass" in {p.effect for p in refit(refit(fit, GEOMETRIC), ELASTIC).problem.parameters}
