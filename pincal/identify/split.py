@@ -40,10 +40,13 @@ def hold_out(
     wanted = round(fraction * len(measurements))
     if wanted:
         folds = row_groups(measurements, split=split, seed=seed)
-        for group in np.random.default_rng(seed).permutation(folds.max() + 1):
-            size = int(np.sum(folds == group))
-            if held.sum() + 0.5 * size <= wanted:
-                held |= folds == group
+        sizes = np.bincount(folds).tolist()
+        is_held, count = np.zeros(len(sizes), bool), 0
+        for group in np.random.default_rng(seed).permutation(len(sizes)).tolist():
+            if count + 0.5 * sizes[group] <= wanted:
+                is_held[group] = True
+                count += sizes[group]
+        held = is_held[folds]
     return measurements.select(~held), measurements.select(held)
 
 
