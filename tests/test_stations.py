@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,14 @@ from pincal.calibration.parameters import parameter_rows
 from pincal.calibration.stations import load_stations
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.errors import BadInputError
+from pincal.identify import equations
 from pincal.identify.batch import Batch
 from pincal.identify.calibrate import calibrate
 from pincal.identify.equations import Linearised
 from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
 from pincal.identify.initial import place
+from pincal.identify.jacobian import Jacobian
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.posterior import Posterior, eliminate, posterior
 from pincal.identify.problem import Problem
@@ -441,6 +444,40 @@ def test_stations_of_one_name_are_refused(machine: sim.TrueMachine, kuka: Robot)
     ):
         with pytest.raises(BadInputError, match=said):
             stations_of(pairs)
+
+
+def test_products_of_parts_are_those_of_each_part() -> None:
+    """Parts of one length or of several, padded or one by one, weighed or not: each product is that of its own columns."""
+    rng = np.random.default_rng(4)
+    for counts in ([7, 7, 7], [300, 300, 300], [5, 6, 0, 7], [2, 90, 3, 3], [11]):
+        n = sum(counts)
+        dense, r, weights = rng.normal(size=(4, 2, n)), rng.normal(size=(2, n)), rng.uniform(0.0, 2.0, n)
+        ends = np.cumsum([0, *counts])
+        G, g = Jacobian(4, np.arange(4), dense).grams(r, ends, weights)
+        for s, (start, stop) in enumerate(pairwise(ends)):
+            A = (dense * weights)[..., start:stop].reshape(4, -1)
+            np.testing.assert_allclose(G[s], A @ A.T, rtol=1e-12, atol=1e-12)
+            np.testing.assert_allclose(g[s], A @ (r * weights)[:, start:stop].ravel(), rtol=1e-12, atol=1e-12)
+
+
+def test_many_stations_need_not_be_kept(two: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums are the same whether normal equations are kept station by station, given up, or never kept."""
+    free, sigma = two.solution.free, np.full(2, NOISE)
+
+    def at_hand() -> Linearised:
+        return Linearised(two.problem, two.values, free, np.ones(len(two.problem)), two.priors.sizes)
+
+    point = at_hand()
+    kept = point.equations(sigma)
+    point.release()
+    again = point.equations(sigma)
+    monkeypatch.setattr(equations, "_MOST_KEPT", 0)
+    passed = at_hand()
+    for other in (again, passed.equations(sigma)):
+        np.testing.assert_array_equal(other.G, kept.G)
+        np.testing.assert_array_equal(other.g, kept.g)
+        np.testing.assert_array_equal(other.diagonal, kept.diagonal)
+    np.testing.assert_allclose(passed.squares, point.squares, rtol=1e-12)
 
 
 def test_small_stations_are_evaluated_together(machine: sim.TrueMachine, kuka: Robot) -> None:

@@ -60,6 +60,10 @@ class Batch:
         """Return the values of its parameters, given those of all, as :meth:`together` wants them."""
         return np.asarray(values[self.places].T if len(self.stations) > 1 else values[self.places[0]])
 
+    def work(self, values: np.ndarray) -> tuple[Station, np.ndarray, np.ndarray]:
+        """Return the stations as one, where the rows of each begin and end, and their values, given those of all."""
+        return self.together(), self.ends, self.values(values)
+
     def residuals(self, values: np.ndarray) -> list[np.ndarray]:
         """Return reading minus prediction of each station, shape (m, its rows), for values of all parameters."""
         return np.split(self.together().residuals(self.values(values)), self.ends[1:-1], axis=1)

@@ -15,12 +15,12 @@ _FARTHEST = 50.0
 
 def frames_of(problem: Problem) -> np.ndarray:
     """Return which parameters say where things are: base and tool, named points, a camera's pinhole, shape (P,)."""
-    return np.array([p.is_extrinsic for p in problem.parameters], bool)
+    return np.array([p.is_extrinsic for p in problem.local_parameters], bool)
 
 
 def sensors_own(problem: Problem) -> np.ndarray:
     """Return which parameters belong to sensors, shape (P,): coordinates of named points, a camera's lens."""
-    own = np.zeros(len(problem.parameters), bool)
+    own = np.zeros(problem.size, bool)
     for station, places in zip(problem.stations, problem.places, strict=True):
         local = np.zeros(len(places), bool)
         station.split(local)[1][:] = True
@@ -30,10 +30,10 @@ def sensors_own(problem: Problem) -> np.ndarray:
 
 def released_of(problem: Problem, options: Options) -> np.ndarray:
     """Return which parameters a fit may move: all but a known base, known tools and what sensors know of themselves."""
-    free = np.zeros(len(problem.parameters), bool)
+    free = np.zeros(problem.size, bool)
     for station, places in zip(problem.stations, problem.places, strict=True):
         known = known_frames(options.at(station.name))
-        local = np.array([p.name not in known for p in station.parameters], bool)
+        local = np.array([p.name not in known for p in station.parameters]) if known else np.ones(len(places), bool)
         station.split(local)[1][:] = ~station.sensor.fixed
         free[places] |= local
     return free
@@ -46,7 +46,7 @@ def excited_of(problem: Problem) -> np.ndarray:
 
 def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
-    sizes = np.array([parameter.size for parameter in problem.parameters]) / problem.largest_basis[0]
+    sizes = np.array([parameter.size for parameter in problem.local_parameters]) / problem.largest_basis[0]
     if problem.remembered is not None:
         known, earlier = problem.remembered
         sizes[known] = earlier.widened(sizes[known])
@@ -55,9 +55,10 @@ def priors_of(problem: Problem, options: Options) -> Priors:
 
 def bounds_of(problem: Problem, options: Options) -> np.ndarray:
     """Return the largest deviations that a fit may find, shape (P,); inf for none."""
-    lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.parameters])
+    lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.local_parameters])
     bounds = np.where(lengths, options.length_bound, np.inf)
-    bounds[sensors_own(problem) & [p.unit == "m" and p.is_extrinsic for p in problem.parameters]] = _FARTHEST
+    far = np.array([p.unit == "m" and p.is_extrinsic for p in problem.local_parameters])
+    bounds[sensors_own(problem) & far] = _FARTHEST
     return bounds
 
 

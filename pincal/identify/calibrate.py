@@ -103,10 +103,11 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
         ((name, table),) = tables.items()
         options = options.at(name)
         return replace(options, setup=options.setup.over(table))
-    completed = {
-        name: replace(options.stations.get(name, StationOptions()), setup=options.at(name).setup.over(table))
-        for name, table in tables.items()
-    }
+    completed = dict(options.stations)
+    for name, table in tables.items():
+        setup = options.at(name).setup
+        if setup.over(table) is not setup:
+            completed[name] = replace(completed.get(name, StationOptions()), setup=setup.over(table))
     return replace(options, stations=completed)
 
 
@@ -172,7 +173,7 @@ def _begin(
     placed = place(robot, tables, options)
     earlier = None if options.earlier is None else Earlier.of(options.earlier)
     problem = Problem(tuple(station for station, _ in placed), earlier)
-    values = np.zeros(len(problem.parameters))
+    values = np.zeros(problem.size)
     for (_, local), places in zip(placed, problem.places, strict=True):
         values[places] = local
     priors, noise = priors_of(problem, options), noise_of(problem, options)
@@ -249,7 +250,7 @@ def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors:
 def doubts_of_known(fit: Fit) -> tuple[str, ...]:
     """Return what to say if the readings contradict what was given of the sensor, which the fit held (a score test)."""
     problem = fit.problem
-    held = np.zeros(len(problem.parameters), bool)
+    held = np.zeros(problem.size, bool)
     doubts: list[str] = []
     for station, places in zip(problem.stations, problem.places, strict=True):
         if isinstance(station.sensor, KnownParameters) and station.sensor.is_given:

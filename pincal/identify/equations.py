@@ -1,87 +1,31 @@
 """All stations of a problem linearised at one point: squares of residuals, and normal equations for one noise.
 
-What a station contributes is computed by functions of this module on arguments that can be pickled, so that the sum can be
-mapped by any ``concurrent.futures`` executor. Contributions are added in the order of the stations, so that the result does
-not depend on it.
+What a station contributes is computed by functions of arguments that can be pickled, so that the sum can be mapped by any
+``concurrent.futures`` executor. Contributions are added in the order of the stations, so that the result does not depend on
+it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from itertools import starmap
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pincal.identify.batch import Batch
-from pincal.identify.normal import Normal, accumulate, accumulate_each, beliefs_squared, block_rows
-from pincal.identify.posterior import Contribution, Eliminated, Posterior, eliminate, posterior, posterior_step
+from pincal.identify.normal import accumulate_each
+from pincal.identify.posterior import Contribution, Eliminated, Posterior, posterior, posterior_step
 from pincal.identify.problem import Problem
-from pincal.identify.station import Station
+from pincal.identify.sums import Kept, Part, Squares, contribution, contribution_of, squares, squares_of
 
+# Bytes of normal equations of single stations that are kept at most at one point.
+_MOST_KEPT = 2_000_000
 
-@dataclass(frozen=True)
-class Squares:
-    """Squares of the residuals of stations, one after the other.
-
-    Attributes:
-        blocks: shape (blocks,), weighted sums.
-        rows: of each station, shape (its blocks, its N rows), each row's weighted squared residual, robust weights left out.
-        beliefs: of what each station's sensor knows beside its readings, in units of the variances.
-    """
-
-    blocks: np.ndarray
-    rows: tuple[np.ndarray, ...]
-    beliefs: np.ndarray
-
-
-def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray) -> Squares:
-    """Return the squares of stations' residuals; arguments as in :func:`pincal.identify.normal.accumulate_each`."""
-    residuals = station.residuals(values)
-    parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in block_rows(station)]
-    rows = np.array(parts) * station.weights**2
-    each = np.split(rows, ends[1:-1], axis=1)
-    blocks = np.concatenate([of @ weights**2 for of, weights in zip(each, np.split(robust, ends[1:-1]), strict=True)])
-    known = [beliefs_squared(station, values)] if len(each) == 1 else np.zeros(len(each))
-    return Squares(blocks, tuple(each), np.asarray(known))
-
-
-def contribution(
-    station: Station,
-    ends: np.ndarray,
-    values: np.ndarray,
-    robust: np.ndarray,
-    free: np.ndarray,
-    own: np.ndarray,
-    sigma: np.ndarray,
-    sizes: np.ndarray,
-) -> tuple[Contribution, Squares]:
-    """Return what stations say of the free parameters that they share with others, and the squares of their residuals.
-
-    Args:
-        station: the rows of S stations, one after the other.
-        ends: shape (S + 1,), where those of each begin and end.
-        values: shape (P,), or of several stations shape (P, S).
-        robust: shape (N,), factor on each row's weight: 0 leaves a row out.
-        free: shape (P,), which parameters may move.
-        own: shape (P,), which of them belong to a station alone.
-        sigma: shape (S, blocks), standard deviation of one component of each block of readings.
-        sizes: shape (S, P), standard deviations of the priors; inf for none.
-    """
-    normal = accumulate_each(station, ends, values, free, robust)
-    G, g = normal.at(sigma)
-    at = np.atleast_2d(values.T)[:, free]
-    return eliminate(G, g, own[free], sizes[:, free], at), squares_of(normal, ends)
-
-
-def squares_of(normal: Normal, ends: np.ndarray) -> Squares:
-    """Return the squares of residuals that normal equations came with."""
-    known = np.zeros(len(ends) - 1)
-    if normal.believed is not None:
-        known[:] = normal.believed[2]
-    return Squares(normal.squares.ravel(), tuple(np.split(normal.row_squares, ends[1:-1], axis=1)), known)
+_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True)
@@ -185,26 +129,12 @@ class Equations:
         )
 
 
-@dataclass(frozen=True)
-class Part:
-    """What a batch of stations contributes for one noise and for one set of robust weights."""
-
-    sigma: np.ndarray
-    robust: np.ndarray
-    found: Contribution
-    squares: Squares
-
-    def is_for(self, sigma: np.ndarray, robust: np.ndarray) -> bool:
-        """Return whether it is for this noise and these robust weights of its own readings."""
-        return np.array_equal(self.sigma, sigma) and np.array_equal(self.robust, robust)
-
-
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """A problem at one set of values.
 
-    With one station the Gram matrices are kept block by block of its readings, since another noise only weighs them anew.
-    Of several nothing is kept but squares and the sums over batches of stations for one noise.
+    The Gram matrices of each station are kept block by block of its readings, since another noise only weighs them anew. Of
+    too many stations for that nothing is kept but squares and the sums over batches of them for one noise.
 
     Attributes:
         problem: the stations.
@@ -216,6 +146,7 @@ class Linearised:
         sigma: shape (blocks,), the noise for which equations will be wanted, where it is known before the residuals are:
             one pass over several stations then does for both.
         past: sums over batches at the same values, perhaps with other robust weights.
+        past_normals: likewise the normal equations of each station.
     """
 
     problem: Problem
@@ -226,14 +157,43 @@ class Linearised:
     executor: Executor | None = None
     sigma: np.ndarray | None = None
     past: tuple[Part, ...] = ()
+    past_normals: tuple[Kept, ...] = ()
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
         """Return the same point with other robust weights; stations whose weights stay are not computed again."""
-        return replace(self, robust=robust, past=tuple(self._parts))
+        kept = tuple(self._normals) if self._are_kept else ()
+        return replace(self, robust=robust, past=tuple(self._parts), past_normals=kept)
+
+    def release(self) -> None:
+        """Give up the memory of several stations' equations, which are computed again if they are asked for."""
+        if len(self.problem.stations) > 1 and self._squares:
+            for name in ("_normals", "_parts", "_equations"):
+                self.__dict__.pop(name, None)
 
     @cached_property
-    def _normal(self) -> Normal:
-        return accumulate(self.problem.station, self.values, self.free, self.robust)
+    def _are_kept(self) -> bool:
+        """Whether the normal equations of each station are kept."""
+        stations, blocks = len(self.problem.stations), len(self.problem.blocks)
+        n_free = np.count_nonzero(self.free[self.problem.places[0]])
+        return stations == 1 or 8 * blocks * int(n_free) ** 2 <= _MOST_KEPT
+
+    @cached_property
+    def _normals(self) -> list[Kept]:
+        """The normal equations of the stations of each batch."""
+        asked = [(batch, self.robust[batch.rows]) for batch in self._batches]
+        past = self.past_normals or (None,) * len(asked)
+        valid = [
+            kept if kept is not None and np.array_equal(kept.robust, robust) else None
+            for kept, (_, robust) in zip(past, asked, strict=True)
+        ]
+        tasks = (
+            (*batch.work(self.values), self.free[batch.places[0]], robust)
+            for kept, (batch, robust) in zip(valid, asked, strict=True)
+            if kept is None
+        )
+        fresh = iter(self._map(accumulate_each, tasks))
+        pairs = zip(valid, asked, strict=True)
+        return [Kept(robust, next(fresh)) if kept is None else kept for kept, (_, robust) in pairs]
 
     @cached_property
     def _batches(self) -> list[Batch]:
@@ -246,15 +206,13 @@ class Linearised:
 
     @cached_property
     def _squares(self) -> list[Squares]:
-        if len(self.problem.stations) == 1:
-            normal, ends = self._normal, np.array([0, len(self.problem)])
-            return [squares_of(normal, ends)]
+        if self._are_kept:
+            pairs = zip(self._normals, self._batches, strict=True)
+            return [squares_of(kept.normal, batch.ends) for kept, batch in pairs]
         if self.sigma is not None:
             self.equations(self.sigma)
             return [part.squares for part in self._parts]
-        batches = self._batches
-        robust = (self.robust[batch.rows] for batch in batches)
-        return list(self._map(squares, *self._work(batches), robust))
+        return list(self._map(squares, ((*batch.work(self.values), self.robust[batch.rows]) for batch in self._batches)))
 
     @property
     def squares(self) -> np.ndarray:
@@ -311,7 +269,7 @@ class Linearised:
         return self._equations[key]
 
     def _alone(self, sigma: np.ndarray) -> Equations:
-        G, g = self._normal.at(sigma)
+        G, g = (of[0] for of in self._normals[0].normal.at(sigma))
         free = self.free
         known = self._remember(G, g)
         return Equations(G, g, np.ones(len(g), bool), np.diag(G), (), self.sizes[free], self.values[free], known)
@@ -359,24 +317,38 @@ class Linearised:
         todo = [
             k for k, (part, asked) in enumerate(zip(parts, wanted, strict=True)) if part is None or not part.is_for(*asked)
         ]
-        batches = [self._batches[k] for k in todo]
-        found = self._map(
-            contribution,
-            *self._work(batches),
-            (wanted[k][1] for k in todo),
-            (self.free[batch.places[0]] for batch in batches),
-            (batch.own for batch in batches),
-            (wanted[k][0].reshape(len(batch.stations), -1) for k, batch in zip(todo, batches, strict=True)),
-            (self.sizes[batch.places] for batch in batches),
-        )
+        found = self._from_normals(todo, sigma) if self._are_kept else self._from_rows(todo, sigma)
         for k, each in zip(todo, found, strict=True):
             parts[k] = Part(*wanted[k], *each)
         self._parts[:] = [part for part in parts if part is not None]
 
-    def _work(self, batches: list[Batch]) -> tuple[Iterable[Any], Iterable[Any], Iterable[Any]]:
-        """Return the stations of each batch as one, where the rows of each begin and end, and their values."""
-        values = (batch.values(self.values) for batch in batches)
-        return (batch.together() for batch in batches), (batch.ends for batch in batches), values
+    def _from_normals(self, todo: list[int], sigma: np.ndarray) -> Iterator[tuple[Contribution, Squares]]:
+        """Yield what some batches contribute, from the normal equations of their stations."""
+        for k in todo:
+            batch, normal = self._batches[k], self._normals[k].normal
+            values, free = batch.values(self.values), self.free[batch.places[0]]
+            known = self._known(batch, sigma)
+            yield contribution_of(normal, values, free, **known), squares_of(normal, batch.ends)
 
-    def _map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterable[Any]:
-        return map(function, *arguments) if self.executor is None else self.executor.map(function, *arguments)
+    def _from_rows(self, todo: list[int], sigma: np.ndarray) -> Iterable[tuple[Contribution, Squares]]:
+        """Return what some batches contribute, from the rows of their stations."""
+        batches = (self._batches[k] for k in todo)
+        tasks = (
+            (
+                *batch.work(self.values),
+                self.robust[batch.rows],
+                self.free[batch.places[0]],
+                *self._known(batch, sigma).values(),
+            )
+            for batch in batches
+        )
+        return self._map(contribution, tasks)
+
+    def _known(self, batch: Batch, sigma: np.ndarray) -> dict[str, np.ndarray]:
+        """Return which parameters of a batch's stations are their own, their noise, and the sizes of their priors."""
+        each = sigma[batch.blocks].reshape(len(batch.stations), -1)
+        return {"own": batch.own, "sigma": each, "sizes": self.sizes[batch.places]}
+
+    def _map(self, function: Callable[..., _Found], tasks: Iterable[tuple[Any, ...]]) -> Iterable[_Found]:
+        """Call a function with the arguments of each task."""
+        return starmap(function, tasks) if self.executor is None else self.executor.map(function, *zip(*tasks, strict=True))

@@ -21,9 +21,11 @@ from pincal.model.model import Model
 from pincal.parameters import carried_over
 from pincal.robot.robot import Robot
 
-# More rows than these add nothing to a start, or to its short fit.
+# More rows than these add nothing to a start, or to its short fit; of many stations each takes its part of them, some at
+# least.
 _ROWS = 2000
 _SETTLED_ROWS = 500
+_FEWEST_SETTLED_ROWS = 40
 
 
 def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
@@ -51,6 +53,17 @@ class _Models:
 
     def __init__(self) -> None:
         self._first: dict[tuple[object, ...], Model] = {}
+        self._arms: dict[tuple[str, ...], Model] = {}
+
+    def arm(self, arm: Model, targets: tuple[str, ...]) -> Model:
+        """Return the arm with these targets, base and tool at the instrument and the tip."""
+        if targets not in self._arms:
+            nowhere = replace(arm.chain, targets=targets, tool_rotations=np.tile(np.eye(3), (len(targets), 1, 1)))
+            found = arm.with_chain(nowhere.with_references(np.eye(3), nowhere.tool_rotations))
+            # Chains about other references share with this one what it has once been asked for.
+            assert len(found.chain.nominal) and len(found.chain.drives)
+            self._arms[targets] = found
+        return self._arms[targets]
 
     def same(self, model: Model) -> Model:
         """Return the model, sharing with an earlier one that differs by where base and tool stand what both have."""
@@ -93,13 +106,12 @@ def _candidates(
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     targets = tuple(str(t) for t in np.unique(measurements.target))
-    chain = replace(arm.chain, targets=targets).with_references(np.eye(3), np.tile(np.eye(3), (len(targets), 1, 1)))
-    arm = arm.with_chain(chain)
+    arm = models.arm(arm, targets)
     rows = station_of(arm, measurements, np.array(options.payload_centre), options.setup, name=name)
     some = rows.sample(_ROWS)
     tips = np.ascontiguousarray(arm.predict(values, some.conditions))
     found = some.sensor.starts(tips, some.conditions.target, len(targets))
-    candidates = [_known(placement, chain, options) for placement in found]
+    candidates = [_known(placement, arm.chain, options) for placement in found]
     if not rows.sensor.base_symbols:
         candidates = [replace(candidate, base=np.eye(4)) for candidate in candidates]
     frames = (BaseFrame(rows.sensor.base_symbols), ToolFrame(rows.sensor.tool_symbols))
@@ -140,9 +152,10 @@ def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]
 
 def _settled(starts: list[tuple[Station, np.ndarray]], options: Options) -> list[tuple[float, np.ndarray]]:
     """Return the median row residual and the values after a short fit of base and tool; outliers don't vote."""
-    samples = [station.sample(_SETTLED_ROWS) for station, _ in starts]
+    most = min(_SETTLED_ROWS, max(_FEWEST_SETTLED_ROWS, _ROWS // len(starts)))
+    samples = [station.sample(most) for station, _ in starts]
     problem = Problem(tuple(samples))
-    values = np.zeros(len(problem.parameters))
+    values = np.zeros(problem.size)
     for (_, local), places in zip(starts, problem.places, strict=True):
         values[places] = local
     free = released_of(problem, options) & frames_of(problem)

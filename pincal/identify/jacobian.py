@@ -7,6 +7,7 @@ one parameter does, as only four splines are not zero at a pose.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -16,6 +17,9 @@ from pincal.identify.sparse_basis import SparseBasis, sparse_product, sparse_row
 
 # Part of a basis function's values that are not zero, below which it is kept sparse.
 _THIN = 0.25
+# Parts of the poses are padded to one length if that makes no more of them than this many times, so many poses at once.
+_PADDING = 1.5
+_AT_ONCE = 512
 
 
 Basis: TypeAlias = np.ndarray | SparseBasis
@@ -66,6 +70,47 @@ class Jacobian:
         """Return the part of some poses."""
         return self.part(slice(None), rows)
 
+    def grams(
+        self, residuals: np.ndarray, ends: np.ndarray, weights: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return J W^2 J^T, shape (S, F, F), and J W^2 r, shape (S, F), of each of S parts of the poses.
+
+        Args:
+            residuals: shape (m, n).
+            ends: shape (S + 1,), where the parts begin and end.
+            weights: shape (n,), W; default: 1.
+        """
+        n_parts = len(ends) - 1
+        G, g = np.zeros((n_parts, self.size, self.size)), np.zeros((n_parts, self.size))
+        for some in self._at_once(np.diff(ends)):
+            here = slice(int(ends[some.start]), int(ends[some.stop]))
+            A, r = self.poses(here), residuals[:, here]
+            if weights is not None:
+                A, r = A.weighted(weights[here]), r * weights[here]
+            if some.stop - some.start == 1:
+                A.add_gram(r, G[some.start], g[some.start])
+            else:
+                G[some], g[some] = A._grams_at_once(r, np.diff(ends[some.start : some.stop + 1]))
+        return G, g
+
+    def _at_once(self, counts: np.ndarray) -> Iterator[slice]:
+        """Yield parts that follow each other whose products are taken at once, given how many poses each has."""
+        start, longest, total = 0, 0, 0
+        for i, count in enumerate(counts.tolist()):
+            longest, total = max(longest, count), total + count
+            padded = (i + 1 - start) * longest
+            if i > start and (self.families or padded > min(_PADDING * total, _AT_ONCE)):
+                yield slice(start, i)
+                start, longest, total = i, count, count
+        yield slice(start, len(counts))
+
+    def _grams_at_once(self, residuals: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return J J^T and J r of parts of so many poses in one product, the parts padded with zeros to the same length."""
+        A, r = (_padded(of, counts) for of in (self.dense, residuals))
+        A = A.transpose(2, 0, 1, 3).reshape(len(counts), len(self.dense), len(r) * r.shape[2])
+        r = r.transpose(1, 0, 2).reshape(len(counts), -1, 1)
+        return A @ A.swapaxes(1, 2), (A @ r)[..., 0]
+
     def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray) -> None:
         """Add J J^T to G, shape (F, F), and J r to g, shape (F,), for residuals of shape (m, n)."""
         A = np.ascontiguousarray(self.dense).reshape(len(self.dense), residuals.size)
@@ -81,6 +126,16 @@ class Jacobian:
                 G[_block(rows, columns)] += part
                 G[_block(columns, rows)] += part.T
             G[_block(rows, rows)] += _product(family.basis, np.sum(family.column**2, axis=0), family.basis)
+
+
+def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return what stands for poses, shape (..., n), by parts of so many poses, shape (..., S, longest), zero behind each."""
+    longest = int(counts.max())
+    if np.all(counts == longest):
+        return of_poses.reshape(*of_poses.shape[:-1], len(counts), longest)
+    at = np.arange(longest)
+    rows = np.minimum((np.cumsum(counts) - counts)[:, None] + at, of_poses.shape[-1] - 1)
+    return np.asarray(of_poses[..., rows] * (at < counts[:, None]))
 
 
 def _span(places: np.ndarray) -> slice | np.ndarray:

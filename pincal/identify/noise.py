@@ -95,7 +95,7 @@ class Judge:
             estimated = np.sqrt(point.squares / np.maximum(counted - spent, 1.0))
         else:
             middle = np.array([chdtri(size, 0.5) for size in self.problem.block_sizes])
-            medians = np.concatenate([np.median(rows, axis=1) for rows in point.row_squares])
+            medians = _medians(point.row_squares)
             estimated = np.sqrt(medians / middle)
         estimated = np.maximum(estimated, rounding(self.problem))
         sigma = self.noise.resolved(estimated, counted)
@@ -135,3 +135,15 @@ class Judge:
         limit2 = np.repeat(limits, counts)
         lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
         return np.where(distance2 > limit2, lighter, 1.0)
+
+
+def _medians(rows: list[np.ndarray]) -> np.ndarray:
+    """Return the median of each row of each matrix, one matrix after the other; matrices of one shape in one go."""
+    alike: dict[tuple[int, ...], list[int]] = {}
+    for i, each in enumerate(rows):
+        alike.setdefault(each.shape, []).append(i)
+    found: list[np.ndarray] = [np.zeros(0)] * len(rows)
+    for those in alike.values():
+        for i, medians in zip(those, np.median([rows[i] for i in those], axis=2), strict=True):
+            found[i] = medians
+    return np.concatenate(found)

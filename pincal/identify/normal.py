@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -67,27 +66,17 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
         for b, rows in enumerate(blocks):
             row_squares[b, piece] = np.einsum("in,in->n", residuals[rows], residuals[rows]) * weights**2
         weights = weights * robust[piece]
-        for s, here in _spans_within(ends, piece):
-            is_uniform = bool(np.all(weights[here] == 1.0))
-            for b, rows in enumerate(blocks):
-                r, A = residuals[rows, here], jacobian.part(rows, here)
-                if not is_uniform:
-                    A, r = A.weighted(weights[here]), r * weights[here]
-                A.add_gram(r, G[s, b], g[s, b])
-                squares[s, b] += np.vdot(r, r)
+        is_uniform = bool(np.all(weights == 1.0))
+        first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
+        here, inner = slice(first, last + 1), np.clip(ends[first : last + 2], piece.start, piece.stop) - piece.start
+        for b, rows in enumerate(blocks):
+            part = jacobian.part(rows, slice(0, piece.stop - piece.start))
+            found = part.grams(residuals[rows], inner, None if is_uniform else weights)
+            G[here, b] += found[0]
+            g[here, b] += found[1]
+            r = residuals[rows] if is_uniform else residuals[rows] * weights
+            squares[here, b] += [np.vdot(of, of) for of in np.split(r, inner[1:-1], axis=1)]
     return Normal(G, g, squares, row_squares, believed(station, values, free) if n == 1 else None)
-
-
-def _spans_within(ends: np.ndarray, piece: slice) -> Iterator[tuple[int, slice]]:
-    """Yield the stations that have rows in a piece, with these rows counted from the start of the piece."""
-    if len(ends) == 2:
-        yield 0, slice(0, piece.stop - piece.start)
-        return
-    first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
-    for s in range(first, last + 1):
-        start, stop = max(int(ends[s]), piece.start), min(int(ends[s + 1]), piece.stop)
-        if start < stop:
-            yield s, slice(start - piece.start, stop - piece.start)
 
 
 def believed(station: Station, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:

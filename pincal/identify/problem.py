@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -79,29 +79,43 @@ class Problem:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All P parameters."""
-        return self._table[0]
+        if len(self.stations) == 1:
+            return self.station.parameters
+        found = list(self.local_parameters)
+        for station, places in zip(self.stations, self.places, strict=True):
+            for i in places[station.is_own].tolist():
+                found[i] = found[i].at(station.name)
+        return tuple(found)
+
+    @property
+    def local_parameters(self) -> tuple[Parameter, ...]:
+        """The same by their names within their stations."""
+        first = self.stations[0]
+        if len(self.stations) == 1:
+            return first.parameters
+        # Of all stations the robot's parameters are the same, in the same order.
+        own = (p for station in self.stations for p in compress(station.parameters, station.is_own))
+        return (*compress(first.parameters, ~first.is_own), *own)
 
     @cached_property
     def places(self) -> tuple[np.ndarray, ...]:
         """For each station, where its parameters stand in the table."""
-        return self._table[1]
-
-    @cached_property
-    def _table(self) -> tuple[tuple[Parameter, ...], tuple[np.ndarray, ...]]:
         if len(self.stations) == 1:
-            return self.station.parameters, (np.arange(len(self.station.parameters)),)
-        # Of all stations the robot's parameters are the same, in the same order.
-        first = self.stations[0]
-        table = [p for p, own in zip(first.parameters, first.is_own, strict=True) if not own]
-        n_shared, places = len(table), []
+            return (np.arange(len(self.station.parameters)),)
+        end = int(np.count_nonzero(~self.stations[0].is_own))
+        places = []
         for station in self.stations:
             own = station.is_own
-            local = np.empty(len(own), int)
-            local[~own] = np.arange(n_shared)
-            local[own] = len(table) + np.arange(int(own.sum()))
-            table += [p.at(station.name) for p, is_own in zip(station.parameters, own, strict=True) if is_own]
+            local = np.cumsum(~own) - 1
+            local[own] = end + np.arange(np.count_nonzero(own))
+            end += int(np.count_nonzero(own))
             places.append(local)
-        return tuple(table), tuple(places)
+        return tuple(places)
+
+    @cached_property
+    def size(self) -> int:
+        """Number P of parameters."""
+        return 1 + max(int(places.max(initial=-1)) for places in self.places)
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -117,7 +131,7 @@ class Problem:
     @cached_property
     def is_shared(self) -> np.ndarray:
         """Which parameters are left when these are eliminated, shape (P,)."""
-        found = np.ones(len(self.parameters), bool)
+        found = np.ones(self.size, bool)
         for places, own in zip(self.places, self.eliminated, strict=True):
             found[places[own]] = False
         return found
@@ -159,7 +173,7 @@ class Problem:
     @cached_property
     def is_remembered(self) -> np.ndarray:
         """Which parameters are known from an earlier fit, shape (P,)."""
-        found = np.zeros(len(self.parameters), bool)
+        found = np.zeros(self.size, bool)
         if self.remembered is not None:
             found[self.remembered[0]] = True
         return found
@@ -211,7 +225,7 @@ class Problem:
     @cached_property
     def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
         """How far a unit of each parameter moves its coordinate at most, and whether it does at all, shape (P,)."""
-        largest, excited = np.zeros(len(self.parameters)), np.zeros(len(self.parameters), bool)
+        largest, excited = np.zeros(self.size), np.zeros(self.size, bool)
         for batch in self.batches:
             sample = replace(batch, stations=tuple(map(_sample, batch.stations)))
             model = sample.stations[0].model

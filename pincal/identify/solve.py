@@ -262,6 +262,7 @@ class _Fit:
         step, held = equations.step(self.priors.bounds[free])
         longer = memory.accelerate(values[free], step, equations.metric)
         wanted = self._length(equations.square(step), state.judged.robust)
+        del equations
         point = self._moved(state, [longer, step])
         judged = self.judge.at(point, hard=state.hard)
         refused = longer is not step and not np.array_equal(point.values[free], values[free] + longer)
@@ -368,6 +369,8 @@ class _Fit:
         here, sigma = state.point, state.judged.sigma
         spare = 1e-6 * self._readings(here.robust)
         limits = here.objectives(sigma) * (1.0 + 1e-9) + spare
+        # Few steps lead back here.
+        here.release()
         plain, group = steps[-1], here.group_of[self.free]
         tried = steps[:-1] if steps[0] is not plain else []
         values, is_open = here.values.copy(), np.ones(len(limits), bool)
