@@ -135,6 +135,9 @@ def run_calibration(
     unseen = [list(unobservable_notes(train, setup_of(name))) for name, (train, _) in parts.items()]
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     notes += [*map(str, notes_on_data(fit)), *doubts_of_known(fit)]
+    chosen, first = fit.options.moment_frame, options.first_frame
+    if chosen != first:
+        notes.append(f"moments bend the arm as with --moment-frame {chosen}: it fits better than {first}")
     left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
     result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes), left_out=tuple(left_out))
     return Calibration(robot, rows, fit, result, tuple(notes))

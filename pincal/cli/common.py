@@ -173,10 +173,10 @@ class ModelOptions:
     """The model and the loads that bend it."""
 
     model: Literal["geometric", "elastic"] = option("Geometry alone, or with elasticity of joints and bearings.", "elastic")
-    moment_frame: Literal["paper", "before", "after"] | None = option(
+    moment_frame: Literal["auto", "paper", "before", "after"] = option(
         "Frame convention for gravity torque and compliance: both before or both after the joint motion; "
-        "paper: torque before, compliance after.",
-        "paper",
+        "paper: torque before, compliance after; auto: the one that fits best.",
+        "auto",
     )
     payload_com: Vector = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
     gravity: Vector | None = option("Gravity in the robot's base frame [m/s^2].", words="standard gravity along -z")

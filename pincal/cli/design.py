@@ -238,7 +238,7 @@ def _options(arguments: DesignArguments) -> Options:
         effects=EFFECTS[model.model],
         sigma=instrument.noise,
         sigma_orientation=instrument.noise_angle,
-        moment_frame=model.moment_frame or "paper",
+        moment_frame=model.moment_frame,
         gravity=model.gravity,
         payload_centre=model.payload_com,
     )

@@ -18,7 +18,6 @@ all for the model with the effects that were found, and discovery.json.
 """
 _DEFAULTS = {
     "model": "geometric",
-    "moment_frame": (None, "the one that fits best"),
     "test_fraction": 0.2,
     "split": "blocked",
 }
@@ -31,8 +30,6 @@ def discover(arguments: FitArguments) -> Exit:
     Reports where model and data disagree, which effects explain it, and how the error on held-out rows shrinks.
     """
     from pincal.discover.run import run_discovery
-    from pincal.model.chain import MOMENT_FRAMES
 
-    frames = MOMENT_FRAMES if arguments.chosen.model.moment_frame is None else ()
     with side_by_side(arguments) as executor:
-        return run_fit(arguments, partial(run_discovery, moment_frames=frames, executor=executor))
+        return run_fit(arguments, partial(run_discovery, executor=executor))

@@ -125,7 +125,7 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
     return Options(
         effects=EFFECTS[model.model],
         sigma_orientation=setup.noise_angle,
-        moment_frame=model.moment_frame or "paper",
+        moment_frame=model.moment_frame,
         equilibrium=fit.equilibrium,
         gravity=model.gravity,
         payload_centre=model.payload_com,

@@ -86,7 +86,7 @@ class DesignModel:
         """
         check_rig(rig)
         gravity = None if options.gravity is None else np.array(options.gravity)
-        chain = Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity, targets=targets)
+        chain = Chain.of(robot, moment_frame=options.first_frame, gravity=gravity, targets=targets)
         model = Model(chain, (*frames_of(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
         n_core = model.n_parameters
         for rival in rivals:

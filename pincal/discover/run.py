@@ -29,7 +29,7 @@ from pincal.identify.options import Options
 from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings
 from pincal.measure.measurements import Measurements
-from pincal.model.chain import MomentFrame
+from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
@@ -146,7 +146,8 @@ def _search(
     policy: Policy,
 ) -> tuple[Calibration, History, tuple[str, ...]]:
     """Return a calibration, what was found from there on and notes, with the convention of moments that fits best."""
-    frames = frames or (options.moment_frame,)
+    if not frames:
+        frames = MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,)
     first = start(replace(options, moment_frame=frames[0]))
     likeliest = frames[0] if first.robot.massless else likeliest_frame(first.fit, frames, policy)
     if likeliest != frames[0]:

@@ -16,6 +16,7 @@ from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
 from pincal.identify.fit import Fit, Stage, carried
 from pincal.identify.initial import place
+from pincal.identify.moment_frames import best_of, some_rows_of
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
@@ -24,7 +25,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.sensor import KnownParameters
 from pincal.measure.stations import stations_of
 from pincal.model.catalogue.masses import with_masses
-from pincal.model.chain import MomentFrame
+from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
 from pincal.robot.robot import Robot
 
@@ -67,11 +68,9 @@ def calibrate(
     """
     tables = tables_of(measurements)
     options = _completed(robot, options, tables)
-    problem, nominal, priors, noise = _begin(robot, tables, options, executor)
-    fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options, executor=executor)
-    _refuse_too_few(tables, problem, fitted, noise)
-    nominal = _without_outliers(problem, nominal, fitted, priors, noise, executor)
-    return Fit(problem, nominal, fitted, priors, noise, stages, options)
+    fit = _fitted(robot, tables, options, executor)
+    _refuse_too_few(tables, fit.problem, fit.solution, fit.noise)
+    return _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:
@@ -111,16 +110,21 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     return replace(options, stations=completed)
 
 
-def _without_outliers(
-    problem: Problem, nominal: Solution, fitted: Solution, priors: Priors, noise: Noise, executor: Executor | None
-) -> Solution:
+def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None) -> Fit:
+    problem, nominal, priors, noise = _begin(robot, tables, options, executor)
+    fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options, executor=executor)
+    return Fit(problem, nominal, fitted, priors, noise, stages, options)
+
+
+def _without_outliers(fit: Fit, executor: Executor | None) -> Solution:
     """Return the fit of base and tool on the rows that the full fit found sound, so that "before" is judged fairly."""
-    sound = fitted.weights > 0.0
+    nominal, weights = fit.nominal, fit.solution.weights
+    sound = weights > 0.0
     if sound.all():
         return nominal
-    rows = problem.select(sound)
-    again = solve(rows, nominal.values, nominal.free, priors, noise, loss="none", executor=executor)
-    return replace(again, weights=fitted.weights, iterations=nominal.iterations)
+    rows = fit.problem.select(sound)
+    again = solve(rows, nominal.values, nominal.free, fit.priors, fit.noise, loss="none", executor=executor)
+    return replace(again, weights=weights, iterations=nominal.iterations)
 
 
 def expected_fit(robot: Robot, measurements: Tables, options: Options | None = None) -> Fit:
@@ -134,15 +138,29 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     """
     tables = tables_of(measurements)
     options = _completed(robot, options, tables)
-    problem, nominal, priors, noise = _begin(robot, tables, options, None)
-    fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options)
+    fit = _in_best_frame(_fitted(robot, tables, options, None))
+    problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
-    found = Linearised(problem, nominal.values, free, fitted.weights, priors.sizes).equations(fitted.sigma)
+    found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
     # The expected data agree with the nominal geometry: nothing pulls away from it.
     expected = replace(found, g=np.zeros_like(found.g), values=np.zeros_like(found.values)).posterior()
     nothing = np.zeros(len(free), bool)
     outlook = replace(fitted, values=nominal.values, posterior=expected, free=free, at_bound=nothing)
-    return Fit(problem, nominal, outlook, priors, noise, stages, options)
+    return replace(fit, solution=outlook)
+
+
+def _in_best_frame(fit: Fit) -> Fit:
+    """Return a fit in the convention of moments that fits best, if the options leave it open and moments matter."""
+    effects, frame = fit.options.effects, fit.problem.chain.moment_frame
+    if fit.options.moment_frame != "auto":
+        return fit
+    if any(effect.uses_moments for effect in effects):
+        few = some_rows_of(fit)
+        tried = [refit(few, effects, moment_frame=other) for other in sorted(MOMENT_FRAMES, key=lambda f: f != frame)]
+        frame = best_of(tried)
+    if frame != fit.problem.chain.moment_frame:
+        return refit(fit, effects, moment_frame=frame)
+    return replace(fit, options=replace(fit.options, moment_frame=frame))
 
 
 def refit(fit: Fit, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None, rough: bool = False) -> Fit:
@@ -154,7 +172,7 @@ def refit(fit: Fit, effects: Sequence[Effect], *, moment_frame: MomentFrame | No
         moment_frame: where moments are taken and bend the arm; default: as in ``fit``.
         rough: whether to stop before the last stage, close to the end, outliers only weighed down.
     """
-    frame = moment_frame or fit.options.moment_frame
+    frame = moment_frame or fit.problem.chain.moment_frame
     effects = with_masses(fit.problem.chain.robot, effects)
     problem = fit.problem.with_effects(effects, moment_frame=frame)
     options = replace(fit.options, effects=tuple(effects), moment_frame=frame)

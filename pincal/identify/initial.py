@@ -37,7 +37,7 @@ def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) ->
         options: how to calibrate.
     """
     gravity = None if options.gravity is None else np.array(options.gravity)
-    arm = Model(Chain.of(robot, moment_frame=options.moment_frame, gravity=gravity), ())
+    arm = Model(Chain.of(robot, moment_frame=options.first_frame, gravity=gravity), ())
     found, models = [], _Models()
     for station, values in place_arm(arm, np.zeros(0), tables, options=options):
         effects = (*station.model.effects, *effects_at(options.effects, station.name))

@@ -45,7 +45,8 @@ class Options:
         sigma: standard deviation of one component of a position, or of a distance [m], of an image [px]; estimated where
             None.
         sigma_orientation: likewise of one component of an orientation [rad].
-        moment_frame: where moments are taken and bend the arm.
+        moment_frame: where moments are taken and bend the arm, see :class:`pincal.Chain`; "auto" for where it fits best,
+            as in the paper among equals.
         equilibrium: moments on the bent arm instead of the straight one.
         gravity: shape (3,), in the robot's base frame [m/s^2]; default: along -z of the URDF's root.
         payload_centre: centre of mass of the payload in the tip frame [m].
@@ -62,7 +63,7 @@ class Options:
     effects: tuple[Effect, ...] = ELASTIC
     sigma: float | None = None
     sigma_orientation: float | None = None
-    moment_frame: MomentFrame = "paper"
+    moment_frame: MomentFrame | Literal["auto"] = "paper"
     equilibrium: bool = False
     gravity: tuple[float, float, float] | None = None
     payload_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -74,6 +75,11 @@ class Options:
     setup: Setup = field(default_factory=Setup)
     stations: Mapping[str, StationOptions] = field(default_factory=dict)
     earlier: Estimate | None = None
+
+    @property
+    def first_frame(self) -> MomentFrame:
+        """The convention of moments to begin with."""
+        return "paper" if self.moment_frame == "auto" else self.moment_frame
 
     def at(self, station: str) -> Options:
         """Return the options of one station."""
