@@ -10,6 +10,7 @@ from typing import Any, Literal
 import click
 
 from pincal.cli.arguments import argument, group, option
+from pincal.measure.options import TableOptions
 
 Vector = tuple[float, float, float]
 
@@ -95,11 +96,26 @@ class XacroArgument(click.ParamType[tuple[str, str]]):
         return name, text
 
 
+class Columns(click.ParamType[dict[str, str]]):
+    """Columns and what they hold, ``NAME=MEANING`` separated by commas."""
+
+    name = "'J1=joint_a1 [deg],...'"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, str]:
+        """Return the meanings by name."""
+        found: dict[str, str] = {}
+        for part in str(value).split(","):
+            name, sign, meaning = (word.strip() for word in part.partition("="))
+            if not (sign and name and meaning) or name in found:
+                self.fail(f"{part.strip()!r}; expected NAME=MEANING, each name once, such as {self.name}", param, ctx)
+            found[name] = meaning
+        return found
+
+
 LENGTH = Quantity(_LENGTHS, "0.05mm")
 ANGLE = Quantity(ANGLES, "0.1mrad")
 
 max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH)
-ignore_option = partial(option, "Ignore this column of the table.", (), metavar="COLUMN")
 tip_option = partial(option, "Last link of the arm.", metavar="LINK")
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
 robot_argument = partial(
@@ -143,19 +159,38 @@ class GeneralOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TableArguments:
+    """How tables are to be read."""
+
+    columns: dict[str, str] | None = option(
+        "What columns hold whose names do not say it.", type=Columns(), metavar=Columns.name, words="as they are named"
+    )
+    orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
+        "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
+        words="from the names of its columns",
+    )
+    ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
+
+    @property
+    def options(self) -> TableOptions:
+        """The same for the library."""
+        return TableOptions(ignore=self.ignore, columns=self.columns or {}, orientation=self.orientation)
+
+
+@dataclass(frozen=True, kw_only=True)
 class InputOptions:
     """A robot and tables of measurements."""
 
     robot: str = robot_argument()
     data: tuple[Path, ...] = argument(
         "DATA.csv...",
-        "Measurements, one row per measured pose (CSV or Parquet). Several tables are a station each, named by the file "
-        "unless they have a column station.",
+        "Measurements, one row per measured pose (CSV, Excel or Parquet). Several tables are a station each, named by "
+        "the file unless they have a column station.",
     )
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
-    ignore: tuple[str, ...] = ignore_option()
+    table: TableArguments = group("Tables")
 
 
 @dataclass(frozen=True, kw_only=True)

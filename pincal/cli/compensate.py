@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, PlaceOptions, ignore_option, model_argument
+from pincal.cli.common import GeneralOptions, PlaceOptions, TableArguments, model_argument
 from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
 
@@ -75,8 +75,8 @@ class CompensateArguments:
     )
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
     strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
-    ignore: tuple[str, ...] = ignore_option()
     place: PlaceOptions = group("Place of instrument and target")
+    table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
 
@@ -90,12 +90,12 @@ def compensate(arguments: CompensateArguments) -> Exit:
     from pincal.compensate.targets import read_targets, run_compensation
     from pincal.measure.table import write_table
 
-    place = find_place(arguments.model, arguments.place)
+    place = find_place(arguments.model, arguments.place, arguments.table.options)
     if place.doubt:
         tell_doubt(place.doubt, arguments.model)
         return Exit.CHANGED
     robot = place.model.model.chain.robot
-    table = read_targets(arguments.targets, robot, ignore=arguments.ignore)
+    table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
     done = run_compensation(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, ignore_option, model_argument
+from pincal.cli.common import GeneralOptions, TableArguments, model_argument
 from pincal.cli.outputs import print_json, print_notes, provenance
 from pincal.errors import Exit
 from pincal.io.result_folder import output_folder
@@ -34,7 +34,7 @@ class DiagnoseArguments:
     data: Path = argument("NEW.csv", "Measurements made since; instrument and target may stand elsewhere.")
     out: Path = option("Folder for the results.", MISSING, metavar="DIR")
     alpha: float = option("Chance of an alarm on a robot that has not changed.", 0.01)
-    ignore: tuple[str, ...] = ignore_option()
+    table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
 
@@ -50,7 +50,7 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
     from pincal.report.diagnosis import lines
 
     calibrated = load_stations(arguments.model)
-    table = load_table(calibrated.robot_model().model.chain.robot, arguments.data, ignore=arguments.ignore)
+    table = load_table(calibrated.robot_model().model.chain.robot, arguments.data, options=arguments.table.options)
     with output_folder(arguments.out) as draft:
         found = run(calibrated, table, alpha=arguments.alpha)
         write_diagnosis(draft, found, provenance([arguments.model, arguments.data]))

@@ -78,7 +78,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     with output_folder(arguments.out) as draft:
         prepared = prepare(source, arguments.chosen)
         held = split.holdout
-        holdout = None if held is None else load_stations(prepared.robot, [held], ignore=source.ignore)
+        holdout = None if held is None else load_stations(prepared.robot, [held], options=source.table.options)
         choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
         found = run(prepared.robot, prepared.tables, prepared.options, **choice)
         calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)

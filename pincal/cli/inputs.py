@@ -16,9 +16,10 @@ from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_lens, read_mount
 from pincal.measure.measurements import Measurements
 from pincal.measure.named_points import KnownDistance
+from pincal.measure.options import TableOptions
 from pincal.measure.setup import Setup, read_distances, read_points
 from pincal.measure.stations import stations_of
-from pincal.measure.table import column_names, read_measurements
+from pincal.measure.table import joint_columns, read_measurements
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
 from pincal.model.effects import ELASTIC, GEOMETRIC
@@ -65,7 +66,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
         BadInputError: for a file or an option that is invalid.
     """
     robot = load_robot(source)
-    tables = load_stations(robot, source.data, ignore=source.ignore)
+    tables = load_stations(robot, source.data, options=source.table.options)
     setup = chosen.setup
     given = [path for path in (setup.points, setup.distances, setup.camera) if path is not None]
     options = with_effects(options_of(chosen, tables), chosen.fit.add, robot=robot, tables=tables)
@@ -94,23 +95,24 @@ def load_robot(source: InputOptions) -> Robot:
     if source.tip is not None:
         return Robot.from_tree(tree, tip=source.tip, base=source.base)
     known = {joint.name for joint in tree.joints}
-    joints = [name for name in column_names(source.data[0]) if name in known]
+    joints = joint_columns(source.data[0], known, source.table.options)
     return Robot.from_tree(tree, base=source.base, joints=joints or None)
 
 
-def load_stations(robot: Robot, paths: Iterable[Path], *, ignore: tuple[str, ...] = ()) -> dict[str, Measurements]:
+def load_stations(robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None) -> dict[str, Measurements]:
     """Return the measurements of each station, named by its file or by a column ``station``.
 
     Raises:
         BadInputError: for a file that is invalid, or two stations of one name.
     """
-    return stations_of([(path.stem, load_table(robot, path, ignore=ignore)) for path in paths])
+    return stations_of([(path.stem, load_table(robot, path, options=options)) for path in paths])
 
 
-def load_table(robot: Robot, path: Path, *, ignore: tuple[str, ...] = (), joints_only: bool = False) -> Measurements:
+def load_table(robot: Robot, path: Path, *, options: TableOptions | None = None, joints_only: bool = False) -> Measurements:
     """Return the measurements (or the joint positions alone) of a file for this arm."""
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
-    return read_measurements(path, robot.joint_names, ignore=ignore, require=require, joint_types=robot.joint_types)
+    said = {} if options is None else vars(options)
+    return read_measurements(path, robot.joint_names, **said, require=require, joint_types=robot.joint_types)
 
 
 def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:

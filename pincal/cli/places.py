@@ -18,6 +18,7 @@ from pincal.errors import BadInputError
 from pincal.measure.admit import usable_rows
 from pincal.measure.checks import check_table
 from pincal.measure.measurements import Measurements
+from pincal.measure.options import TableOptions
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Place:
         return Place(model, (*self.notes, *notes), self.contents, self.doubt)
 
 
-def find_place(path: Path, chosen: PlaceOptions) -> Place:
+def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place:
     """Return the model of a file at the place that the command line asks for.
 
     Raises:
@@ -53,7 +54,7 @@ def find_place(path: Path, chosen: PlaceOptions) -> Place:
     stations = load_stations(path)
     first = next(iter(stations.models.values()))
     if chosen.placement is not None:
-        return _placed(first, chosen.placement)
+        return _placed(first, chosen.placement, reading)
     if chosen.station is not None:
         return Place(stations.at(chosen.station))
     if len(stations.models) > 1:
@@ -64,9 +65,9 @@ def find_place(path: Path, chosen: PlaceOptions) -> Place:
     return Place(first)
 
 
-def _placed(model: CalibratedModel, path: Path) -> Place:
+def _placed(model: CalibratedModel, path: Path, reading: TableOptions) -> Place:
     robot = model.model.chain.robot
-    table = load_table(robot, path)
+    table = load_table(robot, path, options=reading)
     check_table(robot, table, minimum=1)
     table = usable_rows(table, model.setup.over(table))
     found = place_station(model, table)

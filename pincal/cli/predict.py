@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, PlaceOptions, model_argument
+from pincal.cli.common import GeneralOptions, PlaceOptions, TableArguments, model_argument
 from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
 
@@ -22,6 +22,7 @@ class PredictArguments:
     poses: Path = argument("POSES.csv", "Joint positions and conditions; other columns are ignored.")
     out: Path = option("Table to write.", MISSING)
     place: PlaceOptions = group("Place of instrument and target")
+    table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
 
@@ -42,12 +43,12 @@ def predict(arguments: PredictArguments) -> Exit:
     from pincal.cli.places import find_place, tell_doubt
     from pincal.measure.table import write_table
 
-    place = find_place(arguments.model, arguments.place)
+    place = find_place(arguments.model, arguments.place, arguments.table.options)
     if place.doubt:
         tell_doubt(place.doubt, arguments.model)
         return Exit.CHANGED
     chain = place.model.model.chain
-    table = load_table(chain.robot, arguments.poses, joints_only=True)
+    table = load_table(chain.robot, arguments.poses, options=arguments.table.options, joints_only=True)
     place = place.over(table)
     calibrated = place.model
     conditions = calibrated.conditions(table)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import LENGTH, GeneralOptions, ignore_option, model_argument
+from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, model_argument
 from pincal.cli.outputs import print_json, provenance
 from pincal.errors import Exit
 from pincal.io.result_folder import output_folder
@@ -26,7 +26,7 @@ class UpdateArguments:
         type=LENGTH,
         words="as declared for the calibration, else estimated",
     )
-    ignore: tuple[str, ...] = ignore_option()
+    table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
 
@@ -43,7 +43,7 @@ def update(arguments: UpdateArguments) -> Exit:
     from pincal.validate.accuracy import error_table
 
     calibrated = load_stations(arguments.model).robot_model()
-    table = load_table(calibrated.model.chain.robot, arguments.data, ignore=arguments.ignore)
+    table = load_table(calibrated.model.chain.robot, arguments.data, options=arguments.table.options)
     with output_folder(arguments.out) as draft:
         found = run(calibrated, table, sigma=arguments.noise)
         replace(found, provenance=provenance([arguments.model, arguments.data])).save(draft / "model.json")

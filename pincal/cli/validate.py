@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pincal.cli.arguments import argument, group, verb
-from pincal.cli.common import GeneralOptions, ignore_option, max_error_option, model_argument, station_option
+from pincal.cli.common import GeneralOptions, TableArguments, max_error_option, model_argument, station_option
 from pincal.cli.outputs import extrapolation, print_json, print_notes, require_accuracy
 from pincal.errors import Exit
 
@@ -34,8 +34,8 @@ class ValidateArguments:
         "DATA.csv...", "Measurements that the calibration did not use. Several tables are a station each."
     )
     station: str | None = station_option(words="the nearest, or a new place if the rows call for it")
-    ignore: tuple[str, ...] = ignore_option()
     max_error: float | None = max_error_option()
+    table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
 
@@ -52,7 +52,7 @@ def validate(arguments: ValidateArguments) -> Exit:
     chosen = arguments.station
     models = list(calibrated.models.values()) if chosen is None else [calibrated.at(chosen)]
     robot = models[0].model.chain.robot
-    tables = load_tables(robot, arguments.data, ignore=arguments.ignore)
+    tables = load_tables(robot, arguments.data, options=arguments.table.options)
     for table in tables.values():
         check_table(robot, table, minimum=1)
     found = [validate_rows(models, table, name=name, refit=chosen is None) for name, table in tables.items()]

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, ignore_option, model_argument
+from pincal.cli.common import GeneralOptions, TableArguments, model_argument
 from pincal.cli.outputs import print_json
 from pincal.errors import BadInputError, Exit
 
@@ -45,11 +45,11 @@ class ViewArguments:
     grid: int = option("Number of workspace points with an arrow.", 1000, type=click.IntRange(0, 100000))
     holdout: Path | None = option("More measurements, marked as held out; all rows of DATA then count as fitted.")
     meshes: tuple[Path, ...] = option("Another folder with the URDF's meshes and packages.", (), metavar="DIR")
-    ignore: tuple[str, ...] = ignore_option()
     port: int = option("Server port.", 0, type=click.IntRange(0, 65535), words="any free port")
     open_page: bool | None = option(
         "Open the page in a browser.", name="--open/--no-open", words="only a served page, on a terminal"
     )
+    table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
 
@@ -89,7 +89,7 @@ def _scene(arguments: ViewArguments) -> Scene:
     robot = calibrated.model.chain.robot
     table, held, notes = None, None, []
     if data is not None:
-        table = load_table(robot, data, ignore=arguments.ignore)
+        table = load_table(robot, data, options=arguments.table.options)
         if holdout is None:
             residuals = arguments.model.with_name("residuals.csv")
             held, why = held_out_rows(calibrated.provenance, residuals, data, table)
@@ -97,7 +97,7 @@ def _scene(arguments: ViewArguments) -> Scene:
     if holdout is not None:
         if table is None:
             raise BadInputError(f"{holdout}: --holdout without DATA.csv; give the fitted table first, or only this one")
-        more = load_table(robot, holdout, ignore=arguments.ignore)
+        more = load_table(robot, holdout, options=arguments.table.options)
         held = np.repeat([False, True], [len(table), len(more)])
         table = concatenate([table, more])
     return build_scene(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from pincal.errors import MeasurementError
 from pincal.measure.checks import check_joint_values
 from pincal.measure.fields import CONDITIONS
 from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.options import TableOptions
 from pincal.measure.reader import Schema, read_table
 from pincal.measure.registry import known_fields
 from pincal.model.effects import Conditions
@@ -66,13 +66,13 @@ class CompensatedTable:
     sigma: np.ndarray
 
 
-def read_targets(path: str | os.PathLike[str], robot: Robot, *, ignore: Sequence[str] = ()) -> Targets:
+def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOptions | None = None) -> Targets:
     """Read a table of targets or of a nominal program, with the same units and formats as measurements.
 
     Args:
         path: the file: columns of joints, x y z (and qx qy qz qw), or both, and conditions.
         robot: the arm.
-        ignore: columns to ignore.
+        options: how the table is to be read.
 
     Returns:
         The rows.
@@ -81,13 +81,13 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, ignore: Sequence
         MeasurementError: for a file that can't be read, a table with neither wanted positions nor joints, or a column, unit
             or value that is invalid.
     """
-    path = Path(path)
+    path, options = Path(path), options or TableOptions()
     schema = Schema(
         _FIELDS,
         joint_names=robot.joint_names,
         joint_types=robot.joint_types,
         may_lack_joints=True,
-        ignore=(*_WRITTEN, *ignore),
+        options=replace(options, ignore=(*_WRITTEN, *options.ignore)),
     )
     cells = read_table(path, schema)
     has_joints = "q" in cells.arrays

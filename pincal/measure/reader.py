@@ -1,49 +1,31 @@
-"""Reading a table from CSV or Parquet: columns by name and unit, in SI units, put together to the fields of a schema.
+"""Reading a table: columns by name and unit, in SI units, put together to the fields of a schema.
 
 Measurements, targets of a compensation and lists of known points are tables of different schemas.
 """
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import os
-import re
-import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.errors import MeasurementError, nearest_first
+from pincal.errors import MeasurementError, PincalWarning, nearest_first
 from pincal.measure.fields import Field
-from pincal.measure.sheet import Column, Sheet, open_sheet, read_cells
+from pincal.measure.files import open_sheet, typed_errors
+from pincal.measure.labels import Label, listed, numbered_joints, renamed, spelled, unit_of, without_unit
+from pincal.measure.options import TableOptions
+from pincal.measure.orientation import CONVENTIONS, Orientation, find_orientation, looks_like_orientation
+from pincal.measure.quantities import in_si
+from pincal.measure.sheet import Column, Sheet, read_cells
 
 if TYPE_CHECKING:
     import polars as pl
-
-# SI value = factor * value + offset, by physical quantity and unit.
-_LENGTHS: dict[str, tuple[float, float]] = {
-    "m": (1, 0),
-    "mm": (1e-3, 0),
-    "cm": (1e-2, 0),
-    "um": (1e-6, 0),
-    "µm": (1e-6, 0),
-    "in": (0.0254, 0),
-}
-_UNITS: dict[str, dict[str, tuple[float, float]]] = {
-    "length": _LENGTHS,
-    "noise": _LENGTHS | {"px": (1, 0)},
-    "angle": {"rad": (1, 0), "mrad": (1e-3, 0), "deg": (np.pi / 180, 0), "°": (np.pi / 180, 0)},
-    "mass": {"kg": (1, 0), "g": (1e-3, 0), "lb": (0.45359237, 0)},
-    "time": {"s": (1, 0), "ms": (1e-3, 0), "min": (60, 0), "h": (3600, 0)},
-    "temperature": {"degC": (1, 0), "°C": (1, 0), "K": (1, -273.15)},
-    "pixel": {"px": (1, 0)},
-    "number": {},
-    "name": {},
-}
 
 
 @dataclass(frozen=True)
@@ -55,14 +37,14 @@ class Schema:
         joint_names: the joints, each with a column of its own and perhaps one for the direction of approach.
         joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
         may_lack_joints: whether a table without any joint is allowed.
-        ignore: columns to leave out; ``"*"`` leaves out all that are unknown.
+        options: what the user says of it.
     """
 
     fields: tuple[Field, ...]
     joint_names: tuple[str, ...] = ()
     joint_types: tuple[str, ...] = ()
     may_lack_joints: bool = False
-    ignore: tuple[str, ...] = ()
+    options: TableOptions = field(default_factory=TableOptions)
 
     def quantities(self, *, source: str) -> dict[str, str]:
         """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""
@@ -93,48 +75,46 @@ class Cells:
 
 
 def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
-    """Read a table from CSV (field separator and decimal mark are detected) or Parquet.
+    """Read a table from CSV or other text (separator, decimal mark and encoding are detected), Excel or Parquet.
 
     Args:
-        path: the file; ``.parquet`` is read as Parquet, everything else as CSV.
+        path: the file; the ending of its name says the format, text if it says none.
         schema: what it may hold.
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
     """
     path = Path(path)
-    joints = schema.joint_names
-    with _typed_errors(path):
+    with typed_errors(path):
         sheet = open_sheet(path)
-        quantities = schema.quantities(source=path.name)
-        if schema.may_lack_joints and not {_name(label) for label in sheet.labels} & set(joints):
-            quantities = {name: quantity for name, quantity in quantities.items() if name not in joints}
-            joints = ()
-        columns = _matched(sheet, joints, quantities, ignore=schema.ignore)
-        cells, rows = read_cells(sheet, columns)
-        values = {}
-        for column in columns:
-            values[column.name] = _in_si(cells.pop(column.name), column)
+        header = _understood(sheet, schema)
+        cells, rows = read_cells(sheet, header.columns)
+        values = {column.name: _in_si(cells.pop(column.name), column) for column in header.columns}
+    if header.orientation is not None:
+        found = header.orientation.quaternions(values, where=path.name)
+        values = {name: value for name, value in values.items() if name not in header.orientation.columns}
+        values |= zip(_rotations(schema.fields).columns, found.T, strict=True)
+    joints = header.joints
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
     if any(f"approach_{name}" in values for name in joints):
         unknown = np.zeros(len(rows))
         arrays["approach"] = np.column_stack([values.pop(f"approach_{name}", unknown) for name in joints])
-    for field in schema.fields:
-        if any(part in values for part in field.columns):
-            arrays[field.name] = _whole(field, values, source=path.name)
-    return Cells(arrays, rows, {column.name: column.unit for column in columns if column.unit})
+    for part in schema.fields:
+        if any(name in values for name in part.columns):
+            arrays[part.name] = _whole(part, values, source=path.name)
+    return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit})
 
 
-def _whole(field: Field, values: Mapping[str, np.ndarray], *, source: str) -> np.ndarray:
+def _whole(part: Field, values: Mapping[str, np.ndarray], *, source: str) -> np.ndarray:
     """Return the array of a field whose columns have to come together.
 
     Raises:
         MeasurementError: if some of them are missing.
     """
-    given = [part for part in field.columns if part in values]
-    if missing := [part for part in field.columns if part not in values]:
+    given = [name for name in part.columns if name in values]
+    if missing := [name for name in part.columns if name not in values]:
         raise MeasurementError(f"{source}: {' '.join(given)} without {' '.join(missing)}; add what is missing")
-    return np.column_stack([values[part] for part in given]) if len(given) > 1 else values[given[0]]
+    return np.column_stack([values[name] for name in given]) if len(given) > 1 else values[given[0]]
 
 
 def read_columns(
@@ -143,106 +123,188 @@ def read_columns(
     """Return the columns in SI units, shape (N,) each, of a small table whose columns are all known.
 
     Args:
-        path: the file; separator, decimal mark and units as in a table of measurements.
+        path: the file; formats and units as in a table of measurements.
         quantities: columns and what they hold: "name", "length", ...
         optional: those that may be absent.
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
     """
+    schema = Schema(tuple(Field(name, (name,), quantity) for name, quantity in quantities.items()))
+    found = read_table(path, schema).arrays
     required = [name for name in quantities if name not in optional]
-    missing = set(required).difference(column_names(path))
+    missing = [name for name in required if name not in found]
     if missing:
-        first = next(name for name in required if name in missing)
-        raise MeasurementError(f"{Path(path).name}: no column {first!r}; expected columns {' '.join(required)}")
-    return read_table(path, Schema(tuple(Field(name, (name,), quantity) for name, quantity in quantities.items()))).arrays
+        raise MeasurementError(f"{Path(path).name}: no column {missing[0]!r}; expected columns {' '.join(required)}")
+    return found
 
 
-def column_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Return the names of a table's columns, units taken off, without reading its rows.
+def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: TableOptions) -> tuple[str, ...]:
+    """Return those of some joints that have a column in a table, in the order of the columns, without reading its rows.
 
     Raises:
         MeasurementError: for a file that can't be read.
     """
-    with _typed_errors(Path(path)):
-        return tuple(_name(label) for label in open_sheet(Path(path)).labels)
+    angles = dict.fromkeys(names, "angle")
+    lengths = dict.fromkeys(angles, "length")
+    with typed_errors(Path(path)):
+        labels = renamed(open_sheet(Path(path)).labels, options.columns, source=Path(path).name)
+    found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
+    return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
 
 
-def _name(label: str) -> str:
-    return label.split("[")[0].strip()
+@dataclass(frozen=True)
+class _Header:
+    """What a header means: the columns that are needed, the joints among them, and those that tell an orientation."""
+
+    columns: tuple[Column, ...]
+    joints: tuple[str, ...]
+    orientation: Orientation | None
+
+
+def _rotations(fields: Iterable[Field]) -> Field:
+    """Return the field that holds a unit quaternion."""
+    return next(part for part in fields if part.is_unit)
+
+
+def _understood(sheet: Sheet, schema: Schema) -> _Header:
+    """Return what a header means; raise for what is not understood, warn of what is guessed or left out."""
+    source, options = sheet.path.name, schema.options
+    labels = renamed(sheet.labels, options.columns, source=source)
+    labels = [label for label in labels if not {label.name, label.meant, label.text} & set(options.ignore)]
+    quantities = schema.quantities(source=source)
+    labels = _with_joints(labels, schema, quantities, source=source)
+    orientation = None
+    if any(part.is_unit for part in schema.fields):
+        orientation = _orientation(labels, schema, quantities, source=source)
+    units = {}
+    if orientation is not None:
+        hidden = {*_rotations(schema.fields).columns} - {*orientation.columns} if options.orientation else set()
+        quantities = {name: quantity for name, quantity in quantities.items() if name not in hidden}
+        quantities |= dict.fromkeys(orientation.columns, orientation.quantity)
+        units = dict.fromkeys(orientation.columns, orientation.convention.unit)
+    columns, unknown = _matched(labels, quantities, units, source=source)
+    joints = schema.joint_names
+    if schema.may_lack_joints and not columns.keys() & set(joints):
+        joints = ()
+    _check_joints([name for name in joints if name not in columns], unknown, sheet)
+    if "*" not in options.ignore:
+        free = {name: quantity for name, quantity in quantities.items() if name not in columns}
+        _check_unknown(sheet, unknown, free)
+    return _Header(tuple(columns.values()), joints, orientation)
+
+
+def _with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> list[Label]:
+    """Return the labels with those replaced that number the joints, if no joint has a column under its name."""
+    names = set(schema.joint_names)
+    if not names or any(label.name in names or (spelled(label, quantities) or ("", ""))[0] in names for label in labels):
+        return labels
+    free = [label for label in labels if label.name not in quantities]
+    guessed = numbered_joints(free, schema.joint_names)
+    if not guessed:
+        return labels
+    pairs = ", ".join(f"{label}={joint}" for label, joint in guessed.items())
+    warnings.warn(
+        f"{source}: joints are taken from the columns {pairs}; if that is wrong, say which with --columns",
+        PincalWarning,
+        stacklevel=2,
+    )
+    return [replace(label, meant=guessed.get(label.meant, label.meant)) for label in labels]
+
+
+def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> Orientation | None:
+    """Return how the table tells an orientation, None if it does so by qx qy qz qw or not at all."""
+    names, said = [without_unit(label.meant) for label in labels], schema.options.orientation
+    usual = _rotations(schema.fields).columns
+    found = find_orientation(names, said, taken=[n for n in quantities if n not in usual], source=source)
+    if found is None or said is not None:
+        return found
+    if set(usual) & set(names):
+        raise MeasurementError(
+            f"{source}: orientations in {' '.join(found.columns)} and in {' '.join(usual)}; expected one: ignore the others"
+        )
+    warnings.warn(
+        f"{source}: {' '.join(found.columns)} are read as {found.convention.words}; if that is wrong, say how with "
+        f"--orientation {'|'.join(CONVENTIONS)}",
+        PincalWarning,
+        stacklevel=2,
+    )
+    return found
 
 
 def _matched(
-    sheet: Sheet, joints: tuple[str, ...], quantities: Mapping[str, str], *, ignore: tuple[str, ...]
-) -> list[Column]:
-    """Return the columns that are needed; raise for those that are not understood."""
-    source, columns, unknown = sheet.path.name, dict[str, Column](), list[str]()
-    for index, label in enumerate(sheet.labels):
-        name = _name(label)
-        if name in ignore or label in ignore:
-            continue
+    labels: Sequence[Label], quantities: Mapping[str, str], units: Mapping[str, str], *, source: str
+) -> tuple[dict[str, Column], list[Label]]:
+    """Return the columns that are known, and the labels that are not; a name as it is known goes before other spellings.
+
+    Args:
+        labels: the header.
+        quantities: what is known.
+        units: of columns whose label has none, where that is not SI.
+        source: the file, for messages.
+    """
+    columns, others = dict[str, Column](), list[Label]()
+    for label in labels:
+        name = label.name
         if name not in quantities:
-            unknown.append(label)
+            others.append(label)
             continue
-        unit = _unit_of(label, quantities[name], where=f'{source}, column {index + 1} ("{label}")')
+        unit = unit_of(label.meant, quantities[name], where=f'{source}, column {label.index + 1} ("{label.text}")')
         if name in columns:
             raise MeasurementError(f'{source}: two columns "{name}"; expected one, delete or rename the other')
-        columns[name] = Column(index, name, label, unit, quantities[name])
-    _check_joints([name for name in joints if name not in columns], unknown, source=source)
-    if unknown and "*" not in ignore:
-        free = [name for name in quantities if name not in columns]
-        known = ", ".join(nearest_first([_name(label) for label in unknown], free))
-        listed = ", ".join(f'"{label}"' for label in unknown)
-        raise MeasurementError(
-            f"{source}: unknown column {listed}; known and not in the table, nearest first: "
-            f"{known or 'none'}; rename it (a unit is written as x [mm]), delete it or ignore it"
-        )
-    return list(columns.values())
+        columns[name] = Column(label.index, name, label.text, unit or units.get(name, ""), quantities[name])
+    unknown, exact = [], set(columns)
+    for label in others:
+        found = spelled(label, quantities)
+        if found is None or found[0] in exact:
+            unknown.append(label)
+            continue
+        name, unit = found
+        where = f'{source}, column {label.index + 1} ("{label.text}")'
+        unit = unit_of(unit, quantities[name], where=where) if "[" in unit else unit
+        if name in columns:
+            raise MeasurementError(f'{source}: two columns "{name}"; expected one, delete or rename the other')
+        columns[name] = Column(label.index, name, label.text, unit or units.get(name, ""), quantities[name])
+    return columns, unknown
 
 
-def _check_joints(missing: Sequence[str], unknown: Sequence[str], *, source: str) -> None:
+def _check_joints(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet) -> None:
     if not missing:
         return
-    texts = []
+    texts, labels = [], [label.text for label in unknown]
     for name in missing:
-        same = [label for label in unknown if _name(label).casefold() == name.casefold()]
-        close = same or difflib.get_close_matches(name, unknown, n=1, cutoff=0.6)
+        close = difflib.get_close_matches(name, labels, n=1, cutoff=0.6)
         texts.append(f'"{name}"' + (f' (is it "{close[0]}"?)' if close else ""))
-    raise MeasurementError(f"{source}: no column for joint {', '.join(texts)}; expected a column named as in the URDF")
+    raise MeasurementError(
+        f"{sheet.path.name}: no column for joint {', '.join(texts)}; expected a column named as in the URDF, or "
+        f"--columns 'NAME={missing[0]},...'; {listed(sheet.labels)}"
+    )
 
 
-def _unit_of(label: str, quantity: str, *, where: str) -> str:
-    match = re.fullmatch(r"[^\[\]]*(?:\[([^\[\]]*)\])?", label)
-    unit = unicodedata.normalize("NFC", (match[1] or "").strip()).replace("μ", "µ") if match else ""
-    accepted = ", ".join(f"[{unit}]" for unit in _UNITS[quantity]) or "no unit"
-    if match is None:
-        raise MeasurementError(f"{where}: unclosed unit; expected at its end one of {accepted}")
-    if "[" in label and unit not in _UNITS[quantity]:
-        raise MeasurementError(f"{where}: [{unit}] is no unit of this column; expected one of {accepted}")
-    return unit
+def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, str]) -> None:
+    """Refuse unknown columns, but for words that nobody needs, which are left out with a `PincalWarning`."""
+    names = [name for name, quantity in free.items() if quantity == "name"]
+    wrong, words = list[str](), list[str]()
+    for label in unknown:
+        is_close = difflib.get_close_matches(label.name.casefold(), names, n=1, cutoff=0.75)
+        if sheet.is_blank(label.index):
+            continue
+        (words if sheet.has_words(label.index) and not is_close else wrong).append(label.text)
+    if wrong:
+        known = ", ".join(nearest_first(wrong, free))
+        texts = ", ".join(f'"{text[:40]}"' for text in wrong[:30])
+        hint = f"; an orientation? --orientation {'|'.join(CONVENTIONS)}" if looks_like_orientation(wrong) else ""
+        raise MeasurementError(
+            f"{sheet.path.name}: unknown column {texts}; known and not in the table, nearest first: "
+            f"{known or 'none'}{hint}; rename it (--columns '{wrong[0]}=NAME'; a unit is written as x [mm]), delete it or "
+            f"ignore it; {listed(sheet.labels)}"
+        )
+    if words:
+        texts = ", ".join(f'"{text}"' for text in words)
+        warnings.warn(f"{sheet.path.name}: columns of text are left out: {texts}", PincalWarning, stacklevel=2)
 
 
 def _in_si(series: pl.Series, column: Column) -> np.ndarray:
     if column.is_name:
         return np.array(series.to_list(), dtype=str)
-    values = series.to_numpy()
-    scale, offset = _UNITS[column.quantity].get(column.unit, (1, 0))
-    return values if (scale, offset) == (1, 0) else values * scale + offset
-
-
-@contextlib.contextmanager
-def _typed_errors(path: Path) -> Iterator[None]:
-    """Raise whatever goes wrong with a file as a `MeasurementError` that names it."""
-    import polars as pl
-
-    try:
-        yield
-    except MeasurementError:
-        raise
-    except FileNotFoundError as error:
-        raise MeasurementError(f"{path}: no such file; check the name and the folder") from error
-    except IsADirectoryError as error:
-        raise MeasurementError(f"{path}: is a folder; expected a file, .csv or .parquet") from error
-    except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        reason = str(error).strip().split("\n")[0]
-        raise MeasurementError(f"{path}: can't be read ({reason}); expected a CSV or .parquet table") from error
+    return in_si(series.to_numpy(), column.quantity, column.unit)

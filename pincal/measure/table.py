@@ -1,4 +1,4 @@
-"""Measured poses in one table: arrays in SI units, read from and written to CSV or Parquet.
+"""Measured poses in one table: arrays in SI units, read from CSV, Excel or Parquet and written to CSV or Parquet.
 
 One row is one measured pose. The joints carry the names of the URDF; a unit in square brackets converts
 (``x [mm]``, ``joint_1 [deg]``). Whatever can't be right is refused with the line and the column it stands in.
@@ -17,10 +17,11 @@ from pincal.atomic import replacing
 from pincal.errors import MeasurementError, OutputError
 from pincal.measure.fields import CONDITIONS
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
-from pincal.measure.reader import Schema, column_names, read_columns, read_table
+from pincal.measure.options import TableOptions
+from pincal.measure.reader import Schema, joint_columns, read_columns, read_table
 from pincal.measure.registry import expected_columns, known_fields
 
-__all__ = ["Measurements", "column_names", "concatenate", "measurements_from_arrays", "read_columns"]
+__all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
 __all__ += ["read_measurements", "write_table"]
 
 
@@ -29,15 +30,22 @@ def read_measurements(
     joint_names: Sequence[str],
     *,
     ignore: Sequence[str] = (),
+    columns: Mapping[str, str] | None = None,
+    orientation: str | None = None,
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
 ) -> Measurements:
-    """Read a table of measured poses from CSV (separator and decimal comma are recognised) or Parquet.
+    """Read a table of measured poses from CSV or other text, Excel or Parquet.
 
     Args:
-        path: the file; ``.parquet`` is read as Parquet, everything else as CSV.
+        path: the file; the ending of its name says the format, text if it says none. Of text, separator, decimal comma and
+            encoding are recognised.
         joint_names: the n joints whose columns are needed.
         ignore: columns to leave out; ``"*"`` leaves out all that are unknown.
+        columns: names of columns in the table and what they hold, with a unit if the header has none: ``{"J1": "joint_a1
+            [deg]"}``; default: as they are named, or as they number the joints.
+        orientation: "kuka", "fanuc", "abb", "ur", "rpy", "xyzw" or "wxyz", see :mod:`pincal.measure.orientation`; default:
+            as the header says.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
         joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
@@ -54,7 +62,9 @@ def read_measurements(
         fields=tuple((CONDITIONS if only_joints else known_fields()).values()),
         joint_names=names,
         joint_types=tuple(joint_types or ()),
-        ignore=("*", *ignore) if only_joints else tuple(ignore),
+        options=TableOptions(
+            ignore=("*", *ignore) if only_joints else tuple(ignore), columns=dict(columns or {}), orientation=orientation
+        ),
     )
     cells = read_table(path, schema)
     measurements = validated(names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)

@@ -1,0 +1,23 @@
+"""What the user says of a table beside its header."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """How a table is to be read.
+
+    Attributes:
+        ignore: columns to leave out; ``"*"`` leaves out all that are unknown.
+        columns: names of columns in the table and what they hold, with a unit if the header lacks one: ``{"J1":
+            "joint_a1 [deg]"}``.
+        orientation: convention of the orientation's columns, one of
+            :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
+    """
+
+    ignore: tuple[str, ...] = ()
+    columns: Mapping[str, str] = field(default_factory=dict)
+    orientation: str | None = None

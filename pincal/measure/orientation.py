@@ -1,0 +1,186 @@
+"""Orientations in the conventions of controllers, brought to unit quaternions x y z w.
+
+=========  =================  =======  ======================================================================
+name       columns            unit     rotation
+=========  =================  =======  ======================================================================
+``kuka``   A B C              deg      R_z(A) R_y(B) R_x(C): about z, the new y, the new x [KUKA]_
+``fanuc``  W P R              deg      R_z(R) R_y(P) R_x(W): about the fixed x, y and z [FANUC]_
+``rpy``    roll pitch yaw     rad      R_z(yaw) R_y(pitch) R_x(roll): about the fixed x, y and z [URDF]_
+``ur``     rx ry rz           rad      by the length of the vector about its direction [UR]_
+``abb``    q1 q2 q3 q4        1        quaternion w x y z [ABB]_; so is ``wxyz``
+``xyzw``   qx qy qz qw        1        quaternion x y z w [ROS]_
+=========  =================  =======  ======================================================================
+
+A unit in the header replaces that of the table above. Columns that are named by their axes (rx ry rz, roll pitch yaw) may
+also hold the angles of another convention, and q1 q2 q3 q4 a quaternion in the order x y z w, if the user says so.
+
+.. [KUKA] KUKA System Software 8.3, Operating and Programming Instructions for System Integrators: A, B, C as rotations about
+   the Z, Y and X axis, each about the axes as turned before.
+.. [FANUC] FANUC R-30iA, KAREL Reference Manual, POSITION data type: W, P, R as rotations about the fixed X, Y and Z axes.
+.. [URDF] https://wiki.ros.org/urdf/XML/joint, element origin, attribute rpy.
+.. [UR] Universal Robots, The URScript Programming Language: a pose is p[x, y, z, ax, ay, az] with a rotation vector.
+.. [ABB] ABB, Technical reference manual, RAPID instructions, functions and data types: orient, q1 being the scalar part.
+.. [ROS] REP 103 and geometry_msgs/Quaternion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+
+# A rotation vector is not longer than a full turn, with what rounding adds [rad].
+_FULL_TURN = 6.3
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How columns tell an orientation.
+
+    Attributes:
+        name: what the user calls it.
+        words: what it is, for messages.
+        columns: in the usual header.
+        order: the component that each column holds: angles about x, y, z or components x, y, z, w.
+        unit: of a column whose header has none.
+        kind: "angles" R_z R_y R_x, "vector" or "quaternion".
+        known_by: the spellings of the columns that nobody mistakes for something else.
+    """
+
+    name: str
+    words: str
+    columns: tuple[str, ...]
+    order: str
+    unit: str
+    kind: str
+    known_by: tuple[str, ...] = ()
+
+    def quaternions(self, columns: np.ndarray, order: str, *, where: str) -> np.ndarray:
+        """Return quaternions x y z w, shape (N, 4).
+
+        Args:
+            columns: shape (N, 3) [rad], or shape (N, 4).
+            order: the component that each column holds.
+            where: the file, for messages.
+
+        Raises:
+            MeasurementError: for angles that can't be in this unit.
+        """
+        from scipy.spatial.transform import Rotation
+
+        values = columns[:, [order.index(axis) for axis in sorted(order, key="xyzw".index)]]
+        if self.kind == "quaternion":
+            return values
+        size = np.linalg.norm(values, axis=1) if self.kind == "vector" else np.abs(values).max(axis=1)
+        if self.unit == "rad" and len(size) and size.max() > _FULL_TURN:
+            name = self.columns[0]
+            raise MeasurementError(
+                f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more than a turn; in degrees? Then write "
+                f"`{name} [deg]` in the header; or choose another convention: --orientation {'|'.join(CONVENTIONS)}"
+            )
+        if self.kind == "vector":
+            return np.asarray(Rotation.from_rotvec(values).as_quat())
+        return np.asarray(Rotation.from_euler("xyz", values).as_quat())
+
+
+_ALL = (
+    Convention("kuka", "KUKA's A B C about z, y, x", ("A", "B", "C"), "zyx", "deg", "angles", ("A",)),
+    Convention("fanuc", "FANUC's W P R about fixed x, y, z", ("W", "P", "R"), "xyz", "deg", "angles", ("W",)),
+    Convention("abb", "ABB's quaternion w x y z", ("q1", "q2", "q3", "q4"), "wxyz", "", "quaternion", ("q1", "Q1")),
+    Convention("ur", "the rotation vector of Universal Robots", ("rx", "ry", "rz"), "xyz", "rad", "vector", ("rx",)),
+    Convention("rpy", "roll, pitch, yaw", ("roll", "pitch", "yaw"), "xyz", "rad", "angles", ("roll", "Roll", "ROLL")),
+    Convention("xyzw", "a quaternion x y z w", ("qx", "qy", "qz", "qw"), "xyzw", "", "quaternion"),
+    Convention("wxyz", "a quaternion w x y z", ("qw", "qx", "qy", "qz"), "wxyz", "", "quaternion"),
+)
+CONVENTIONS: Mapping[str, Convention] = {convention.name: convention for convention in _ALL}
+"""The conventions by the names of the option ``--orientation``."""
+
+# Columns that tell by their names which axis they belong to, so that they serve every convention of their kind.
+_BY_NUMBER = ("q1", "q2", "q3", "q4")
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """The columns of a table that tell an orientation.
+
+    Attributes:
+        convention: how.
+        columns: their names in the table, in the table of this module's order.
+        order: the component that each holds.
+    """
+
+    convention: Convention
+    columns: tuple[str, ...]
+    order: str
+
+    @property
+    def quantity(self) -> str:
+        """What the columns hold."""
+        return "number" if self.convention.kind == "quaternion" else "angle"
+
+    def quaternions(self, values: Mapping[str, np.ndarray], *, where: str) -> np.ndarray:
+        """Return quaternions x y z w, shape (N, 4), of the columns' values, shape (N,) each [rad]."""
+        stacked = np.column_stack([values[name] for name in self.columns])
+        return self.convention.quaternions(stacked, self.order, where=where)
+
+
+def find_orientation(names: Collection[str], said: str | None, *, taken: Collection[str], source: str) -> Orientation | None:
+    """Return the columns that tell an orientation in another way than a quaternion qx qy qz qw; None without any.
+
+    Args:
+        names: the table's columns, without units.
+        said: the convention that the user names.
+        taken: columns that mean something else, such as joints.
+        source: the file, for messages.
+
+    Raises:
+        MeasurementError: for an unknown convention, one whose columns are missing, or columns of two conventions.
+    """
+    free = [name for name in names if name not in taken]
+    if said is not None:
+        return _as_said(free, said, source=source)
+    found = [
+        Orientation(convention, columns, convention.order)
+        for convention in _ALL
+        if (columns := _known(free, convention)) is not None
+    ]
+    if len(found) > 1:
+        listed = " and ".join(" ".join(each.columns) for each in found)
+        raise MeasurementError(f"{source}: orientations in {listed}; expected one: ignore the others")
+    return found[0] if found else None
+
+
+def looks_like_orientation(names: Collection[str]) -> bool:
+    """Return whether columns have the names of an orientation's, in any spelling."""
+    folded = {name.casefold() for name in names}
+    return any({name.casefold() for name in convention.columns} <= folded for convention in _ALL)
+
+
+def _known(free: Collection[str], convention: Convention) -> tuple[str, ...] | None:
+    """Return the columns of a convention, spelled so that they can't be mistaken, all of them and no more of their kind."""
+    for first in convention.known_by:
+        spell = str.upper if first.isupper() else str.title if first.istitle() else str.lower
+        columns = tuple(spell(name) for name in convention.columns)
+        if set(columns) <= set(free) and not (convention.columns == _BY_NUMBER and spell("q5") in free):
+            return columns
+    return None
+
+
+def _as_said(free: Collection[str], said: str, *, source: str) -> Orientation:
+    if said not in CONVENTIONS:
+        raise MeasurementError(f"{source}: orientation {said!r} is unknown; expected one of {', '.join(CONVENTIONS)}")
+    convention = CONVENTIONS[said]
+    folded = {name.casefold(): name for name in free}
+    others = [other for other in _ALL if len(other.order) == len(convention.order) and convention.kind != "vector"]
+    for other in (convention, *others):
+        by_name = other.columns != _BY_NUMBER
+        if all(name.casefold() in folded for name in other.columns):
+            columns = tuple(folded[name.casefold()] for name in other.columns)
+            return Orientation(convention, columns, other.order if by_name else convention.order)
+    raise MeasurementError(
+        f"{source}: no columns {' '.join(convention.columns)} for the orientation {said!r} ({convention.words}); the table "
+        f"has {', '.join(free)}; say which with --columns 'NAME={convention.columns[0]},...'"
+    )

@@ -1,0 +1,221 @@
+"""CSV and whitespace-separated text as sheets.
+
+Text is UTF-8; UTF-16 with a byte-order mark, as spreadsheets write it, and Windows-1252 (Latin-1 and more) are read, too.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from pincal.errors import MeasurementError, PincalWarning
+from pincal.measure.sheet import Column, Sheet
+
+if TYPE_CHECKING:
+    import polars as pl
+
+# The header stands within the first part of a file, after at most a page of comments.
+_HEAD_BYTES = 1 << 20
+_CHUNK_BYTES = 1 << 22
+_BLANKS = re.compile(rb"[ \t]+")
+
+
+@dataclass(frozen=True, eq=False)
+class TextSheet(Sheet):
+    """Cells between separators, one row per line.
+
+    Attributes:
+        separator: comma, semicolon or tab.
+        header_line: line of the header.
+        content: the whole text in UTF-8 with these separators, where that is not what the file holds.
+    """
+
+    separator: str
+    header_line: int
+    content: bytes | None = None
+
+    def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
+        """Return the cells; regular tables are read in one pass."""
+        return _read_regular(self, columns) or _read_lines(self, columns)
+
+    def first_cells(self, index: int, count: int) -> list[str]:
+        """Return the first cells."""
+        with self.open() as file:
+            head = file.read(_HEAD_BYTES)
+        lines = head.decode("utf-8", "replace").splitlines()[self.header_line :]
+        rows = csv.reader([line for line in lines[: 10 * count] if _has_cells(line.encode())], delimiter=self.separator)
+        return [row[index] if index < len(row) else "" for row in rows][:count]
+
+    def open(self) -> BinaryIO:
+        """Return the text as a file."""
+        return self.path.open("rb") if self.content is None else io.BytesIO(self.content)
+
+
+def open_text(path: Path) -> Sheet:
+    """Read the header of a text file.
+
+    Raises:
+        MeasurementError: for a binary or an empty file, or one without names of columns.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    content = None
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        head = content = path.read_bytes().decode("utf-16").encode()
+    elif b"\0" in head or head.startswith(b"PAR1"):
+        raise MeasurementError(f"{path.name}: a binary file; expected CSV text in UTF-8, or a name ending in .parquet")
+    for number, line in enumerate(head.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
+        if _has_cells(line):
+            return _sheet_of_header(path, line, number, content=content)
+    raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
+
+
+def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | None) -> TextSheet:
+    try:
+        header = line.decode("utf-8")
+    except UnicodeDecodeError:
+        content = _utf8(path.read_bytes(), path)
+        header = content.splitlines()[number - 1].decode("utf-8")
+    separator = max(",;\t", key=header.count)
+    if separator not in header and len(header.split()) > 1:
+        content = _with_tabs(path.read_bytes() if content is None else content)
+        header, separator = re.sub(r"\s+", "\t", re.sub(r"\s+(?=[\[(])", "", header.strip())), "\t"
+    labels = tuple(cell.strip() for cell in next(csv.reader([header], delimiter=separator)))
+    if all(re.fullmatch(r"[-+.,\deE]+", label) for label in labels):
+        raise MeasurementError(f"{path.name}, line {number}: numbers; expected the names of the columns, without a #")
+    return TextSheet(path, labels, separator != ",", separator, number, content)
+
+
+def _utf8(text: bytes, path: Path) -> bytes:
+    """Return text that is not UTF-8 as if it were, with a `PincalWarning`."""
+    try:
+        decoded = text.decode("cp1252")
+    except UnicodeDecodeError as error:
+        line = text[: error.start].count(b"\n") + 1
+        raise MeasurementError(f"{path.name}, line {line}: not UTF-8 text; save the table as CSV UTF-8") from error
+    warnings.warn(f"{path.name}: not UTF-8; read as Windows-1252 (Latin-1)", PincalWarning, stacklevel=2)
+    return decoded.encode("utf-8")
+
+
+def _with_tabs(text: bytes) -> bytes:
+    """Return text with a tab instead of each run of blanks between two cells."""
+    return b"\n".join(_BLANKS.sub(b"\t", line.strip(b" \t")) for line in text.splitlines())
+
+
+def _has_cells(line: bytes) -> bool:
+    return bool(line.strip(b" \t,;")) and not line.lstrip().startswith(b"#")
+
+
+def _schema(sheet: TextSheet, columns: Sequence[Column], number: Any, text: Any) -> dict[str, Any]:
+    numeric = {column.index: number for column in columns if not column.is_name}
+    names = {column.index: column.name for column in columns}
+    return {names.get(i, f"column {i + 1}"): numeric.get(i, text) for i in range(len(sheet.labels))}
+
+
+def _read_regular(sheet: TextSheet, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray] | None:
+    """Return the cells of a regular table in one pass, None if anything in it needs a closer look."""
+    import polars as pl
+
+    # Where columns are left out, nobody else would miss their cells.
+    expected = _count_lines(sheet) - sheet.header_line
+    if expected < 1 or (len(columns) < len(sheet.labels) and not _are_equal(sheet, expected)):
+        return None
+    try:
+        frame = pl.read_csv(
+            sheet.path if sheet.content is None else io.BytesIO(sheet.content),
+            glob=False,
+            has_header=False,
+            skip_rows=1,
+            separator=sheet.separator,
+            decimal_comma=sheet.decimal_comma,
+            comment_prefix="#",
+            schema=_schema(sheet, columns, pl.Float64, pl.String),
+            columns=[column.index for column in columns],
+        )
+    except pl.exceptions.PolarsError:
+        return None
+    frame = frame.head(expected)
+    if frame.height != expected or sum(frame.null_count().row(0)):
+        return None
+    return frame, np.arange(expected) + sheet.header_line + 1
+
+
+def _count_lines(sheet: TextSheet) -> int:
+    """Return the number of lines, those without a cell at the end of the file not counted."""
+    lines, tail = 1, b""
+    with sheet.open() as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            lines, tail = lines + chunk.count(b"\n"), chunk
+    return lines - tail[len(tail.rstrip(b" \t\r\n,;")) :].count(b"\n")
+
+
+def _are_equal(sheet: TextSheet, expected: int) -> bool:
+    """Return whether so many lines after the header have as many separators as the header."""
+    counts, carried = list[np.ndarray](), 0
+    with sheet.open() as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            marks = np.frombuffer(chunk, np.uint8)
+            found = np.flatnonzero(marks == ord(sheet.separator))
+            ends = np.searchsorted(found, np.flatnonzero(marks == ord("\n")))
+            counts.append(np.diff(ends, prepend=-carried))
+            carried = len(found) - (int(ends[-1]) if len(ends) else -carried)
+    counts.append(np.array([carried]))
+    body = np.concatenate(counts)[sheet.header_line : sheet.header_line + expected]
+    return bool((body == len(sheet.labels) - 1).all())
+
+
+def _read_lines(sheet: TextSheet, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
+    """Return the cells as text, without the lines that are blank or comments."""
+    import polars as pl
+
+    with sheet.open() as file:
+        text = file.read()
+    try:
+        text.decode("utf-8")
+    except UnicodeDecodeError:
+        text = _utf8(text, sheet.path)
+    lines = text.splitlines()
+    rows = np.array([i for i, line in enumerate(lines, start=1) if i > sheet.header_line and _has_cells(line)], int)
+    kept = [lines[row - 1] for row in rows]
+    if not kept:
+        return pl.DataFrame(schema=dict.fromkeys((column.name for column in columns), pl.String)), rows
+    try:
+        frame = pl.read_csv(
+            io.BytesIO(b"\n".join(kept) + b"\n"),
+            has_header=False,
+            separator=sheet.separator,
+            schema=_schema(sheet, columns, pl.String, pl.String),
+            columns=[column.index for column in columns],
+        )
+    except pl.exceptions.PolarsError:
+        _check_lines(sheet, kept, rows)
+        raise
+    if sum(frame.null_count().row(0)) or len(columns) < len(sheet.labels):
+        _check_lines(sheet, kept, rows)
+    if frame.height != len(rows):
+        reason = "a quotation mark is not closed, or a cell holds a line break"
+        raise MeasurementError(f"{sheet.path.name}: {len(rows)} lines, but {frame.height} rows: {reason}")
+    return frame, rows
+
+
+def _check_lines(sheet: TextSheet, kept: list[bytes], rows: np.ndarray) -> None:
+    """Refuse the first line that has not as many cells as the header."""
+    separator, expected = sheet.separator.encode(), len(sheet.labels)
+    for line, row in zip(kept, rows, strict=True):
+        count = line.count(separator) + 1
+        if count != expected and b'"' in line:
+            count = len(next(csv.reader([line.decode("utf-8", "replace")], delimiter=sheet.separator)))
+        if count != expected:
+            hint = "; decimal commas need ; or tab between the cells" if sheet.separator == "," else ""
+            raise MeasurementError(
+                f"{sheet.path.name}, line {row}: {count} cells; expected {expected} as in the header{hint}"
+            )
