@@ -217,7 +217,7 @@ def test_a_diagnosis_of_the_table_keeps_what_the_check_promises() -> None:
 def test_contacts_keep_what_a_check_with_sockets_promises() -> None:
     """The true machine is held in two sockets: no alarm where nothing changed, an offset of the promised size is noticed."""
     rng = np.random.default_rng(8)
-    alarms, noticed, draws = 0, 0, 15
+    alarms, noticed, draws = 0, 0, 6
     for seed in range(draws):
         machine, model = machine_and_model(100 + seed)
         check = design_check(model, CheckRequest(notice=3e-3, candidates=150, draws=100, seed=seed), rig=HELD)
@@ -228,7 +228,7 @@ def test_contacts_keep_what_a_check_with_sockets_promises() -> None:
         noticed += pincal.diagnose(model, touched(later, q, rng)).changed
 
     assert alarms <= 1
-    assert noticed >= 13
+    assert noticed >= 5
 
 
 def touched(machine: sim.TrueMachine, q: np.ndarray, rng: np.random.Generator) -> Measurements:

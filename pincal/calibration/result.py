@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -11,13 +11,14 @@ from msgspec import UNSET
 from scipy.special import chdtrc
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.moves import Move, moves_of, spent_at
 from pincal.calibration.notes import Kind, Note, notes_on_fit, notes_on_held_out, notes_on_outliers, notes_on_replicates
 from pincal.calibration.parameters import ParameterRow, parameter_rows
 from pincal.calibration.placing import moved
 from pincal.calibration.rows import LeftOut, StationRows
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station
-from pincal.io.result_file import Correlation, Errors, NoiseRecord, Outcome, StationRecord
+from pincal.io.result_file import Correlation, Errors, MovedParameter, NoiseRecord, Outcome, StationRecord
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.replicates import Replicates, iso9283, replicate_groups
@@ -73,8 +74,12 @@ def result_of(
     parameters = parameter_rows(fit)
     p_value = float(chdtrc(solution.degrees, solution.chi2)) if fit.is_declared else None
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
-    iso, lack = _replicates(fit, seen)
-    found = [*notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *notes_on_replicates(lack, p_value)]
+    again = [_replicates(fit, k, part) for k, part in enumerate(seen)]
+    iso, lack = again[0] if len(seen) == 1 else (None, None)
+    on_replicates = (
+        n for part, (_, lack) in zip(seen, again, strict=True) for n in _notes_on_replicates(part, lack, p_value)
+    )
+    found = [*notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *on_replicates]
     error, held = _errors(seen), sum(len(part.rows.test) for part in seen)
     alone = [one for one in left_out if one.sizes]
     if alone:
@@ -100,7 +105,7 @@ def result_of(
         warnings=(*notes, *map(str, found)),
         iso9283=iso,
         lack_of_fit=lack,
-        stations=tuple(_record(fit, seen, k, one) for k, one in enumerate(apart)) if len(seen) > 1 else UNSET,
+        stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
     )
 
 
@@ -159,25 +164,41 @@ def _errors(seen: Sequence[_Seen]) -> Errors:
     }
 
 
-def _record(fit: Fit, seen: Sequence[_Seen], k: int, left_out: LeftOut) -> StationRecord:
-    """Return what is to be said of one of several stations."""
-    station = seen[k]
-    record: StationRecord = {
-        "name": station.rows.name,
-        "kind": station.train.sensor.kind,
-        "rows": {"train": len(station.train), "test": len(station.rows.test)},
-        "noise": _noise(fit, station.blocks),
-        "outliers": station.outliers,
-        "error": _errors([station]),
-    }
-    first, here = (CalibratedModel.of(fit, station=seen[i].rows.name) for i in (0, k))
-    way = moved(first, here).instrument
-    if k and way is not None:
-        record["moved_mm"] = 1e3 * way
-    if left_out.sizes:
-        record["left_out"] = error_statistics([left_out.sizes["calibrated"]])
-        record["left_out_geometric"] = error_statistics([left_out.sizes["geometric"]])
-    return record
+def _records(
+    fit: Fit,
+    seen: Sequence[_Seen],
+    left_out: Sequence[LeftOut],
+    again: Sequence[tuple[dict[str, Any] | None, LackOfFit | None]],
+) -> Iterator[StationRecord]:
+    """Yield what is to be said of each of several stations."""
+    first = CalibratedModel.of(fit, station=seen[0].rows.name)
+    for k, (station, one, (iso, lack), moves) in enumerate(zip(seen, left_out, again, moves_of(fit), strict=True)):
+        record: StationRecord = {
+            "name": station.rows.name,
+            "kind": station.train.sensor.kind,
+            "rows": {"train": len(station.train), "test": len(station.rows.test)},
+            "noise": _noise(fit, station.blocks),
+            "outliers": station.outliers,
+            "error": _errors([station]),
+        }
+        way = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
+        if way is not None:
+            record["moved_mm"] = 1e3 * way
+        if one.sizes:
+            record["left_out"] = error_statistics([one.sizes["calibrated"]])
+            record["left_out_geometric"] = error_statistics([one.sizes["geometric"]])
+        if moves:
+            record["parameters"] = list(map(_moved, moves))
+        if iso is not None:
+            record["iso9283"] = iso
+        if lack is not None:
+            record["lack_of_fit"] = lack
+        yield record
+
+
+def _moved(move: Move) -> MovedParameter:
+    at = move.parameter
+    return {"name": at.name, "unit": at.unit, "change": move.change, "sigma": move.sigma, "moved": move.moved}
 
 
 def _notes_on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Note]:
@@ -193,17 +214,23 @@ def _notes_on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterat
         yield from notes_on_held_out(part.test, part.values["calibrated"], part.rows.test)
 
 
-def _replicates(fit: Fit, seen: Sequence[_Seen]) -> tuple[dict[str, Any] | None, LackOfFit | None]:
-    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where one station measured poses again."""
-    if len(seen) > 1:
+def _replicates(fit: Fit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
+    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where a station measured poses again."""
+    train_poses, test_poses = replicate_groups([seen.rows.train, seen.rows.test])
+    found = [Replicates("train", seen.rows.train, seen.train, train_poses, seen.weights > 0.0)]
+    if seen.test is not None:
+        found.append(Replicates("test", seen.rows.test, seen.test, test_poses, np.ones(len(seen.test), bool)))
+    if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
         return None, None
-    station, solution = seen[0], fit.solution
-    train_poses, test_poses = replicate_groups([station.rows.train, station.rows.test])
-    found = [Replicates("train", station.rows.train, station.train, train_poses, station.weights > 0.0)]
-    if station.test is not None:
-        found.append(Replicates("test", station.rows.test, station.test, test_poses, np.ones(len(station.test), bool)))
-    lack = lack_of_fit(found, fit.values, solution.sigma, spent=solution.posterior.effective)
-    return iso9283(found, station.values), lack
+    solution, is_alone = fit.solution, len(fit.problem.stations) == 1
+    spent = solution.posterior.effective if is_alone else spent_at(fit, k)
+    lack = lack_of_fit(found, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)
+    return iso9283(found, seen.values), lack
+
+
+def _notes_on_replicates(seen: _Seen, lack: LackOfFit | None, p_value: float | None) -> Iterator[Note]:
+    """Yield what the replicates of a station say; of the only one nothing tells which it is."""
+    yield from (replace(note, station=seen.rows.name) for note in notes_on_replicates(lack, p_value))
 
 
 def _noise(fit: Fit, blocks: slice = slice(None)) -> NoiseRecord:

@@ -17,6 +17,11 @@ from pincal.validate.replicates import ANGLE_WORDS
 PARTS = {"train": "fitted", "test": "held out"}
 """What the two parts of a data set are called."""
 
+INTERVAL = 1.96
+"""Standard deviations to either side of an interval of 95 %."""
+
+# More rows of parameters that moved than this are left out where they did not.
+_MOST_MOVED = 40
 # More coordinates of named points than this are left out of a table for people: they are in result.json.
 _MOST_POINTS = 24
 _STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
@@ -64,6 +69,57 @@ def station_table(stations: Sequence[StationRecord]) -> Table:
             numbers = (count, before, *others, error["mean_mm"])
             rows.append((station["name"], station["kind"], PARTS[part], *numbers))
     return Table("Mean error at each station [mm]", (*heads, *columns), tuple(rows))
+
+
+def moved_table(stations: Sequence[StationRecord]) -> Table | None:
+    """Return the parameters of the robot that are not the same at all stations, in the order of these; None if all are.
+
+    Of many stations only those are listed at which a parameter moved.
+    """
+    names = dict.fromkeys(entry["name"] for station in stations for entry in station.get("parameters", ()))
+    found = [
+        (station["name"], entry)
+        for name in names
+        for station in stations
+        for entry in station.get("parameters", ())
+        if entry["name"] == name and entry["sigma"] > 0.0
+    ]
+    shown = found if len(found) <= _MOST_MOVED else [(at, entry) for at, entry in found if entry["moved"]]
+    rows = []
+    for at, entry in shown:
+        change, half = entry["change"], INTERVAL * entry["sigma"]
+        numbers = (Quantity(number, entry["unit"]) for number in (change, change - half, change + half))
+        rows.append((entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else ""))
+    heads = (Column("parameter", kind=Kind.NAME), Column("unit", kind=Kind.LABEL, show=show_unit))
+    numbers_of = (Column(name, kind=Kind.NUMBER, show=show_value) for name in ("since the first", "95 %: from", "to"))
+    columns = (*heads, Column("station", kind=Kind.NAME), *numbers_of, Column("since the one before", kind=Kind.LABEL))
+    hidden = len(found) - len(rows)
+    notes = (f"{hidden} rows in which nothing moved are left out here; result.json has them.",) if hidden else ()
+    return Table("Parameters that moved between stations", columns, tuple(rows), notes) if rows else None
+
+
+def repeated_table(stations: Sequence[StationRecord]) -> Table | None:
+    """Return what repeated measurements of poses show at each station; None where none has any."""
+    rows = []
+    for station in stations:
+        iso, lack = station.get("iso9283"), station.get("lack_of_fit")
+        if iso is None and lack is None:
+            continue
+        accuracy = {} if iso is None else next(iter(iso["calibrated"].values()))
+        numbers = (accuracy.get(key, {}).get("mean") for key in ("AP_mm", "RP_mm"))
+        counts = (None, None) if iso is None else (sum(iso["poses"].values()), iso["cycles"]["max"])
+        test = (None, "") if lack is None else (lack.F, f"{lack.p_value:.2g}")
+        verdict = "" if lack is None else "incomplete" if lack.is_significant else "within the scatter"
+        rows.append((station["name"], *counts, *numbers, *test, verdict))
+    numbers_of = (Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("AP mean [mm]", "RP mean [mm]"))
+    columns = (
+        Column("station", kind=Kind.NAME),
+        *(Column(name, kind=Kind.NUMBER) for name in ("poses", "cycles")),
+        *numbers_of,
+        Column("lack of fit F", kind=Kind.NUMBER, show=fixed(2)),
+        *(Column(name, kind=Kind.LABEL) for name in ("p", "model")),
+    )
+    return Table("Repeated measurements of poses at each station (ISO 9283)", columns, tuple(rows)) if rows else None
 
 
 def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:

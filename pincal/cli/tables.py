@@ -9,7 +9,7 @@ from msgspec import UNSET
 from rich.console import Console
 
 from pincal.calibration.result import Result
-from pincal.calibration.tables import error_table, iso9283_table, parameter_table, station_table
+from pincal.calibration.tables import error_table, iso9283_table, moved_table, parameter_table, repeated_table, station_table
 from pincal.design.design import Design
 from pincal.design.health import HealthCheck
 from pincal.design.observability import SOURCES
@@ -44,6 +44,9 @@ def print_result(result: Result, out: Console) -> None:
     out.print(_summary(result))
     if result.stations is not UNSET:
         out.print(station_table(result.stations))
+        for table in (moved_table(result.stations), repeated_table(result.stations)):
+            if table is not None:
+                out.print(table)
     out.print(error_table(result.error))
     print_replicates(result.iso9283, result.lack_of_fit, out)
     out.print(parameter_table(result.parameters))
@@ -67,10 +70,16 @@ def _summary(result: Result) -> str:
     chi2 = "" if p_value is None else f", reduced chi-square {result.chi2_reduced:.3f} (p {p_value:.2g})"
     free = sum(row.status != "fixed" for row in result.parameters)
     return (
-        f"{result.rows['train']} rows fitted, {result.rows['test']} held out; {result.iterations} iterations, "
+        f"{result.rows['train']} rows fitted, {_held_out(result)}; {result.iterations} iterations, "
         f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} ({result.noise['source']}){chi2}\n"
         f"identifiable rank {result.rank} of {free} parameters, condition number {result.condition:.2g}"
     )
+
+
+def _held_out(result: Result) -> str:
+    """Return in words which rows judge the model."""
+    turns = 0 if result.stations is UNSET else sum("left_out" in station for station in result.stations)
+    return f"{turns} stations held out in turn" if turns else f"{result.rows['test']} held out"
 
 
 def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:

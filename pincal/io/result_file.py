@@ -42,6 +42,25 @@ class Correlation(TypedDict):
 Errors = dict[str, dict[str, dict[str, float]]]
 
 
+class MovedParameter(TypedDict):
+    """What a parameter of the robot that is not the same at all stations is at one of them [SI units].
+
+    Attributes:
+        name: of the parameter.
+        unit: its unit.
+        change: by how much it is other than at the first station that tells; of an effect that the model has at this station
+            alone: its value.
+        sigma: standard deviation of the change.
+        moved: whether it moved since the station before, more surely than by chance.
+    """
+
+    name: str
+    unit: str
+    change: float
+    sigma: float
+    moved: bool
+
+
 class StationRecord(TypedDict):
     """One of several stations.
 
@@ -56,6 +75,9 @@ class StationRecord(TypedDict):
         error: of the station's rows.
         left_out: errors of the model of the other stations, only the station's own frames fitted to it; and the same of
             their geometric model.
+        parameters: of the robot, those that moved at any of the stations.
+        iso9283: as that of the whole, where the station measured poses more than once.
+        lack_of_fit: likewise.
     """
 
     name: str
@@ -67,6 +89,9 @@ class StationRecord(TypedDict):
     error: Errors
     left_out: NotRequired[dict[str, float]]
     left_out_geometric: NotRequired[dict[str, float]]
+    parameters: NotRequired[list[MovedParameter]]
+    iso9283: NotRequired[dict[str, Any]]
+    lack_of_fit: NotRequired[LackOfFit]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +99,7 @@ class Outcome:
     """All that ``result.json`` says beside the parameters.
 
     ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file; nor is
-    ``stations`` where there is only one.
+    ``stations`` where there is only one. Of several stations each has its own.
     """
 
     noise: NoiseRecord

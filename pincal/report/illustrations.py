@@ -10,10 +10,14 @@ from matplotlib.figure import Figure
 
 from pincal.calibration.parameters import ParameterRow
 from pincal.discover.run import Discovery
+from pincal.io.result_file import MovedParameter, StationRecord
 from pincal.report.blocks import group, picture
 from pincal.report.evidence import Evidence
-from pincal.report.plots import errors, found
+from pincal.report.plots import errors, found, stations
 from pincal.report.svg import inline_svg
+
+# Parameters whose course is drawn.
+_MOST_COURSES = 4
 
 Drawing = tuple[Figure, str, str]
 """A figure, its title and its caption."""
@@ -44,6 +48,18 @@ def error_drawings(readings: Iterable[Evidence]) -> Iterator[Drawing]:
             "poses will do as well as these. The dashed curve is what the noise of the instrument alone would leave."
         )
         yield errors.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", caption
+
+
+def course_drawings(records: Sequence[StationRecord]) -> Iterator[Drawing]:
+    """Yield how each parameter that moved goes from station to station."""
+    entries: dict[str, list[tuple[int, MovedParameter]]] = {}
+    for k, record in enumerate(records):
+        for entry in record.get("parameters", ()):
+            entries.setdefault(entry["name"], []).append((k, entry))
+    for name, course in list(entries.items())[:_MOST_COURSES]:
+        drawn = stations.course_figure(name, [record["name"] for record in records], course)
+        caption = f"{name} at each station; bars are intervals of 95 %. Filled: it moved since the station before."
+        yield drawn, f"{name} from station to station", caption
 
 
 def joint_drawings(evidence: Evidence) -> Iterator[Drawing]:

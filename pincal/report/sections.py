@@ -27,6 +27,13 @@ from pincal.report.words import TERMS, effect_meaning, noise_words
 from pincal.tables import Tone
 from pincal.validate.replicates import cycle_words
 
+REPEATED = Markup(
+    "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its measurements; <b>pose "
+    "repeatability RP</b> their scatter about this mean, mean distance plus three standard deviations (ISO 9283). "
+    "Calibration improves AP; it cannot improve RP, which includes the noise of the instrument."
+)
+"""What accuracy and repeatability are."""
+
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Lines of rejected rows that are listed.
 _LISTED = 12
@@ -151,7 +158,11 @@ def accuracy(subject: Subject) -> Section:
             "poses."
         )
         blocks.append(paragraph(text, "note"))
-    blocks += [error_table(result.error), figures("accuracy", error_drawings(subject.readings)), *_replicates(result)]
+    blocks += [
+        error_table(result.error),
+        figures("accuracy", error_drawings(subject.readings)),
+        *_replicates(result),
+    ]
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
 
 
@@ -161,10 +172,8 @@ def _replicates(result: Result) -> list[Block]:
     blocks: list[Block] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
     if iso:
         text = rich(
-            "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its measurements; <b>pose "
-            "repeatability RP</b> their scatter about this mean, mean distance plus three standard deviations (ISO 9283). "
-            "Calibration improves AP; it cannot improve RP, which includes the noise of the instrument. {}. A pose that the "
-            "fit has used in any of its measurements does not count as held out.",
+            "{} {}. A pose that the fit has used in any of its measurements does not count as held out.",
+            REPEATED,
             cycle_words(iso),
         )
         blocks += [paragraph(text), iso9283_table(iso)]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 from msgspec import UNSET
 
-from pincal.calibration.tables import station_table
+from pincal.calibration.tables import moved_table, repeated_table, station_table
 from pincal.io.result_file import StationRecord
-from pincal.report.blocks import Section, bars, group, paragraph
+from pincal.report.blocks import Block, Section, bars, group, heading, paragraph
+from pincal.report.illustrations import course_drawings, figures
+from pincal.report.sections import REPEATED
 from pincal.report.subject import Subject
 
 
@@ -35,8 +39,30 @@ def stations(subject: Subject) -> Section | None:
         )
         for record, (before, after) in zip(records, pairs, strict=True)
     )
-    blocks = (paragraph(text), group("glance", *drawn), station_table(records))
-    return Section("stations", "Stations", blocks, "Stations")
+    blocks: list[Block] = [paragraph(text), group("glance", *drawn), station_table(records), *_moved(records)]
+    if (again := repeated_table(records)) is not None:
+        blocks += [heading("Repeated measurements of poses", "repeatability"), paragraph(REPEATED), again]
+    return Section("stations", "Stations", tuple(blocks), "Stations")
+
+
+def _moved(records: Sequence[StationRecord]) -> Iterator[Block]:
+    """Yield which parameters of the robot are not the same at all stations."""
+    yield heading("What moved from station to station", "moved")
+    table = moved_table(records)
+    if table is None:
+        yield paragraph(
+            "No parameter of the robot is other at one station than at the others, as far as these rows tell; if the robot "
+            "is the same at all of them, one is said to have moved with a chance of 1 %."
+        )
+        return
+    yield paragraph(
+        "One model describes the robot at all stations, but these parameters have another value at some of them. Where "
+        "several could have moved, the one that explains most is named; pincal diagnose says, of the rows of a later "
+        "station, what else it could be.",
+        "care",
+    )
+    yield table
+    yield figures("moved", course_drawings(records))
 
 
 def _before_and_after(record: StationRecord, part: str) -> tuple[float, float]:

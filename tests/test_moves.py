@@ -1,0 +1,131 @@
+"""What moved on a robot between stations is named with its interval, and nothing is where it is the same at all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from msgspec import UnsetType
+
+import pincal
+from pincal import Measurements, Options, Robot
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.moves import moves_of, said_at, spent_at
+from pincal.calibration.tables import moved_table, repeated_table
+from pincal.identify.calibrate import calibrate
+from pincal.identify.fit import Fit
+from pincal.model.at_station import AtStation
+from pincal.model.effects import GEOMETRIC
+
+SIGMA, TOOL = 5e-5, (0.12, 0.05, 0.2)
+DAYS = ("monday", "tuesday", "wednesday", "thursday")
+
+
+def measured_over(seed: int, offsets: Mapping[str, float], *, poses: int = 40, again: int = 0) -> dict[str, Measurements]:
+    """Return what a tracker, set up anew each day, reads of a machine whose third drive is off by so much that day [rad]."""
+    rng = np.random.default_rng([seed, 2])
+    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(rng, sigma_length=2e-4, sigma_angle=5e-4)
+    found = {}
+    for day, offset in offsets.items():
+        q = sim.plan_poses(machine.nominal, poses, rng)
+        q = np.vstack([q, np.repeat(q[:again], 2, axis=0)])
+        hall = np.eye(4)
+        hall[:3, 3] = rng.uniform(-3.0, 3.0, 3)
+        there = sim.TrueMachine(**{**vars(machine), "joint_offsets": machine.joint_offsets + offset * np.eye(6)[2]})
+        seen = sim.Instrument(pose=hall, targets=np.array(TOOL)).measure(there, q)
+        position = np.column_stack([seen[axis] for axis in "xyz"]) + SIGMA * rng.standard_normal((len(q), 3))
+        found[day] = pincal.measurements_from_arrays(machine.names, q, position=position, source=day)
+    return found
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    """Return the KUKA."""
+    return Robot.from_urdf(kuka_urdf_path())
+
+
+def fitted(robot: Robot, tables: Mapping[str, Measurements]) -> Fit:
+    """Return the geometric fit of all stations, their noise declared."""
+    return calibrate(robot, tables, Options(effects=GEOMETRIC, sigma=SIGMA))
+
+
+def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> None:
+    """An offset that came between Tuesday and Wednesday: which one, when, and the truth within three sigma."""
+    jump = 4e-4
+    run = pincal.run_calibration(
+        robot,
+        measured_over(4, dict(zip(DAYS, (0.0, 0.0, jump, jump), strict=True))),
+        Options(effects=GEOMETRIC),
+        test_fraction=0.0,
+    )
+    records = run.result.to_dict()["stations"]
+
+    assert [[entry["name"] for entry in record["parameters"]] for record in records] == [["joint_3.theta"]] * 4
+    assert [record["parameters"][0]["moved"] for record in records] == [False, False, True, False]
+    for record, truth in zip(records[1:], (0.0, jump, jump), strict=True):
+        entry = record["parameters"][0]
+        assert abs(entry["change"] - truth) < 3.0 * entry["sigma"] < 1e-3
+    table = moved_table(records)
+    assert table is not None and [row[2] for row in table.rows] == list(DAYS[1:])
+
+
+def test_intervals_are_those_of_a_fit_in_which_each_day_has_its_own(robot: Robot) -> None:
+    """Change and sigma equal those of a fit with an offset of its own at the other station."""
+    offsets = next(effect for effect in GEOMETRIC if effect.locus.acts_on == "drive")
+    tables = measured_over(5, {"a": 0.0, "b": 2e-4})
+    found = {move.parameter.name: move for move in moves_of(fitted(robot, tables))[1]}["joint_3.theta"]
+    effects = (*GEOMETRIC, AtStation(offsets, "b", "joint_3"))
+    apart = calibrate(robot, tables, Options(effects=effects, sigma=SIGMA))
+    place = next(i for i, p in enumerate(apart.problem.parameters) if p.name.endswith("theta_here"))
+
+    assert found.change == pytest.approx(apart.values[place], rel=0.05)
+    assert found.sigma == pytest.approx(apart.estimate.fitted_sigma[place], rel=0.05)
+    fit_has_it = [move for move in moves_of(apart)[1] if move.moved]
+    assert [move.parameter.name for move in fit_has_it] == ["joint_3.theta_here"]
+
+
+def test_nothing_moves_on_a_robot_that_stays_the_same(robot: Robot) -> None:
+    """Eight robots measured on three days: not one parameter."""
+    for seed in range(8):
+        fit = fitted(robot, measured_over(seed, dict.fromkeys(DAYS[:3], 0.0), poses=25))
+        assert not any(moves_of(fit)), seed
+
+
+@pytest.mark.long
+def test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred(robot: Robot) -> None:
+    """At most 3 % of 300 robots, noise estimated."""
+    alarms = 0
+    for seed in range(300):
+        tables = measured_over(100 + seed, dict.fromkeys(DAYS[: 2 + seed % 3], 0.0), poses=30)
+        alarms += any(map(len, moves_of(calibrate(robot, tables, Options(effects=GEOMETRIC)))))
+    assert alarms <= 9
+
+
+def test_stations_pay_for_all_parameters_together(robot: Robot) -> None:
+    """What the rows of the stations spend adds up to what the fit spends, and what they say to what it knows."""
+    fit = fitted(robot, measured_over(6, dict.fromkeys(DAYS[:2], 0.0)))
+    said = [said_at(fit, k).left.G for k in range(2)]
+    sizes = fit.priors.sizes[fit.solution.free & fit.problem.is_shared]
+
+    assert sum(spent_at(fit, k) for k in range(2)) == pytest.approx(fit.solution.posterior.effective, rel=1e-6)
+    covariance = np.linalg.inv(sum(said) + np.diag(sizes**-2.0))
+    np.testing.assert_allclose(covariance, fit.solution.posterior.covariance, rtol=1e-4, atol=1e-12)
+
+
+def test_each_station_has_its_repeatability(robot: Robot) -> None:
+    """Lack of fit is tested where poses were measured again, station by station."""
+    tables = measured_over(7, {"monday": 0.0, "tuesday": 0.0}, again=6)
+    tables["once"] = measured_over(7, {"once": 0.0})["once"]
+    result = pincal.run_calibration(robot, tables, Options(effects=GEOMETRIC), test_fraction=0.0).result
+    contents = result.to_dict()
+    monday, tuesday, once = contents["stations"]
+
+    assert result.iso9283 is None and result.lack_of_fit is None and "lack_of_fit" not in once
+    for record in (monday, tuesday):
+        assert record["iso9283"]["poses"] == {"train": 6} and record["lack_of_fit"]["p_value"] > 1e-3
+        assert record["lack_of_fit"]["pure_error"]["sigma_m"] == pytest.approx(SIGMA, rel=0.3)
+    assert not isinstance(result.stations, UnsetType)
+    table = repeated_table(result.stations)
+    assert table is not None and [row[0] for row in table.rows] == ["monday", "tuesday"]
