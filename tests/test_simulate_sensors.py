@@ -237,7 +237,18 @@ def written_out(camera, x, y):
 def test_images_are_those_of_the_written_camera(tmp_path, arm, tip, base):
     """Pixels follow from forward kinematics, the object and the camera's file by the formula; all are in the image."""
     urdf = URDF if arm == "kuka" else str(find_file(arm))
-    wanted = ["--sensor", "camera_pixel", "--object", "grid", "--poses", "6", "--lens", "fx=1500,k3=0.02,width=1600"]
+    wanted = [
+        "--sensor",
+        "camera_pixel",
+        "--object",
+        "grid",
+        "--poses",
+        "6",
+        "--lens",
+        "fx=1500,k3=0.02,width=1600",
+        "--tip",
+        tip,
+    ]
     columns, points, truth = simulate(tmp_path, *wanted, *EXACT, urdf=urdf, camera=True)
     camera = json.loads((tmp_path / "data-camera-out.json").read_text())
     seen = in_camera(columns, points, truth, urdf=urdf, tip=tip, base=base)

@@ -83,13 +83,13 @@ def simulate(arguments: SimulateArguments) -> Exit:
 def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     """Return the machine that is measured."""
     from pincal.cli.effect_option import parse_effect
-    from pincal.robot.urdf import plain_text
+    from pincal.robot.urdf import arm_text
     from pincal.simulate.machine import TrueMachine
     from pincal.simulate.request import draw_machine
 
     given = arguments.machine
     nominal = TrueMachine.from_urdf(
-        plain_text(robot.urdf, robot.source),
+        arm_text(robot.urdf, robot.joint_names, robot.source),
         tip=robot.tip,
         base=robot.base,
         moment_frame=given.moment_frame,

@@ -127,14 +127,16 @@ def compensate_poses(
         with_orientation=np.ndim(wanted) == 3 or orientation == "keep",
     )
     robot = placed.model.chain.robot
-    bounds = Bounds(robot.lower, robot.upper) if limits else Bounds.none(robot.n_joints)
-    q, status = np.empty_like(conditions.q, dtype=float), np.empty(len(conditions), dtype="<U12")
+    own = robot.own_joints
+    seeds = np.asarray(conditions.q[:, own], float)
+    bounds = Bounds(robot.lower[own], robot.upper[own]) if limits else Bounds.none(len(own))
+    q, status = np.empty_like(seeds), np.empty(len(conditions), dtype="<U12")
     for start in range(0, len(problem), _PIECE):
         rows = slice(start, start + _PIECE)
-        q[rows], status[rows] = solve_ik(problem.select(rows), conditions.q[rows], limits=bounds)
+        q[rows], status[rows] = solve_ik(problem.select(rows), seeds[rows], limits=bounds)
     error, turn = problem.distances(problem.residuals(q))
-    seed_error, _ = problem.distances(problem.residuals(conditions.q))
-    return Compensation(q, status, error, turn, seed_error, poses, frame)
+    seed_error, _ = problem.distances(problem.residuals(seeds))
+    return Compensation(robot.spread(q), status, error, turn, seed_error, poses, frame)
 
 
 def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True) -> Compensation:
@@ -151,7 +153,7 @@ def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, l
 def middle_of_range(robot: Robot) -> np.ndarray:
     """Return a seed for poses without one, shape (n,): the middle of each joint's limits, 0 where it has none."""
     lower, upper = np.where(np.isfinite(robot.lower) & np.isfinite(robot.upper), (robot.lower, robot.upper), 0.0)
-    return np.asarray((lower + upper) / 2.0)
+    return np.asarray(robot.following((lower + upper)[None] / 2.0)[0])
 
 
 def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:

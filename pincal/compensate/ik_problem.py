@@ -63,6 +63,8 @@ class IkProblem:
     includes the change of the static moments, is therefore the derivative by the joint positions except for effects that
     depend on the position itself (gear errors, about 1e-4 of it): each Newton step gains three digits.
 
+    Unknown are the positions of the n joints that mimic none; the others follow them.
+
     Attributes:
         model: the model, with a joint offset of value zero as its last effect.
         values: shape (P,), its parameters.
@@ -105,7 +107,7 @@ class IkProblem:
     @property
     def n_spare(self) -> int:
         """Joints beyond the equations of a pose: an arm with spare joints is redundant; below 0 it has too few."""
-        return self.model.chain.robot.n_joints - self.n_equations
+        return len(self.model.chain.robot.own_joints) - self.n_equations
 
     @cached_property
     def length(self) -> float:
@@ -118,16 +120,19 @@ class IkProblem:
         Returns:
             Translation over ``length`` and, if the orientation counts, rotation vector [rad], shape (N, n_equations).
         """
-        return self._residuals(self.model.predict(self.values, replace(self.conditions, q=q)))
+        return self._residuals(self.model.predict(self.values, self._at(q)))
 
     def linearise(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals, shape (N, n_equations), and how the joints reduce them, shape (N, n_equations, n)."""
-        free = np.arange(len(self.values)) >= len(self.values) - q.shape[1]
-        there = replace(self.conditions, q=q)
-        poses, J = self.model.linearise(self.values, there, free=free, rows=self.n_equations)
-        J = np.ascontiguousarray(J)
+        robot = self.model.chain.robot
+        free = np.arange(len(self.values)) >= len(self.values) - robot.n_joints
+        poses, J = self.model.linearise(self.values, self._at(q), free=free, rows=self.n_equations)
+        J = np.ascontiguousarray(robot.gathered(J))
         J[:, :3] /= self.length
         return self._residuals(poses), J
+
+    def _at(self, q: np.ndarray) -> Conditions:
+        return replace(self.conditions, q=self.model.chain.robot.spread(q))
 
     def _residuals(self, poses: np.ndarray) -> np.ndarray:
         translation = (self.wanted[:, :, 3] - poses[:, :, 3]) / self.length

@@ -90,7 +90,8 @@ def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.
     """Return joint positions as close to the seed as whole turns bring them, within the limits where possible."""
     most, least = np.floor((q - limits.lower) / _TURN), np.ceil((q - limits.upper) / _TURN)
     turns = np.clip(np.round((q - seed) / _TURN), least, np.maximum(most, least))
-    is_revolute = np.array([kind != "prismatic" for kind in problem.model.chain.robot.joint_types])
+    robot = problem.model.chain.robot
+    is_revolute = np.array([robot.joint_types[i] != "prismatic" for i in robot.own_joints])
     unwound = np.where(is_revolute & (least <= most), q - _TURN * turns, q)
     rows = np.flatnonzero(reached & np.any(unwound != q, axis=1))
     if len(rows):
@@ -178,13 +179,14 @@ def _starts(problem: IkProblem) -> tuple[np.ndarray, np.ndarray]:
 
     robot = problem.model.chain.robot
     pool = robot.random_configurations(_POOL, np.random.default_rng(0))
-    out, hopeful = np.empty((_MOST_STARTS, len(problem), robot.n_joints)), np.zeros(len(problem), bool)
+    own = pool[:, robot.own_joints]
+    out, hopeful = np.empty((_MOST_STARTS, len(problem), own.shape[1])), np.zeros(len(problem), bool)
     for target in np.unique(problem.conditions.target):
         rows = np.flatnonzero(problem.conditions.target == target)
         there = replace(problem.conditions.select(np.full(_POOL, rows[0])), q=pool)
         poses, wanted = problem.model.predict(problem.values, there), problem.wanted[rows]
         _, nearest = cKDTree(_features(problem, poses)).query(_features(problem, wanted), k=_MOST_STARTS)
-        out[:, rows] = pool[nearest.T]
+        out[:, rows] = own[nearest.T]
         distance, _ = cKDTree(poses[:, :, 3]).query(wanted[:, :, 3])
         hopeful[rows] = distance < _HOPELESS * robot.reach
     return out, hopeful

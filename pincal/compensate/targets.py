@@ -86,6 +86,7 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOp
         _FIELDS,
         joint_names=robot.joint_names,
         joint_types=robot.joint_types,
+        mimics=robot.mimics,
         may_lack_joints=True,
         options=replace(options, ignore=(*_WRITTEN, *options.ignore)),
     )

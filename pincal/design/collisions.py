@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.robot.packages import find_mesh
 from pincal.robot.robot import Robot
-from pincal.robot.urdf import parse_xml, plain_text
+from pincal.robot.urdf import arm_text, parse_xml
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -81,14 +81,12 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
     if root.find("link/collision") is None:
         why = "none of its collision meshes is here" if notes else "the URDF has no collision geometry"
         return None, [*notes, f"self-collision is not checked: {why}"]
-    text = plain_text(etree.tostring(root), robot.source)
-    full = pin.buildModelFromXML(text)
+    text = arm_text(etree.tostring(root), robot.joint_names, robot.source)
+    model = pin.buildModelFromXML(text)
     try:
-        geometry = pin.buildGeomFromUrdfString(full, text, pin.GeometryType.COLLISION)
+        geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
         return None, [*notes, f"self-collision is not checked: Pinocchio can't read the collision geometry ({error})"]
-    locked = [full.getJointId(name) for name in full.names[1:] if name not in robot.joint_names]
-    model, [geometry] = pin.buildReducedModel(full, [geometry], locked, pin.neutral(full)) if locked else (full, [geometry])
     for one, other in _pairs(model, geometry):
         geometry.addCollisionPair(pin.CollisionPair(one, other))
     return Collisions(robot, model, geometry, clearance), notes

@@ -202,7 +202,7 @@ class Reach:
         while len(found) < n and drawn < _TRIES * n + _BATCH:
             # About as many as are still needed, by what has come out so far.
             wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
-            q = rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower)))
+            q = self.robot.following(rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower))))
             placed = self._place(self._brought(q, rng) if measured and self.rig.held_at else q)
             drawn += len(placed.q)
             left = np.ones(len(placed.q), bool)
@@ -224,12 +224,13 @@ class Reach:
             placed = self._place(q)
             joints = np.concatenate([first, placed.frames[:, 1:-1]], axis=1) @ self._kinematics.before
             axes, arms = joints[..., :3, 2], placed.targets[:, None] - joints[..., :3, 3]
-            J = np.where(turns[:, None], np.cross(axes, arms), axes).transpose(0, 2, 1)
+            J = self.robot.gathered(np.where(turns[:, None], np.cross(axes, arms), axes).transpose(0, 2, 1))
             damped = J @ J.transpose(0, 2, 1) + (_DAMPING * self.robot.reach) ** 2 * np.eye(3)
-            q = q + (J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None]))[..., 0]
+            step = (J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None]))[..., 0]
+            q = self.robot.spread(q[:, self.robot.own_joints] + step)
         # A joint at q and q + 2 pi is at the same place: the one nearest to the middle of its range is taken.
         middle = np.mean(self.range, axis=0)
-        return np.asarray(q - np.where(turns, 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), 0.0))
+        return self.robot.following(q - np.where(turns, 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), 0.0))
 
     def _place(self, q: np.ndarray) -> _Placed:
         frames = self._kinematics.frames(q)

@@ -63,5 +63,5 @@ def _neighbours(q: np.ndarray, reach: Reach, window: float) -> np.ndarray:
     trial = np.tile(q, (len(q), _STEPS, 1))
     for joint in range(len(q)):
         trial[joint, :, joint] = steps[:, joint]
-    trial = trial.reshape(-1, len(q))
+    trial = reach.robot.following(trial[reach.robot.own_joints].reshape(-1, len(q)))
     return np.asarray(trial[reach.allows_apart(trial)])

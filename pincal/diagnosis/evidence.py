@@ -70,7 +70,8 @@ def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassE
     """Return how far a calibration's parameters move if masses are off by a unit each, shape (K, m)."""
     model, rng = calibrated.model, np.random.default_rng(0)
     lower, upper = calibrated.covered.q.T
-    conditions = calibrated.conditions_at(rng.uniform(lower, upper, (_POSES, len(lower))))
+    q = model.chain.robot.following(rng.uniform(lower, upper, (_POSES, len(lower))))
+    conditions = calibrated.conditions_at(q)
     approach = rng.choice([-1.0, 1.0], conditions.q.shape)
     conditions = replace(
         conditions,

@@ -33,6 +33,7 @@ from pincal.model.model import Model
 from pincal.parameters import Parameter
 from pincal.robot.dh import DhFrames
 from pincal.robot.robot import Robot
+from pincal.robot.tree import Mimic
 
 
 class FramesEntry(Record, frozen=True, kw_only=True):
@@ -42,6 +43,15 @@ class FramesEntry(Record, frozen=True, kw_only=True):
     parameters: Annotated[Matrix, Shape("joints", 6)]
     T_base_link: Transforms
     T_last_tip: Transform
+
+
+class MimicEntry(Record, frozen=True, kw_only=True):
+    """A joint that follows another one, see :class:`pincal.robot.tree.Mimic`."""
+
+    joint: str
+    source: str
+    multiplier: float
+    offset: float
 
 
 class RobotEntry(Record, frozen=True, kw_only=True):
@@ -65,11 +75,16 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     notes: tuple[str, ...]
     source: str
     urdf: str | None = None
+    mimics: tuple[MimicEntry, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.joint_names:
             raise Fault("has no entries", "at least one joint", key=".joint_names")
+        driven = {mimic.joint for mimic in self.mimics}
+        for k, mimic in enumerate(self.mimics):
+            if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
+                raise Fault("names no joints", "one of the arm that follows another one of its own", key=f".mimics[{k}]")
         shaped(".frames.T_base_link", self.frames.T_base_link, Shape(len(self.joint_names), 4, 4), {})
         try:
             self.urdf_bytes()
@@ -83,12 +98,15 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_robot(cls, robot: Robot) -> RobotEntry:
         """Return the entry of a robot."""
-        return cls.of(robot, frames=FramesEntry.of(robot.frames), urdf=robot.urdf.decode("utf-8", "surrogateescape"))
+        mimics = tuple(MimicEntry.of(mimic) for mimic in robot.mimics)
+        urdf = robot.urdf.decode("utf-8", "surrogateescape")
+        return cls.of(robot, frames=FramesEntry.of(robot.frames), urdf=urdf, mimics=mimics)
 
     def robot(self) -> Robot:
         """Return the robot."""
         frames = DhFrames(**msgspec.structs.asdict(self.frames))
-        return Robot(**msgspec.structs.asdict(self) | {"frames": frames, "urdf": self.urdf_bytes()})
+        mimics = tuple(Mimic(**msgspec.structs.asdict(mimic)) for mimic in self.mimics)
+        return Robot(**msgspec.structs.asdict(self) | {"frames": frames, "urdf": self.urdf_bytes(), "mimics": mimics})
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):

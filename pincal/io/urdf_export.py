@@ -14,7 +14,8 @@ from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
-from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf
+from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
+from pincal.robot.urdf import parse_urdf
 
 # Largest error of the written URDF's tip [m], and of an element of its rotation matrix, against the calibrated
 # geometry: a thousand times what rounding does and a thousand times less than what is ever measured.

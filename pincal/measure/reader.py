@@ -23,6 +23,7 @@ from pincal.measure.options import TableOptions
 from pincal.measure.orientation import CONVENTIONS, Orientation, find_orientation, looks_like_orientation
 from pincal.measure.quantities import in_si
 from pincal.measure.sheet import Column, Sheet, read_cells
+from pincal.robot.tree import Mimic
 
 if TYPE_CHECKING:
     import polars as pl
@@ -36,6 +37,7 @@ class Schema:
         fields: the quantities that are understood.
         joint_names: the joints, each with a column of its own and perhaps one for the direction of approach.
         joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
+        mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
         may_lack_joints: whether a table without any joint is allowed.
         options: what the user says of it.
     """
@@ -43,8 +45,15 @@ class Schema:
     fields: tuple[Field, ...]
     joint_names: tuple[str, ...] = ()
     joint_types: tuple[str, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
     may_lack_joints: bool = False
     options: TableOptions = field(default_factory=TableOptions)
+
+    @property
+    def own_joints(self) -> tuple[str, ...]:
+        """The joints that follow none, whose columns are needed."""
+        driven = {mimic.joint for mimic in self.mimics}
+        return tuple(name for name in self.joint_names if name not in driven)
 
     def quantities(self, *, source: str) -> dict[str, str]:
         """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""
@@ -95,6 +104,11 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
         values = {name: value for name, value in values.items() if name not in header.orientation.columns}
         values |= zip(_rotations(schema.fields).columns, found.T, strict=True)
     joints = header.joints
+    for mimic in schema.mimics:
+        if mimic.joint in joints and mimic.joint not in values:
+            values[mimic.joint] = mimic.multiplier * values[mimic.source] + mimic.offset
+            if (approach := values.get(f"approach_{mimic.source}")) is not None:
+                values.setdefault(f"approach_{mimic.joint}", np.sign(mimic.multiplier) * approach)
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
     if any(f"approach_{name}" in values for name in joints):
         unknown = np.zeros(len(rows))
@@ -187,7 +201,7 @@ def _understood(sheet: Sheet, schema: Schema) -> _Header:
     joints = schema.joint_names
     if schema.may_lack_joints and not columns.keys() & set(joints):
         joints = ()
-    _check_joints([name for name in joints if name not in columns], unknown, sheet)
+    _check_joints([name for name in schema.own_joints if joints and name not in columns], unknown, sheet)
     if "*" not in options.ignore:
         free = {name: quantity for name, quantity in quantities.items() if name not in columns}
         _check_unknown(sheet, unknown, free)
@@ -200,7 +214,7 @@ def _with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, s
     if not names or any(label.name in names or (spelled(label, quantities) or ("", ""))[0] in names for label in labels):
         return labels
     free = [label for label in labels if label.name not in quantities]
-    guessed = numbered_joints(free, schema.joint_names)
+    guessed = numbered_joints(free, schema.own_joints)
     if not guessed:
         return labels
     pairs = ", ".join(f"{label}={joint}" for label, joint in guessed.items())

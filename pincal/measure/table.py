@@ -20,6 +20,7 @@ from pincal.measure.measurements import Measurements, concatenate, measurements_
 from pincal.measure.options import TableOptions
 from pincal.measure.reader import Schema, joint_columns, read_columns, read_table
 from pincal.measure.registry import expected_columns, known_fields
+from pincal.robot.tree import Mimic
 
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
 __all__ += ["read_measurements", "write_table"]
@@ -34,6 +35,7 @@ def read_measurements(
     orientation: str | None = None,
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
+    mimics: Sequence[Mimic] = (),
 ) -> Measurements:
     """Read a table of measured poses from CSV or other text, Excel or Parquet.
 
@@ -49,6 +51,7 @@ def read_measurements(
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
         joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
+        mimics: the joints that follow another one, which may have no column of their own (``robot.mimics``).
 
     Returns:
         The rows in SI units, each with its line in the file (in Parquet: counted as if there were a header).
@@ -62,6 +65,7 @@ def read_measurements(
         fields=tuple((CONDITIONS if only_joints else known_fields()).values()),
         joint_names=names,
         joint_types=tuple(joint_types or ()),
+        mimics=tuple(mimics),
         options=TableOptions(
             ignore=("*", *ignore) if only_joints else tuple(ignore), columns=dict(columns or {}), orientation=orientation
         ),

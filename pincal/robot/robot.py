@@ -14,13 +14,16 @@ import numpy as np
 from pincal.errors import BadInputError, PincalWarning, RobotFileError, nearest_first
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.inertia import are_placeholders, guessed_masses
-from pincal.robot.urdf import MOVING_TYPES, UrdfJoint, UrdfTree, parse_urdf, plain_text, read_urdf
+from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree
+from pincal.robot.urdf import arm_text, parse_urdf, read_urdf
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
 # A limit beyond this [rad or m] is how URDFs write "none".
 _NO_LIMIT = 1e3
+# No serial arm has more joints that move; memory and time grow with their cube.
+_MOST_JOINTS = 50
 
 
 @dataclass(frozen=True)
@@ -42,9 +45,10 @@ class Robot:
         centres: shape (n, 3), its centre of mass in the link frame S_i [m]; likewise.
         massless: names of the links on the arm for which the URDF has no mass, or only a placeholder, as one that all have.
         gravity: shape (3,), gravity in the base frame [m/s^2]: along -z of the URDF's root link.
-        notes: what was locked, in words.
+        notes: what was locked, and what of the URDF was read in one of two ways, in words.
         urdf: the URDF's text as it was read.
         source: where the URDF came from.
+        mimics: the joints that follow another one of the arm; that one's limits keep theirs.
     """
 
     name: str
@@ -63,6 +67,7 @@ class Robot:
     notes: tuple[str, ...]
     urdf: bytes
     source: str
+    mimics: tuple[Mimic, ...] = ()
 
     @classmethod
     def from_urdf(
@@ -117,7 +122,7 @@ class Robot:
         """Take an arm from a URDF that has been read; see :meth:`from_urdf`."""
         tip = tree.default_tip(joints) if tip is None else tip
         base = _default_base(tree, tip, joints) if base is None else base
-        path = _moving_path(tree, base, tip)
+        path = _checked_path(tree, base, tip)
         if mass is not None and not 0.0 < mass < np.inf:
             raise BadInputError(f"mass of the robot is {mass} kg; expected more than 0")
         return _build(cls, tree, path, base, tip, mass=mass)
@@ -126,6 +131,36 @@ class Robot:
     def n_joints(self) -> int:
         """Number of moving joints."""
         return len(self.joint_names)
+
+    @property
+    def own_joints(self) -> np.ndarray:
+        """Indices of the m joints that mimic none."""
+        driven = {mimic.joint for mimic in self.mimics}
+        return np.array([i for i, name in enumerate(self.joint_names) if name not in driven])
+
+    def following(self, q: np.ndarray) -> np.ndarray:
+        """Return joint positions, shape (N, n), with each joint that mimics another where that one puts it."""
+        if not self.mimics:
+            return q
+        out, index = np.array(q, float), self.joint_names.index
+        for mimic in self.mimics:
+            out[:, index(mimic.joint)] = mimic.multiplier * out[:, index(mimic.source)] + mimic.offset
+        return out
+
+    def spread(self, own: np.ndarray) -> np.ndarray:
+        """Return the positions of all joints, shape (N, n), from those of the joints that mimic none, shape (N, m)."""
+        if not self.mimics:
+            return own
+        q = np.zeros((len(own), self.n_joints))
+        q[:, self.own_joints] = own
+        return self.following(q)
+
+    def gathered(self, J: np.ndarray) -> np.ndarray:
+        """Return derivatives by the joints that mimic none, shape (..., m), from those by all joints, shape (..., n)."""
+        if not self.mimics:
+            return J
+        moves = np.eye(self.n_joints)[:, self.own_joints]
+        return np.asarray(J @ (self.following(moves.T) - self.following(0.0 * moves.T)).T)
 
     @property
     def joint_units(self) -> tuple[str, ...]:
@@ -164,7 +199,7 @@ class Robot:
 
     def pinocchio_model(self) -> pin.Model:
         """Return the nominal ``pin.Model`` of the arm, everything off the path locked."""
-        return _reduced_model(self.urdf, self.joint_names, self.source)
+        return _arm_model(self.urdf, self.joint_names, self.source)
 
     def configuration(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration vector of ``model`` for joint positions ``q``, shape (n,).
@@ -192,7 +227,7 @@ class Robot:
 
     def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none)."""
-        return np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints)))
+        return self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
 
 
 def find_file(source: str | os.PathLike[str]) -> Path:
@@ -229,38 +264,34 @@ def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str
     return next((joint.parent for joint in moving if joint.name in joints), tree.root)
 
 
-def _moving_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
+def _checked_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
+    """Return all joints from base to tip, fixed ones too."""
     path = tree.path(base, tip)
+    moving = [joint for joint in path if joint.kind in MOVING_TYPES]
     for joint in path:
-        problem = ""
-        if joint.mimic is not None:
-            problem = f"mimics {joint.mimic!r}; an arm needs joints of its own"
-        elif joint.kind not in (*MOVING_TYPES, "fixed"):
-            problem = f"is {joint.kind}; expected revolute, continuous, prismatic or fixed joints"
-        if problem:
+        if joint.kind not in (*MOVING_TYPES, "fixed"):
             where = f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r}"
-            raise RobotFileError(f"{where} {problem}: choose another base or tip")
-    moving = tuple(joint for joint in path if joint.kind in MOVING_TYPES)
+            expected = "expected revolute, continuous, prismatic or fixed joints: choose another base or tip"
+            raise RobotFileError(f"{where} is {joint.kind}; {expected}")
     if not moving:
         raise RobotFileError(f"{tree.source}: no moving joint between {base!r} and {tip!r}; choose another tip")
-    return moving
+    if len(moving) > _MOST_JOINTS:
+        raise RobotFileError(
+            f"{tree.source}: {len(moving)} moving joints between {base!r} and {tip!r}; expected at most {_MOST_JOINTS}: "
+            "choose another base or tip"
+        )
+    tree.refuse_loops(path)
+    return path
 
 
-def _reduced_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
+def _arm_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
     """Build the model from text of any encoding; what Pinocchio can't do with it is passed on in words."""
     import pinocchio as pin
 
     try:
-        model = pin.buildModelFromXML(plain_text(urdf, source))
+        return pin.buildModelFromXML(arm_text(urdf, joint_names, source))
     except (ValueError, RuntimeError) as error:
         raise RobotFileError(f"{source}: Pinocchio can't read this URDF: {error}") from None
-    locked = [model.getJointId(name) for name in model.names[1:] if name not in joint_names]
-    try:
-        return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
-    except ValueError as error:
-        raise RobotFileError(
-            f"{source}: Pinocchio can't lock the joints off the path ({error}); rename what has one name"
-        ) from None
 
 
 def _build(
@@ -268,8 +299,10 @@ def _build(
 ) -> Robot:
     import pinocchio as pin
 
+    mimics = tree.mimics(path)
+    path = tuple(joint for joint in path if joint.kind in MOVING_TYPES)
     names = tuple(joint.name for joint in path)
-    model = _reduced_model(tree.text, names, tree.source)
+    model = _arm_model(tree.text, names, tree.source)
     data = model.createData()
     ids = [model.getJointId(name) for name in names]
     pin.framesForwardKinematics(model, data, pin.neutral(model))
@@ -291,12 +324,14 @@ def _build(
     lower, upper = model.lowerPositionLimit[places], model.upperPositionLimit[places]
     turns = np.array([joint.kind == "continuous" for joint in path])
     bounded = ~turns & (upper > lower) & (upper - lower < _NO_LIMIT)
+    limits = np.where(bounded, lower, -np.inf), np.where(bounded, upper, np.inf)
+    limits = _with_mimics(*limits, names=names, mimics=mimics)
     return cls(
         name=tree.name,
         joint_names=names,
         joint_types=tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path),
-        lower=np.where(bounded, lower, -np.inf),
-        upper=np.where(bounded, upper, np.inf),
+        lower=limits[0],
+        upper=limits[1],
         base=base,
         tip=tip,
         frames=frames,
@@ -305,9 +340,10 @@ def _build(
         centres=centres,
         massless=tuple(joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown),
         gravity=T_base_world.rotation @ model.gravity.linear,
-        notes=_locked_notes(tree, names, base, tip),
+        notes=_notes(tree, names, base, tip),
         urdf=tree.text,
         source=tree.source,
+        mimics=mimics,
     )
 
 
@@ -323,11 +359,32 @@ def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
     return np.array(axes)
 
 
-def _locked_notes(tree: UrdfTree, names: tuple[str, ...], base: str, tip: str) -> tuple[str, ...]:
+def _with_mimics(
+    lower: np.ndarray, upper: np.ndarray, *, names: tuple[str, ...], mimics: tuple[Mimic, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return limits, shape (n,) each, within which the joints that follow others keep their own limits, too."""
+    low, high = lower.copy(), upper.copy()
+    for mimic in mimics:
+        i, k = names.index(mimic.joint), names.index(mimic.source)
+        if mimic.multiplier:
+            ends = np.sort((np.array([lower[i], upper[i]]) - mimic.offset) / mimic.multiplier)
+            if max(low[k], ends[0]) < min(high[k], ends[1]):
+                low[k], high[k] = max(low[k], ends[0]), min(high[k], ends[1])
+    for mimic in mimics:
+        i, k = names.index(mimic.joint), names.index(mimic.source)
+        if mimic.multiplier:
+            low[i], high[i] = np.sort(mimic.multiplier * np.array([low[k], high[k]]) + mimic.offset)
+    return low, high
+
+
+def _notes(tree: UrdfTree, names: tuple[str, ...], base: str, tip: str) -> tuple[str, ...]:
+    """Return what the user should know of how the arm was read; it is also warned of."""
     locked = [joint for joint in tree.joints if joint.kind != "fixed" and joint.name not in names]
-    if not locked:
-        return ()
-    shown = ", ".join(joint.name for joint in locked[:6]) + (f" and {len(locked) - 6} more" if len(locked) > 6 else "")
-    note = f"{len(locked)} joints off the path from {base} to {tip} are locked at their neutral position: {shown}"
-    warnings.warn(f"{tree.source}: {note}", PincalWarning, stacklevel=5)
-    return (note,)
+    notes = tree.notes
+    if locked:
+        more = f" and {len(locked) - 6} more" if len(locked) > 6 else ""
+        shown = ", ".join(joint.name for joint in locked[:6]) + more
+        notes += (f"{len(locked)} joints off the path from {base} to {tip} are locked at their neutral position: {shown}",)
+    for note in notes:
+        warnings.warn(f"{tree.source}: {note}", PincalWarning, stacklevel=5)
+    return notes

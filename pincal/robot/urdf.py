@@ -4,118 +4,24 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from lxml import etree
 
-from pincal.errors import RobotFileError, nearest_first
+from pincal.errors import RobotFileError
+from pincal.robot.tree import MOVING_TYPES, OPEN_LOOPS, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
 from pincal.robot.xacro_file import expand_xacro, is_xacro
 
-MOVING_TYPES = ("revolute", "continuous", "prismatic")
 _UNSUPPORTED_TYPES = ("planar", "floating")
 # Lengths of an axis that can be meant; others lose all digits when they are normalised.
 _AXIS_LENGTHS = (1e-6, 1e6)
 # What Pinocchio calls the world.
 _RESERVED = "universe"
-# How ROS-Industrial and makers' URDFs name the link that a tool is mounted on, most specific first.
-_TIP_NAMES = ("tool0", "tcp", "flange", "ee_link", "eef", "end_effector")
-
-
-@dataclass(frozen=True)
-class UrdfJoint:
-    """One ``<joint>`` of a URDF, as far as the topology of the tree needs it."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    mimic: str | None
-
-
-@dataclass(frozen=True)
-class UrdfTree:
-    """The checked text of a URDF and the tree of links and joints it describes."""
-
-    text: bytes
-    name: str
-    source: str
-    links: tuple[str, ...]
-    joints: tuple[UrdfJoint, ...]
-    root: str
-
-    def path(self, base: str, tip: str) -> tuple[UrdfJoint, ...]:
-        """Return the joints from link ``base`` to link ``tip``, in this order.
-
-        Raises:
-            RobotFileError: if a link is unknown or ``base`` does not lie between the root and ``tip``.
-        """
-        for role, link in (("base", base), ("tip", tip)):
-            if link not in self.links:
-                raise RobotFileError(f"{self.source}: unknown {role} link {link!r}; {_known(link, self.links)}")
-        by_child = {joint.child: joint for joint in self.joints}
-        joints: list[UrdfJoint] = []
-        link = tip
-        while link != base:
-            joint = by_child.get(link)
-            if joint is None:
-                raise RobotFileError(
-                    f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base link on the way from "
-                    f"the root {self.root!r} to the tip: choose one of {', '.join([j.parent for j in joints])}"
-                )
-            joints.append(joint)
-            link = joint.parent
-        return tuple(reversed(joints))
-
-    def default_tip(self, joint_names: Iterable[str] | None = None) -> str:
-        """Return the link at the end of the arm.
-
-        The arm is the chain of the joints named in ``joint_names`` where they are given, else the longest moving chain
-        without the fingers of a gripper. Of several links rigidly behind its last joint, one named like a tool or a
-        flange is preferred, as industrial URDFs name it, else the last along the chain.
-
-        Raises:
-            RobotFileError: if no chain of this URDF has just the joints ``joint_names``.
-        """
-        chains = self._moving_chains()
-        if joint_names is None:
-            end = max(chains, key=lambda link: (len(chains[link]), -self.links.index(link)))
-            wanted = self._without_gripper(chains, chains[end])
-        else:
-            wanted = self._chain_of(chains, set(joint_names))
-        ends = [link for link in chains if chains[link] == wanted]
-        named = (link for name in _TIP_NAMES for link in ends if link == name or link.endswith("_" + name))
-        return next(named, ends[-1])
-
-    def _moving_chains(self) -> dict[str, tuple[str, ...]]:
-        """Return, for each link that no mimic joint moves, the moving joints from the root to it."""
-        chains: dict[str, tuple[str, ...]] = {self.root: ()}
-        for joint in _in_tree_order(self.root, self.joints):
-            if joint.parent in chains and joint.mimic is None:
-                moves = (joint.name,) if joint.kind in MOVING_TYPES else ()
-                chains[joint.child] = chains[joint.parent] + moves
-        return chains
-
-    def _without_gripper(self, chains: dict[str, tuple[str, ...]], chain: tuple[str, ...]) -> tuple[str, ...]:
-        """Cut the fingers off: at most two joints that hang on a link beside other moving joints."""
-        by_name = {joint.name: joint for joint in self.joints}
-        # Behind which joints each moving joint hangs.
-        hangs = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES]
-        for cut in range(max(len(chain) - 2, 1), len(chain)):
-            if hangs.count(chains[by_name[chain[cut]].parent]) > 1:
-                return chain[:cut]
-        return chain
-
-    def _chain_of(self, chains: dict[str, tuple[str, ...]], names: set[str]) -> tuple[str, ...]:
-        for chain in chains.values():
-            if set(chain) == names or (chain and chain[-1] in names and names <= set(chain)):
-                return chain
-        unknown = sorted(names - {joint.name for joint in self.joints})
-        problem = f"no joint {unknown[0]!r}" if unknown else f"no serial chain of the joints {', '.join(sorted(names))}"
-        raise RobotFileError(f"{self.source}: {problem}; its joints: {', '.join(j.name for j in self.joints)}")
+# Coordinates of an origin [m] beyond which no digit of a micrometre is left; some cells are placed in national grids.
+_FARTHEST = 1e7
 
 
 def parse_xml(text: bytes, source: str) -> Any:
@@ -137,9 +43,18 @@ def parse_xml(text: bytes, source: str) -> Any:
     return root
 
 
-def plain_text(text: bytes, source: str) -> str:
-    """Return the XML as text without a declaration of its encoding, for readers that know only one."""
-    return str(etree.tostring(parse_xml(text, source), encoding="unicode"))
+def arm_text(text: bytes, moving: Collection[str], source: str) -> str:
+    """Return the XML of an arm, in which all joints but those named are fixed where they are at zero.
+
+    It is without a declaration of its encoding, for readers that know only one.
+    """
+    root = parse_xml(text, source)
+    for joint in root.iterfind("joint"):
+        if joint.get("name") not in moving:
+            joint.set("type", "fixed")
+            for mimic in joint.findall("mimic"):
+                joint.remove(mimic)
+    return str(etree.tostring(root, encoding="unicode"))
 
 
 def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | None = None) -> UrdfTree:
@@ -181,8 +96,38 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
         _numbers(element, "xyz", source)
         _numbers(element, "rpy", source)
+        if np.abs(_numbers(element, "xyz", source)).max() > _FARTHEST:
+            raise _fault(element, source, f"<origin xyz={element.get('xyz')!r}> is far beyond any robot; expected metres")
     _check_masses(root, source)
-    return UrdfTree(text, root.get("name", "robot"), source, links, joints, _find_root(links, joints, source))
+    notes = tuple(_settle_axes(root, source))
+    return UrdfTree(
+        text=etree.tostring(root) if notes else text,
+        name=root.get("name", "robot"),
+        source=source,
+        links=links,
+        joints=joints,
+        root=_find_root(links, joints, source),
+        closing=tuple(_closing_joints(root, links, source)),
+        notes=notes,
+    )
+
+
+def _settle_axes(root: Any, source: str) -> Iterator[str]:
+    """Write down the axis of joints that have one without a direction, and say so: readers take it for x, or for none."""
+    for joint in root.iterfind("joint"):
+        axis = joint.find("axis")
+        if axis is not None and axis.get("xyz") is None and joint.get("type") in MOVING_TYPES:
+            axis.set("xyz", "1 0 0")
+            where = f"joint {joint.get('name')} (line {axis.sourceline})"
+            yield f"{where} has an <axis> without xyz; it is read as 1 0 0, the default of URDF"
+
+
+def _closing_joints(root: Any, links: tuple[str, ...], source: str) -> Iterator[UrdfJoint]:
+    """Yield what is told to other programs only: joints of Gazebo between links of the tree."""
+    for element in root.iterfind("gazebo/joint"):
+        ends = [(element.findtext(role) or "").strip().split("::")[-1] for role in ("parent", "child")]
+        if all(end in links for end in ends):
+            yield UrdfJoint(element.get("name", "unnamed"), element.get("type", ""), ends[0], ends[1], None)
 
 
 def _fault(element: Any, source: str, text: str) -> RobotFileError:
@@ -208,7 +153,14 @@ def _read_joint(element: Any, source: str) -> UrdfJoint:
             what = "a zero axis" if length == 0.0 else f"an axis of length {length:.1e}"
             raise _fault(axis, source, f"joint {name!r} has {what}; expected a direction of length 1")
     _check_limit(element, name, kind, source)
-    return UrdfJoint(name, kind, ends[0], ends[1], None if mimic is None else mimic.get("joint", ""))
+    return UrdfJoint(name, kind, ends[0], ends[1], None if mimic is None else _read_mimic(mimic, name, source))
+
+
+def _read_mimic(element: Any, name: str, source: str) -> Mimic:
+    numbers = [_number(element.get(key, default)) for key, default in (("multiplier", "1"), ("offset", "0"))]
+    if not all(number is not None and np.isfinite(number) for number in numbers):
+        raise _fault(element, source, f"joint {name!r} mimics with {dict(element.items())}; expected finite numbers")
+    return Mimic(name, element.get("joint", ""), *(float(number or 0.0) for number in numbers))
 
 
 def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
@@ -261,7 +213,7 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
-                text = f"joint {joint.name!r} names the unknown link {link!r}; {_known(link, links)}"
+                text = f"joint {joint.name!r} names the unknown link {link!r}; {known_links(link, links)}"
                 raise RobotFileError(f"{source}: {text}")
     children = Counter(joint.child for joint in joints)
     closed = [link for link, count in children.items() if count > 1]
@@ -269,27 +221,12 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
         names = ", ".join(joint.name for joint in joints if joint.child == closed[0])
         raise RobotFileError(
             f"{source}: link {closed[0]!r} is the child of several joints ({names}), a closed loop; "
-            "expected a tree: cut the loop at one joint"
+            f"expected a tree: cut the loop at one joint. {OPEN_LOOPS}"
         )
     roots = [link for link in links if link not in children]
-    if len(roots) != 1 or len(_in_tree_order(roots[0], joints)) != len(joints):
+    if len(roots) != 1 or len(in_tree_order(roots[0], joints)) != len(joints):
         raise RobotFileError(
             f"{source}: the links form no single tree (roots: {', '.join(roots) or 'none, the joints run in a circle'});"
             " expected every link to hang on one root link"
         )
     return roots[0]
-
-
-def _in_tree_order(root: str, joints: tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
-    order: list[UrdfJoint] = []
-    open_links = [root]
-    while open_links:
-        link = open_links.pop()
-        below = [joint for joint in joints if joint.parent == link]
-        order += below
-        open_links += [joint.child for joint in below]
-    return order
-
-
-def _known(name: str, known: Iterable[str]) -> str:
-    return f"known ones: {', '.join(nearest_first([name], known)[:12])}"

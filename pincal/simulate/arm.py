@@ -6,11 +6,12 @@ along the joint axis (the y axis where x is parallel to the joint axis). Where t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +36,7 @@ class Arm:
         axes: Rotation from the working frame to the URDF frame of joint i, shape (n, 3, 3).
         lower: Lower joint limits [rad or m]; -pi for a continuous joint, shape (n,).
         upper: Upper joint limits [rad or m], shape (n,).
+        mimics: Joint, the joint that it follows, multiplier and offset, of those that the URDF has mimic another.
     """
 
     names: tuple[str, ...]
@@ -45,6 +47,24 @@ class Arm:
     axes: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+    mimics: tuple[tuple[int, int, float, float], ...] = ()
+
+    @cached_property
+    def driving(self) -> np.ndarray:
+        """How all joints move with those that drive themselves, shape (n, m)."""
+        moves = np.eye(len(self.names))
+        for joint, *_ in self.mimics:
+            moves[joint] = 0.0
+        own = np.flatnonzero(moves.any(axis=1))
+        return np.asarray(self.following(moves[:, own].T).T - self.following(np.zeros((len(own), len(moves)))).T)
+
+    def following(self, q: np.ndarray) -> np.ndarray:
+        """Return joint positions, shape (N, n), with those that follow another joint where it takes them."""
+        out = np.array(q, float)
+        # As often as there are joints that follow one that follows another.
+        for joint, source, multiplier, offset in self.mimics * len(self.mimics):
+            out[:, joint] = multiplier * out[:, source] + offset
+        return out
 
     @cached_property
     def lengths(self) -> np.ndarray:
@@ -88,19 +108,35 @@ def read_arm(urdf: str | Path, tip: str, base: str | None = None) -> Arm:
     path = _path(full, tip, base)
     locked = [index for index in range(1, full.njoints) if index not in path]
     model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
-    return _arm(model, tip, base)
+    return replace(arm := _arm(model, tip, base), mimics=_mimics(urdf, arm.names))
 
 
 def _load(urdf: str | Path) -> Any:
     import pinocchio as pin
 
-    is_text = str(urdf).lstrip().startswith("<")
+    is_text = _is_text(urdf)
     if not is_text and not Path(urdf).is_file():
         raise RobotFileError(f"{urdf}: no such file; expected a URDF")
     try:
         return pin.buildModelFromXML(str(urdf)) if is_text else pin.buildModelFromUrdf(str(urdf))
     except ValueError as error:
         raise RobotFileError(f"{'URDF text' if is_text else urdf}: {error}") from error
+
+
+def _is_text(urdf: str | Path) -> bool:
+    return str(urdf).lstrip().startswith("<")
+
+
+def _mimics(urdf: str | Path, names: tuple[str, ...]) -> tuple[tuple[int, int, float, float], ...]:
+    """Return which joints of the arm follow another joint of the arm, and how."""
+    root = ElementTree.fromstring(str(urdf)) if _is_text(urdf) else ElementTree.parse(urdf).getroot()
+    found = []
+    for joint in root.iterfind("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and joint.get("name") in names and mimic.get("joint") in names:
+            indices = names.index(str(joint.get("name"))), names.index(str(mimic.get("joint")))
+            found.append((*indices, float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))))
+    return tuple(found)
 
 
 def _frame_id(model: Any, name: str) -> int:

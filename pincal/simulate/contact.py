@@ -160,7 +160,7 @@ def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, rad
         if np.abs(missing).max(initial=0.0) < _CLOSED:
             return poses
         jacobian = position_jacobian(machine.nominal, frames(machine.nominal, poses.q), point)
-        poses = replace(poses, q=poses.q + newton_step(jacobian, missing))
+        poses = replace(poses, q=poses.q + newton_step(machine.nominal, jacobian, missing))
     worst = int(np.abs(missing).max(axis=1).argmax())
     raise BadInputError(
         f"pose {worst + 1}: the true arm can't be held at {places[worst].round(4).tolist()}; make its errors smaller, "

@@ -42,7 +42,7 @@ def plan_poses(
     middle, half = (arm.upper + arm.lower) / 2.0, _SPAN * (arm.upper - arm.lower) / 2.0
 
     def draw() -> np.ndarray:
-        q = middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names)))
+        q = arm.following(middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names))))
         fits = is_clear(arm, q, min_height)
         if max_radius is not None:
             fits &= np.linalg.norm(frames(arm, q)[:, -1, :3, 3], axis=1) < max_radius
@@ -124,21 +124,22 @@ def reach(
             break
         missing, jacobian = _missing(arm, frames(arm, q[left]), goal=goal[left], tool=point)
         error[left] = np.linalg.norm(missing, axis=1)
-        q[left] += newton_step(jacobian, missing) * (error[left] >= _REACHED)[:, None]
+        q[left] += newton_step(arm, jacobian, missing) * (error[left] >= _REACHED)[:, None]
     # A turn more or less changes nothing but the limits.
     turns = np.where(arm.prismatic, 0.0, 2.0 * np.pi * np.round((q - 0.5 * (arm.lower + arm.upper)) / (2.0 * np.pi)))
-    q = np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns)
+    q = arm.following(np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns))
     middle, half = 0.5 * (arm.lower + arm.upper), 0.5 * _SPAN * (arm.upper - arm.lower)
     return q, (error < _REACHED) & np.all(np.abs(q - middle) <= half, axis=1)
 
 
-def newton_step(jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
+def newton_step(arm: Arm, jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Return the damped joint step, of bounded length, that makes up for what is missing, shape (N, n)."""
+    jacobian = jacobian @ arm.driving
     transposed = np.swapaxes(jacobian, 1, 2)
     size = np.linalg.norm(missing, axis=1).clip(0.0, 1.0)
     damping = _DAMPING * size[:, None, None] * np.eye(missing.shape[1])
     solved = np.linalg.solve(jacobian @ transposed + damping, missing[..., None])
-    step: np.ndarray = (transposed @ solved)[..., 0]
+    step: np.ndarray = (transposed @ solved)[..., 0] @ arm.driving.T
     longest = np.abs(step).max(axis=1, keepdims=True)
     step *= np.minimum(1.0, _STEP / np.maximum(longest, 1e-300))
     return step

@@ -35,6 +35,7 @@ def workspace_poses(
     rng = np.random.default_rng(seed)
     lower, upper = calibrated.covered.q.T
     q = rng.uniform(lower, upper, (min(_DRAWS * places, max(_MOST_DRAWS, places)), len(lower)))
+    q = calibrated.model.chain.robot.following(q)
     pieces = (at_conditions(q[i : i + _PIECE], calibrated, payload, known) for i in range(0, len(q), _PIECE))
     reached = np.concatenate([calibrated.predict(piece)[:, :, 3] for piece in pieces])
     size = _cell_size(reached, places)

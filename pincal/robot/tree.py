@@ -1,0 +1,217 @@
+"""The tree of links and joints that a URDF describes, and which of its chains is the arm."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from pincal.errors import RobotFileError, nearest_first
+
+MOVING_TYPES = ("revolute", "continuous", "prismatic")
+# How ROS-Industrial and makers' URDFs name the link that a tool is mounted on, most specific first.
+_TIP_NAMES = ("tool0", "tcp", "flange", "ee_link", "eef", "end_effector")
+# How fingers and their joints are named. The body of a gripper is what the last joint of many an arm turns.
+_FINGER = re.compile(r"finger|thumb|jaw|knuckle|hand[a-z_]*_(index|middle|ring|little|pinky)", re.IGNORECASE)
+_FINGER_JOINT = re.compile(_FINGER.pattern + "|gripper", re.IGNORECASE)
+# What is fixed to an arm and is no place to fix a tool.
+_NO_TIP = re.compile(_FINGER_JOINT.pattern + "|camera|optical|imu|accelerometer|range|laser|light", re.IGNORECASE)
+# What helps where a URDF has a closed loop.
+OPEN_LOOPS = (
+    "Describe a parallelogram by the joints that the tool hangs on alone: one that keeps parallel to another gets "
+    '<mimic joint="..." multiplier="-1"/> of the joint that drives it, and the rods hang beside the arm'
+)
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that another one drives: its position is ``multiplier`` times that of ``source`` plus ``offset``."""
+
+    joint: str
+    source: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """One ``<joint>`` of a URDF, as far as the topology of the tree needs it."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    mimic: Mimic | None
+
+
+@dataclass(frozen=True)
+class UrdfTree:
+    """The checked text of a URDF and the tree of links and joints it describes.
+
+    Attributes:
+        text: the URDF.
+        name: of the robot.
+        source: where the text came from.
+        links: names of the links.
+        joints: of the tree.
+        root: the link that all others hang on.
+        closing: joints outside the tree that close a loop in it, as Gazebo has them.
+        notes: how the text was read where that may be doubted, in words.
+    """
+
+    text: bytes
+    name: str
+    source: str
+    links: tuple[str, ...]
+    joints: tuple[UrdfJoint, ...]
+    root: str
+    closing: tuple[UrdfJoint, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def path(self, base: str, tip: str) -> tuple[UrdfJoint, ...]:
+        """Return the joints from link ``base`` to link ``tip``, in this order.
+
+        Raises:
+            RobotFileError: if a link is unknown or ``base`` does not lie between the root and ``tip``.
+        """
+        for role, link in (("base", base), ("tip", tip)):
+            if link not in self.links:
+                raise RobotFileError(f"{self.source}: unknown {role} link {link!r}; {known_links(link, self.links)}")
+        by_child = {joint.child: joint for joint in self.joints}
+        joints: list[UrdfJoint] = []
+        link = tip
+        while link != base:
+            joint = by_child.get(link)
+            if joint is None:
+                raise RobotFileError(
+                    f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base link on the way from "
+                    f"the root {self.root!r} to the tip: choose one of {', '.join([j.parent for j in joints])}"
+                )
+            joints.append(joint)
+            link = joint.parent
+        return tuple(reversed(joints))
+
+    def default_tip(self, joint_names: Iterable[str] | None = None) -> str:
+        """Return the link at the end of the arm.
+
+        The arm is the chain of the joints named in ``joint_names`` where they are given, else the longest moving chain
+        without the fingers of a gripper. Of several links rigidly behind its last joint, one named like a tool or a
+        flange is preferred, as industrial URDFs name it, else the last along the chain that is not part of a gripper.
+
+        Raises:
+            RobotFileError: if no chain of this URDF has just the joints ``joint_names``.
+        """
+        chains = self._moving_chains()
+        if joint_names is None:
+            end = max(chains, key=lambda link: (len(self._own(chains[link])), len(chains[link]), -self.links.index(link)))
+            wanted = self._without_gripper(chains, chains[end])
+        else:
+            wanted = self._chain_of(chains, set(joint_names))
+        ends = [link for link in chains if chains[link] == wanted]
+        named = (link for name in _TIP_NAMES for link in ends if link == name or link.endswith("_" + name))
+        return next(named, next((link for link in reversed(ends) if not _NO_TIP.search(link)), ends[-1]))
+
+    def mimics(self, path: Sequence[UrdfJoint]) -> tuple[Mimic, ...]:
+        """Return how each joint on a path that mimics another follows a joint on the path that mimics none.
+
+        Raises:
+            RobotFileError: for a joint that mimics one off the path, or itself in the end.
+        """
+        by_name = {joint.name: joint for joint in path}
+        found = []
+        for name, joint in by_name.items():
+            if joint.mimic is None:
+                continue
+            total, seen = joint.mimic, {name}
+            while total.source not in seen and total.source in by_name and (further := by_name[total.source].mimic):
+                seen.add(total.source)
+                offset = total.multiplier * further.offset + total.offset
+                total = Mimic(name, further.source, total.multiplier * further.multiplier, offset)
+            if total.source not in by_name or total.source in seen:
+                ends = f"between {path[0].parent!r} and {path[-1].child!r}"
+                raise RobotFileError(
+                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is no joint of its own on the way "
+                    "from base to tip: choose another base or tip, or let it mimic a joint of the arm"
+                )
+            found.append(total)
+        return tuple(found)
+
+    def refuse_loops(self, path: Iterable[UrdfJoint]) -> None:
+        """Refuse a path of which joints are part of a loop that a joint outside the tree closes.
+
+        Raises:
+            RobotFileError: naming the joints: what a parallelogram drives is not told by the reading of its own joint.
+        """
+        for closing in self.closing:
+            sides = [{joint.name for joint in self.path(self.root, end)} for end in (closing.parent, closing.child)]
+            if inside := [joint.name for joint in path if joint.kind in MOVING_TYPES and joint.name in sides[0] ^ sides[1]]:
+                over = ", ".join(inside)
+                raise RobotFileError(
+                    f"{self.source}: joint {closing.name!r} closes a loop over {over}, as a parallelogram does. {OPEN_LOOPS}"
+                )
+
+    def _own(self, chain: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the joints of a chain that mimic none."""
+        driven = {joint.name for joint in self.joints if joint.mimic is not None}
+        return tuple(name for name in chain if name not in driven)
+
+    def _moving_chains(self) -> dict[str, tuple[str, ...]]:
+        """Return the moving joints from the root to each link where those that mimic one have it on the way, too."""
+        mimics = {joint.name: joint.mimic.source for joint in self.joints if joint.mimic is not None}
+        chains: dict[str, tuple[str, ...]] = {self.root: ()}
+        for joint in in_tree_order(self.root, self.joints):
+            moves = (joint.name,) if joint.kind in MOVING_TYPES else ()
+            chains[joint.child] = chains[joint.parent] + moves
+        return {
+            link: chain
+            for link, chain in chains.items()
+            if all(mimics[name] in chain for name in mimics.keys() & set(chain))
+        }
+
+    def _without_gripper(self, chains: dict[str, tuple[str, ...]], chain: tuple[str, ...]) -> tuple[str, ...]:
+        """Cut the fingers off: joints named so, and at most two that hang on a link beside other moving joints."""
+        by_name = {joint.name: joint for joint in self.joints}
+        cuts = [i for i, name in enumerate(chain) if _FINGER_JOINT.search(name) or _FINGER.search(by_name[name].child)]
+        # A robot whose first joint is named so is a hand, or has the word in all its names.
+        if cuts and cuts[0] > 0:
+            return chain[: cuts[0]]
+        # Behind which joints each moving joint hangs.
+        hangs = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES]
+        for cut in range(max(len(chain) - 2, 1), len(chain)):
+            if hangs.count(chains.get(by_name[chain[cut]].parent, ())) > 1:
+                return chain[:cut]
+        return chain
+
+    def _chain_of(self, chains: dict[str, tuple[str, ...]], names: set[str]) -> tuple[str, ...]:
+        fitting = []
+        for chain in chains.values():
+            own = self._own(chain)
+            is_all = set(own) <= names <= set(chain)
+            if own and (is_all or (own[-1] in names and names <= set(chain))):
+                fitting.append((is_all, len(own), chain))
+        if fitting:
+            # All of a chain's joints before a part of one; with those that follow the last.
+            best = max(fitting, key=lambda found: (found[0], -found[1], len(found[2])))
+            return best[2]
+        unknown = sorted(names - {joint.name for joint in self.joints})
+        problem = f"no joint {unknown[0]!r}" if unknown else f"no serial chain of the joints {', '.join(sorted(names))}"
+        raise RobotFileError(f"{self.source}: {problem}; its joints: {', '.join(j.name for j in self.joints)}")
+
+
+def in_tree_order(root: str, joints: tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
+    """Return the joints below a link, each behind those that carry it."""
+    by_parent: dict[str, list[UrdfJoint]] = {}
+    for joint in joints:
+        by_parent.setdefault(joint.parent, []).append(joint)
+    order: list[UrdfJoint] = []
+    open_links = [root]
+    while open_links:
+        below = by_parent.pop(open_links.pop(), [])
+        order += below
+        open_links += [joint.child for joint in below]
+    return order
+
+
+def known_links(name: str, known: Iterable[str]) -> str:
+    """Return the names that there are, the nearest first, for a message."""
+    return f"known ones: {', '.join(nearest_first([name], known)[:12])}"
