@@ -10,11 +10,14 @@ import difflib
 import unicodedata
 from collections.abc import Iterable
 from enum import IntEnum
+from itertools import islice
 
 # The longest message [bytes]: names in it come from files and may have any length.
 LONGEST = 1900
 # Likeness of two names, 0 to 1, below which they have nothing to do with each other.
 _ALIKE = 0.5
+# Names that are compared at most, and characters of each: beyond, it is no slip of the pen.
+_COMPARED = 50
 
 
 def printable(text: str, most: int | None = None) -> str:
@@ -26,7 +29,7 @@ def printable(text: str, most: int | None = None) -> str:
 
     Example:
         >>> printable("joint \x1b[2J"), printable("a" * 50, 20)
-        ('joint \\\\x1b[2J', 'aaaaaaaa ... aaaaaaa')
+        ('joint \\x1b[2J', 'aaaaaaaa ... aaaaaaa')
     """
     if not text.isprintable():
         text = "".join(c if c in "\n\t" or unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in text)
@@ -127,10 +130,11 @@ def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
         >>> nearest_first(["jont_2"], ["base", "joint_1", "joint_2"])
         ['joint_2', 'joint_1', 'base']
     """
-    folded = [name.casefold() for name in wrong]
+    folded = [name.casefold()[:_COMPARED] for name in islice(wrong, _COMPARED)]
 
     def likeness(name: str) -> float:
-        best = max((difflib.SequenceMatcher(None, other, name.casefold()).ratio() for other in folded), default=0.0)
+        name = name.casefold()[:_COMPARED]
+        best = max((difflib.SequenceMatcher(None, other, name).ratio() for other in folded), default=0.0)
         return best if best >= _ALIKE else 0.0
 
     return sorted(dict.fromkeys(known), key=likeness, reverse=True)

@@ -71,6 +71,16 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
 
 
+def test_the_page_may_load_nothing(page: str) -> None:
+    """Before anything else the browser is told: no script, nothing from the network, no form."""
+    head = page.partition("<title>")[0]
+    policy = re.search(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', head, re.IGNORECASE)
+    assert policy is not None
+    rules = dict(rule.split(maxsplit=1) for rule in policy[1].split("; "))
+    assert rules.pop("default-src") == rules.pop("base-uri") == rules.pop("form-action") == "'none'"
+    assert rules == {"style-src": "'unsafe-inline'", "img-src": "data:"}
+
+
 def test_the_page_needs_nothing_from_elsewhere(page: str) -> None:
     """No script, no reference out of the page, no identifier twice."""
     parsed = Page(page)

@@ -445,7 +445,11 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    file = read_model_file(path)
+    return model_of_file(read_model_file(path))
+
+
+def model_of_file(file: ModelFile) -> CalibratedModel:
+    """Return the model that a ``model.json`` of one station describes."""
     parameters = [entry.parameter() for entry in file.parameters]
     estimate = estimate_of(parameters, file.values, file.covariance)
     nominal, provenance = file.nominal_values, file.provenance

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel, estimate_at, load_model
+from pincal.calibration.calibrated import CalibratedModel, estimate_at, model_of_file
 from pincal.errors import BadInputError
 from pincal.identify.fingerprints import together
 from pincal.identify.fit import Fit
@@ -17,10 +17,10 @@ from pincal.io.entries import ChainEntry, ParameterEntry, RobotEntry
 from pincal.io.model_file import (
     STATIONS_VERSION,
     CovarianceEntry,
+    ModelFile,
     StationEntry,
     StationsFile,
-    has_stations,
-    read_stations_file,
+    read_model,
     write_model_file,
 )
 from pincal.parameters import Estimate
@@ -134,11 +134,11 @@ def load_stations(path: str | os.PathLike[str]) -> CalibratedStations:
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
     """
-    if not has_stations(path):
-        only = load_model(path)
+    file = read_model(path)
+    if isinstance(file, ModelFile):
+        only = model_of_file(file)
         nominal = np.full(len(only.values), np.nan) if only.nominal_values is None else only.nominal_values
         return CalibratedStations({"": only}, only.estimate, nominal, only.provenance)
-    file = read_stations_file(path)
     parameters = tuple(entry.parameter() for entry in file.parameters)
     prior = np.array([parameter.size for parameter in parameters])
     estimate = Estimate(parameters, file.values, np.array(file.fitted, bool), file.covariance.covariance(), prior)

@@ -19,6 +19,8 @@ from pincal.robot.se3 import are_rotations
 
 # Users give rotations with as few as three decimals; what differs by more than this was not meant as one.
 _ROTATION = 1e-3
+# Those of the robot itself pincal writes in full precision; this turns or stretches an arm of a metre by a micrometre.
+_EXACT = 1e-6
 _NUMBERS = {float, int, type(None)}
 
 
@@ -45,7 +47,7 @@ def _check_rotations(found: np.ndarray) -> None:
 
 def _check_transforms(found: np.ndarray) -> None:
     last = found[..., 3, :]
-    if not are_rotations(found[..., :3, :3], tolerance=_ROTATION) or not (last == [0.0, 0.0, 0.0, 1.0]).all():
+    if not are_rotations(found[..., :3, :3], tolerance=_EXACT) or not (last == [0.0, 0.0, 0.0, 1.0]).all():
         raise Fault("is no transform", "4 rows of 4, rotation and metres, the last row 0 0 0 1")
 
 

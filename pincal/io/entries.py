@@ -35,6 +35,9 @@ from pincal.robot.dh import DhFrames
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Mimic
 
+# A file of more is none that pincal wrote: an arm has some ten effects for each of its joints.
+Effects = Annotated[tuple[Effect, ...], msgspec.Meta(max_length=2000)]
+
 
 class FramesEntry(Record, frozen=True, kw_only=True):
     """The Denavit-Hartenberg frames of a robot, see :class:`pincal.robot.dh.DhFrames`."""
@@ -60,7 +63,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     NULLS: ClassVar[Mapping[str, float]] = {"lower": -np.inf, "upper": np.inf}
 
     name: str
-    joint_names: Annotated[tuple[str, ...], Shape("joints")]
+    joint_names: Annotated[tuple[str, ...], Shape("joints"), msgspec.Meta(max_length=200)]
     joint_types: Annotated[tuple[Literal["revolute", "prismatic"], ...], Shape("joints")]
     lower: Annotated[Limits, Shape("joints")]
     upper: Annotated[Limits, Shape("joints")]
@@ -124,7 +127,7 @@ class ModelEntry(Record, frozen=True, kw_only=True):
 
     robot: RobotEntry
     chain: ChainEntry
-    effects: tuple[Effect, ...]
+    effects: Effects
     equilibrium: bool
 
     def __post_init__(self) -> None:

@@ -14,6 +14,7 @@ from pincal.io.arrays import Matrix, Numbers, Record, Shape, Vector, shaped
 from pincal.io.entries import (
     ChainEntry,
     CoveredEntry,
+    Effects,
     ModelEntry,
     ParameterEntry,
     RobotEntry,
@@ -23,14 +24,15 @@ from pincal.io.entries import (
     restored,
 )
 from pincal.io.result_folder import not_written_with
-from pincal.io.strict_json import MODEL_FILE, Fault, read_json, write_json
+from pincal.io.strict_json import MODEL_FILE, Fault, built, read_bounded, write_json
 from pincal.measure.registry import known_kinds
-from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Covariance
 
 # Of files with one station, and with several.
 FORMAT_VERSION, STATIONS_VERSION = 1, 2
+# Building the model of a station takes a millisecond, and so do ten effects.
+MOST_STATIONS = 500
 
 
 class MeasuredEntry(Record, frozen=True, kw_only=True):
@@ -141,7 +143,7 @@ class StationEntry(MeasuredEntry, frozen=True, kw_only=True):
 
     name: str
     chain: ChainEntry
-    effects: tuple[Effect, ...]
+    effects: Effects
     equilibrium: bool
 
 
@@ -169,12 +171,14 @@ class StationsFile(Record, frozen=True, kw_only=True):
     nominal_values: Annotated[Numbers, Shape("parameters")]
     fitted: Annotated[tuple[bool, ...], Shape("parameters")]
     covariance: CovarianceEntry
-    stations: tuple[StationEntry, ...]
+    stations: Annotated[tuple[StationEntry, ...], msgspec.Meta(max_length=MOST_STATIONS)]
     files: dict[str, str] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n = sum(self.fitted)
+        n, n_effects = sum(self.fitted), sum(len(station.effects) for station in self.stations)
+        if n_effects > MOST_STATIONS * 10:
+            raise Fault(f"hold {n_effects} effects", f"at most {MOST_STATIONS * 10}", key=".stations")
         shaped(".covariance.factor", self.covariance.factor, Shape(n, "any"), {})
         for k, group in enumerate(self.covariance.groups):
             if any(not 0 <= i < n for i in group.parameters):
@@ -194,14 +198,6 @@ class StationsFile(Record, frozen=True, kw_only=True):
         return model_of(robot, entry.chain, entry.effects, equilibrium=entry.equilibrium, key=f".stations[{k}]")
 
 
-class _Name(msgspec.Struct, frozen=True):
-    name: str
-
-
-class _Stations(msgspec.Struct, frozen=True):
-    stations: tuple[_Name, ...]
-
-
 class _Head(msgspec.Struct, frozen=True):
     """What is read first: whether the rest can be read at all."""
 
@@ -214,53 +210,44 @@ class _Head(msgspec.Struct, frozen=True):
             raise Fault(f"is {self.format_version}", expected, key=".format_version")
 
 
-def _version_of(path: str | os.PathLike[str]) -> int:
-    head = read_json(path, _Head, MODEL_FILE)
-    version = head.format_version
-    if version > STATIONS_VERSION:
+def read_model(path: str | os.PathLike[str]) -> ModelFile | StationsFile:
+    """Read ``model.json`` of one station or several.
+
+    Raises:
+        ModelFileError: if the file can't be read, is cut off, newer than this version or among the results of another run,
+            or a value is invalid.
+    """
+    file = os.fspath(path)
+    content = read_bounded(path, MODEL_FILE)
+    head = built(content, _Head, MODEL_FILE, file=file)
+    if head.format_version > STATIONS_VERSION:
         raise MODEL_FILE.error(
-            f"{os.fspath(path)}: format_version is {version}, written by a newer pincal; "
+            f"{file}: format_version is {head.format_version}, written by a newer pincal; "
             f"expected at most {STATIONS_VERSION}: update pincal"
         )
     if mixed := not_written_with(Path(path), head.files or {}):
         raise MODEL_FILE.error(
-            f"{os.fspath(path)}: {mixed} beside it was not written with it: a run was stopped while it wrote this folder, "
+            f"{file}: {mixed} beside it was not written with it: a run was stopped while it wrote this folder, "
             "or files of two runs were put together; calibrate again, or move the model to a folder of its own"
         )
-    return version
-
-
-def has_stations(path: str | os.PathLike[str]) -> bool:
-    """Return whether ``model.json`` holds several stations.
-
-    Raises:
-        ModelFileError: if the file can't be read, is cut off or newer than this version.
-    """
-    return _version_of(path) == STATIONS_VERSION
+    if head.format_version == STATIONS_VERSION:
+        return built(content, StationsFile, MODEL_FILE, file=file, hook=restored)
+    return built(content, ModelFile, MODEL_FILE, file=file, hook=restored)
 
 
 def read_model_file(path: str | os.PathLike[str]) -> ModelFile:
     """Read ``model.json`` of one station.
 
     Raises:
-        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
+        ModelFileError: as `read_model`, or if the file holds several stations.
     """
-    if has_stations(path):
-        names = ", ".join(entry.name for entry in read_json(path, _Stations, MODEL_FILE).stations)
+    found = read_model(path)
+    if isinstance(found, StationsFile):
+        names = ", ".join(entry.name for entry in found.stations)
         raise MODEL_FILE.error(
             f"{os.fspath(path)}: holds several stations: {names}; expected one: choose it by load_stations(path).at(name)"
         )
-    return read_json(path, ModelFile, MODEL_FILE, hook=restored)
-
-
-def read_stations_file(path: str | os.PathLike[str]) -> StationsFile:
-    """Read ``model.json`` of several stations.
-
-    Raises:
-        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
-    """
-    _version_of(path)
-    return read_json(path, StationsFile, MODEL_FILE, hook=restored)
+    return found
 
 
 def write_model_file(path: str | os.PathLike[str], file: ModelFile | StationsFile) -> None:

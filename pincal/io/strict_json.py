@@ -29,6 +29,8 @@ MOST_DEPTH = 32
 # The longest number that a computer writes without need has 325 digits, the smallest one written out in full.
 MOST_DIGITS = 1000
 
+_LONG_NUMBER = b"0" * (MOST_DIGITS + 1)
+
 MISSING = "is missing"
 
 _STRING = rb'"(?:[^"\\]++|\\.)*+"?'
@@ -107,13 +109,22 @@ def read_json(path: str | os.PathLike[str], wanted: type[T], kind: FileKind, *, 
     Raises:
         BadInputError: of the kind's class: the file can't be read, is too large, no JSON, or has a fault somewhere.
     """
+    return built(read_bounded(path, kind), wanted, kind, file=os.fspath(path), hook=hook)
+
+
+def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
+    """Return the text of a JSON file, if what it describes can be built within the limits.
+
+    Raises:
+        BadInputError: of the kind's class: the file can't be read, or is too large.
+    """
     file = os.fspath(path)
     try:
         with Path(path).open("rb") as stream:
             content = stream.read(MOST_BYTES + 1)
     except OSError as error:
         raise kind.error(f"{file}: can't be read ({error.strerror}); expected {kind.name}") from None
-    return decode(content, wanted, kind, file=file, hook=hook)
+    return _bounded(content, kind, file)
 
 
 def decode(content: bytes, wanted: type[T], kind: FileKind, *, file: str, hook: Hook | None = None) -> T:
@@ -127,12 +138,11 @@ def decode(content: bytes, wanted: type[T], kind: FileKind, *, file: str, hook: 
         pincal.errors.ModelFileError: f.json: x: is 'a'; expected a number; take the file from a backup or run pincal \
 calibrate again
     """
-    excess = _excess(content)
-    if excess:
-        raise kind.fault(file, "", f"too large to be read safely ({excess})", kind.name)
-    if b"NaN" in content or b"Infinity" in content:
-        # Read as a number out of range, for which the decoder tells the place.
-        content = _NOT_FINITE.sub(lambda found: found[0] if found[0][:1] == b'"' else b"1e999", content)
+    return built(_bounded(content, kind, file), wanted, kind, file=file, hook=hook)
+
+
+def built(content: bytes, wanted: type[T], kind: FileKind, *, file: str, hook: Hook | None = None) -> T:
+    """Return the structure that a text of `read_bounded` describes; see :func:`read_json`."""
     try:
         if _SURROGATES.search(content):
             return msgspec.convert(_loaded(content), wanted, dec_hook=hook)
@@ -142,6 +152,15 @@ calibrate again
         raise kind.fault(file, place, problem, expected) from None
     except ValueError as error:
         raise kind.fault(file, "", f"cut off or no JSON ({error})", kind.name) from None
+
+
+def _bounded(content: bytes, kind: FileKind, file: str) -> bytes:
+    """Return a text within the limits; what is no finite number in it becomes one out of range, whose place is told."""
+    if excess := _excess(content):
+        raise kind.fault(file, "", f"too large to be read safely ({excess})", kind.name)
+    if b"NaN" in content or b"Infinity" in content:
+        return _NOT_FINITE.sub(lambda found: found[0] if found[0][:1] == b'"' else b"1e999", content)
+    return content
 
 
 def _loaded(content: bytes) -> Any:
@@ -161,8 +180,11 @@ def _excess(content: bytes) -> str:
         return f"more than {MOST_BYTES >> 20} MB"
     if sum(content.count(token) for token in (b",", b":", b"[", b"{", b'"')) > MOST_TOKENS:
         return f"more than {MOST_TOKENS:,} values"
+    # Most files have neither a long number nor so many brackets, in strings or outside: nothing has to be taken apart.
+    if _LONG_NUMBER not in content.translate(_DIGITS) and content.count(b"[") + content.count(b"{") <= MOST_DEPTH:
+        return ""
     bare = _STRINGS.sub(b'""', content)
-    if b"0" * (MOST_DIGITS + 1) in bare.translate(_DIGITS):
+    if _LONG_NUMBER in bare.translate(_DIGITS):
         return f"a number of more than {MOST_DIGITS} digits"
     brackets = np.frombuffer(bare.translate(None, _NO_BRACKETS), np.uint8)
     depth = np.cumsum(np.where((brackets == ord("[")) | (brackets == ord("{")), 1, -1), dtype=np.int32)
