@@ -169,12 +169,17 @@ class TableArguments:
         "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
         words="from the names of its columns",
     )
+    joints: Path | None = option(
+        "Log of the joint positions, if the table lacks them: joined by a column that both have, by time while the pose is "
+        "held still, or by order.",
+        metavar="LOG",
+    )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
 
     @property
     def options(self) -> TableOptions:
         """The same for the library."""
-        return TableOptions(ignore=self.ignore, columns=self.columns or {}, orientation=self.orientation)
+        return TableOptions(ignore=self.ignore, columns=self.columns or {}, orientation=self.orientation, joints=self.joints)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,8 +43,14 @@ def name_of(label: str) -> str:
     return label.split("[")[0].strip()
 
 
-def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str) -> list[Label]:
+def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, others: Sequence[str] = ()) -> list[Label]:
     """Return the labels with what the user says of some; a unit of the header stays unless the user names one.
+
+    Args:
+        labels: the header.
+        columns: names and what they hold.
+        source: the file, for messages.
+        others: labels of a file that is joined with it, which the user may mean, too.
 
     Raises:
         MeasurementError: for a name that no column or more than one has.
@@ -52,6 +58,8 @@ def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str) -
     found = [Label(i, text, text) for i, text in enumerate(labels)]
     for name, meaning in columns.items():
         hits = [i for i, text in enumerate(labels) if name in (text, name_of(text), _bare(text))]
+        if not hits and any(name in (text, name_of(text), _bare(text)) for text in others):
+            continue
         if len(hits) != 1:
             swapped = [text for text in labels if meaning in (text, name_of(text))]
             hint = f'; is "{meaning}={name}" meant?' if swapped and not hits else ""

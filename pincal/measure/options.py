@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -16,8 +17,10 @@ class TableOptions:
             "joint_a1 [deg]"}``.
         orientation: convention of the orientation's columns, one of
             :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
+        joints: a file of its own with the joint positions, see :mod:`pincal.measure.joined`.
     """
 
     ignore: tuple[str, ...] = ()
     columns: Mapping[str, str] = field(default_factory=dict)
     orientation: str | None = None
+    joints: str | os.PathLike[str] | None = None

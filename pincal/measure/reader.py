@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning, nearest_first
-from pincal.measure.fields import Field
+from pincal.measure.fields import CONDITIONS, Field
 from pincal.measure.files import open_sheet, typed_errors
+from pincal.measure.joined import Log, join
 from pincal.measure.labels import Label, listed, numbered_joints, renamed, spelled, unit_of, without_unit
 from pincal.measure.options import TableOptions
 from pincal.measure.orientation import CONVENTIONS, Orientation, find_orientation, looks_like_orientation
@@ -96,6 +97,8 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
     path = Path(path)
     with typed_errors(path):
         sheet = open_sheet(path)
+        if schema.options.joints is not None and schema.joint_names:
+            sheet, schema = _with_log(sheet, schema)
         header = _understood(sheet, schema)
         cells, rows = read_cells(sheet, header.columns)
         values = {column.name: _in_si(cells.pop(column.name), column) for column in header.columns}
@@ -161,10 +164,47 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
     """
     angles = dict.fromkeys(names, "angle")
     lengths = dict.fromkeys(angles, "length")
-    with typed_errors(Path(path)):
-        labels = renamed(open_sheet(Path(path)).labels, options.columns, source=Path(path).name)
+    place = Path(path if options.joints is None else options.joints)
+    with typed_errors(place):
+        others = () if options.joints is None else open_sheet(Path(path)).labels
+        labels = renamed(open_sheet(place).labels, options.columns, source=place.name, others=others)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
+
+
+def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
+    """Return a table joined with the log that the user names, and how to read it then."""
+    options, source = schema.options, sheet.path.name
+    path = Path(options.joints or "")
+    quantities = schema.quantities(source=path.name)
+    readings = {name for part in schema.fields if part.name not in CONDITIONS for name in part.columns}
+    told = {name: quantity for name, quantity in quantities.items() if name not in readings}
+    with typed_errors(path):
+        log = open_sheet(path)
+        labels = renamed(log.labels, options.columns, source=path.name, others=sheet.labels)
+        labels = _with_joints(labels, schema, quantities, source=path.name)
+        columns, unknown = _matched(labels, told, {}, source=path.name)
+        _check_joints([name for name in schema.joint_names if name not in columns], unknown, log)
+        cells, _ = read_cells(log, tuple(columns.values()))
+        values = {name: _in_si(cells[name], column) for name, column in columns.items()}
+    mine = renamed(sheet.labels, options.columns, source=source, others=log.labels)
+    mine = [label for label in mine if not {label.name, label.meant, label.text} & set(options.ignore)]
+    found, _ = _matched(mine, quantities, {}, source=source)
+    if twice := [name for name in schema.joint_names if name in found]:
+        raise MeasurementError(
+            f'{source}: joint "{twice[0]}" stands in {path.name}, too; leave out --joints, or ignore the column'
+        )
+    time = None
+    if "time" in found:
+        time = _in_si(read_cells(sheet, (found["time"],))[0]["time"], found["time"])
+    known = {*quantities, *options.ignore}
+    whole = join(sheet, Log(log, values, schema.joint_names), time, known=known, has=found)
+    here = {name: meaning for name, meaning in options.columns.items() if _names_one(name, whole.labels)}
+    return whole, replace(schema, options=replace(options, joints=None, columns=here))
+
+
+def _names_one(name: str, labels: Sequence[str]) -> bool:
+    return any(name in (label, without_unit(label)) for label in labels)
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ def read_measurements(
     ignore: Sequence[str] = (),
     columns: Mapping[str, str] | None = None,
     orientation: str | None = None,
+    joints: str | os.PathLike[str] | None = None,
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
     mimics: Sequence[Mimic] = (),
@@ -48,6 +49,8 @@ def read_measurements(
             [deg]"}``; default: as they are named, or as they number the joints.
         orientation: "kuka", "fanuc", "abb", "ur", "rpy", "xyzw" or "wxyz", see :mod:`pincal.measure.orientation`; default:
             as the header says.
+        joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
+            while the pose is held still, or by order; a `PincalWarning` says by which.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
         joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
@@ -67,7 +70,10 @@ def read_measurements(
         joint_types=tuple(joint_types or ()),
         mimics=tuple(mimics),
         options=TableOptions(
-            ignore=("*", *ignore) if only_joints else tuple(ignore), columns=dict(columns or {}), orientation=orientation
+            ignore=("*", *ignore) if only_joints else tuple(ignore),
+            columns=dict(columns or {}),
+            orientation=orientation,
+            joints=joints,
         ),
     )
     cells = read_table(path, schema)
