@@ -1,6 +1,7 @@
 """``pincal simulate``: what a user asks for is what the table and the truth hold."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -255,18 +256,21 @@ def test_wrong_usage_exits_with_two(tmp_path, arguments):
     assert run("simulate", URDF, "--out", tmp_path / "data.csv", *arguments) == 2
 
 
-def test_a_robot_without_masses_is_rigid(tmp_path, capsys):
-    """It is simulated without elasticity; whoever asks for loads is told why there are none."""
+def test_a_robot_without_masses_gets_some(tmp_path, capsys):
+    """Plausible masses are drawn, lighter towards the tip, and said; they bend the arm as those of the URDF do."""
     text = kuka_urdf_path().read_text()
-    while "<inertial>" in text:
-        text = text[: text.index("<inertial>")] + text[text.index("</inertial>") + len("</inertial>") :]
-    (tmp_path / "bare.urdf").write_text(text)
-    _, truth = simulate(tmp_path, urdf=tmp_path / "bare.urdf")
-    assert not any(k for row in truth["compliance"].values() for k in row.values())
-    for arguments in (["--elastic", "1"], ["--effect", "link_bending"]):
-        assert run("simulate", tmp_path / "bare.urdf", "--poses", "5", "--out", tmp_path / "no.csv", *arguments) == 3
-        assert "inertial" in capsys.readouterr().err
-    assert not (tmp_path / "no.csv").exists()
+    own = [float(mass) for mass in re.findall('<mass value="([^"]*)"', text)]
+    (tmp_path / "bare.urdf").write_text(re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL))
+    _, truth = simulate(tmp_path, "--effect", "link_bending", urdf=tmp_path / "bare.urdf")
+    drawn = [*truth["drawn_masses_kg"].values()]
+
+    assert f"{sum(drawn):.3g} kg were drawn" in capsys.readouterr().out
+    assert 0.3 * sum(own) < sum(drawn) < 3.0 * sum(own) and drawn[0] > drawn[-1] > 0.0
+    assert all(row["k_z"] > 0.0 for row in truth["compliance"].values())
+    assert truth["effects"][0]["moves_target_rms_mm"] > 0.01
+    rigid = simulate(tmp_path, "--elastic", "0", urdf=tmp_path / "bare.urdf")[1]
+    assert rigid["drawn_masses_kg"] == truth["drawn_masses_kg"] and rigid["geometry"] == truth["geometry"]
+    assert "drawn_masses_kg" not in simulate(tmp_path)[1]
 
 
 def test_a_robot_of_the_library_is_found_by_its_name(tmp_path, capsys):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.fit import Fit
+from pincal.identify.moments import found_moments
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.validate.accuracy import pose_errors
@@ -35,6 +36,10 @@ class Kind(Enum):
         "noise is too small; uncertainties are scaled up accordingly"
     )
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    MASSES_FOUND = (
+        "the robot's description has no masses that could be trusted of {links} links: they were found with the "
+        "compliances, {mass:.3g} kg in all, known to {percent:.0f} %; no prediction depends on the factor that they share"
+    )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
     NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
@@ -95,6 +100,9 @@ def notes_on_fit(fit: Fit, p_value: float | None) -> list[Note]:
         found.append(Note(Kind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
     if p_value is not None and p_value > 1.0 - MISFIT:
         found.append(Note(Kind.NOISE_OVERSTATED))
+    if (moments := found_moments(fit)) is not None:
+        percent = 100.0 * moments.factor_sigma
+        found.append(Note(Kind.MASSES_FOUND, {"links": len(moments.links), "mass": moments.mass, "percent": percent}))
     return found
 
 

@@ -124,6 +124,12 @@ robot_argument = partial(
 xacro_option = partial(
     option, "Argument of a xacro file.", (), metavar="NAME:=VALUE", name="--xacro-arg", type=XacroArgument()
 )
+mass_option = partial(
+    option,
+    "Mass of the whole robot with its base [kg], as on its data sheet: masses of links are then found from the data.",
+    metavar="KG",
+    words="those of the URDF, if it has any",
+)
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
 station_option = partial(option, "Take the place of instrument and targets at this station of the model.", metavar="NAME")
 
@@ -195,6 +201,7 @@ class InputOptions:
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
+    mass: float | None = mass_option()
     table: TableArguments = group("Tables")
 
 

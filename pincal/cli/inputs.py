@@ -93,10 +93,10 @@ def load_robot(source: InputOptions) -> Robot:
     """Return the arm whose joints are columns of the (first) table."""
     tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
     if source.tip is not None:
-        return Robot.from_tree(tree, tip=source.tip, base=source.base)
+        return Robot.from_tree(tree, tip=source.tip, base=source.base, mass=source.mass)
     known = {joint.name for joint in tree.joints}
     joints = joint_columns(source.data[0], known, source.table.options)
-    return Robot.from_tree(tree, base=source.base, joints=joints or None)
+    return Robot.from_tree(tree, base=source.base, joints=joints or None, mass=source.mass)
 
 
 def load_stations(robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None) -> dict[str, Measurements]:

@@ -64,7 +64,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed}
-    found = names | seeds | campaign.truth(machine, tip=robot.tip)
+    found = names | seeds | campaign.truth(machine, tip=robot.tip) | _weights(robot, machine)
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
     _write_files({
         "--out": (arguments.out, lambda path: write_table(path, table)),
@@ -102,8 +102,15 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
         elastic=given.elastic,
         masses_off=given.masses_off,
         effects=[parse_effect(text, robot.joint_names) for text in given.effects],
-        massless=robot.massless,
+        unweighed=robot.unweighed,
     )
+
+
+def _weights(robot: Robot, machine: TrueMachine) -> dict[str, Any]:
+    """Return the masses that were drawn because the URDF has none, as for JSON."""
+    drawn = [joint for joint in machine.names if joint in robot.unweighed]
+    found = {joint: float(machine.arm.masses[machine.names.index(joint)]) for joint in drawn}
+    return {"drawn_masses_kg": found} if found else {}
 
 
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
@@ -147,6 +154,8 @@ def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: Sens
         f"{rows} rows in {truth['poses']} poses of {truth['robot']} ({truth['base']} to {truth['tip']}): "
         f"{truth['sensor']}, noise {_noise(setup)}"
     ]
+    if drawn := truth.get("drawn_masses_kg"):
+        lines.append(f"  the URDF has no masses of {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
     for entry in truth["effects"]:
         place = f" of {entry['joint']}" if entry["joint"] else ""
         place += f" by {entry['source']}" if "source" in entry else ""

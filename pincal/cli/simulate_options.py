@@ -97,11 +97,11 @@ class MachineArguments:
     base: str | None = base_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
-    elastic: float | None = option(
-        "Compliance of drives and bearings: 1 is typical, 0 rigid.",
+    elastic: float = option(
+        "Compliance of drives and bearings: 1 is typical, 0 rigid. Masses that the URDF lacks are drawn.",
+        1.0,
         metavar="SCALE",
         type=_SCALE,
-        words="1 if the URDF has masses",
     )
     moment_frame: Literal["paper", "before", "after"] = option(
         "Frame convention of the bearings' compliance, in the URDF's own joint frames; discover finds out which.", "after"

@@ -110,6 +110,9 @@ def _of_inner(fit: Fit, nominals: list[_Nominal], i: int, ratio: float) -> tuple
         return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
     if not fit.solution.free[i]:
         return _not_free(fit, parameter)
+    if parameter.name in _masses(fit):
+        # At the nominal geometry nothing bends, and no mass shows.
+        return (Status.PRIOR, Reason(Cause.MASS)) if ratio >= _IDENTIFIED else (Status.IDENTIFIED, IDENTIFIED)
     views = [(nominal, nominal.index[parameter.name]) for nominal in nominals if parameter.name in nominal.index]
     unseen = min(nominal.unseen[k] for nominal, k in views)
     if unseen > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(size)):
@@ -119,6 +122,12 @@ def _of_inner(fit: Fit, nominals: list[_Nominal], i: int, ratio: float) -> tuple
         cause, moment = Cause.WEAK if ratio < _NARROWED else Cause.UNINFORMED, _largest_moment(fit, parameter)
         return Status.PRIOR, Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment)
     return Status.IDENTIFIED, IDENTIFIED
+
+
+def _masses(fit: Fit) -> set[str]:
+    """Return the names of the parameters that masses depend on."""
+    model, _ = fit.arm
+    return {model.names[body.parameter] for body in model.bodies}
 
 
 def _not_free(fit: Fit, parameter: Parameter) -> tuple[Status, Reason]:

@@ -36,6 +36,7 @@ class Cause(Enum):
     COMBINATION = "only {combination} is identifiable"
     ALIASED = "indistinguishable from {aliases}{together}"
     HIDDEN = "indistinguishable from a combination of many other parameters"
+    MASS = "only its product with the compliances shows; the shape of the arm holds the factor"
     WEAK = "the data narrow the prior of ±{size} only to ±{narrowed}"
     UNINFORMED = "the data add nothing to the prior of ±{size}"
 

@@ -146,7 +146,7 @@ def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.nd
 def _notes(model: Model) -> tuple[str, ...]:
     """Say what stands in ``model.json`` only."""
     names = [effect.name for effect in model.effects]
-    elastic = [effect.name for effect in model.effects if effect.uses_moments]
+    elastic = [effect.name for effect in model.effects if effect.uses_moments or effect.bodies(model.chain)]
     others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic)]
     notes = []
     if elastic:

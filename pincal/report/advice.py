@@ -42,6 +42,13 @@ _ADVICE = (
         "is calibrated. No measurement of this kind can separate them, and none is needed.",
     ),
     Advice(
+        (Cause.MASS,),
+        "Masses that the robot's description does not tell",
+        "What bends the arm is compliance times moment; predictions need no more. The moments that are identified stand "
+        "under Static moments. The mass of the robot's data sheet (--mass) or rows with other payloads would tell the "
+        "factor that they share.",
+    ),
+    Advice(
         (Cause.NO_MOMENT,),
         "Never loaded by gravity",
         "No pose has a moment about this axis, so its compliance never shows. It does not matter as long as the robot stays "

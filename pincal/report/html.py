@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from pincal.report import search, sections, stations
+from pincal.report import moments, search, sections, stations
 from pincal.report.blocks import Section
 from pincal.report.subject import Subject
 
@@ -18,6 +18,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     stations.stations,
     search.missing,
     sections.where,
+    moments.moments,
     sections.parameters,
     sections.unidentified,
     sections.basis,

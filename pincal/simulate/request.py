@@ -11,11 +11,10 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
 from pincal.simulate.campaign import draw_conditions, spread_payloads
-from pincal.simulate.effect import SizedByLoad
-from pincal.simulate.hidden import HIDDEN_EFFECTS
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.state import Conditions
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect
+from pincal.simulate.weights import draw_weights
 
 # Columns that a campaign may record of its conditions.
 _RECORDED = ("temperature", "time", "approach")
@@ -24,7 +23,7 @@ _RECORDED = ("temperature", "time", "approach")
 class Stream(IntEnum):
     """Parts of a simulation, each with random numbers of its own: a change to one leaves the others as they were."""
 
-    ERRORS, ELASTICITY, MASSES, EFFECTS, LAYOUT, POSES, CONDITIONS, NOISE = range(8)
+    ERRORS, ELASTICITY, MASSES, EFFECTS, LAYOUT, POSES, CONDITIONS, NOISE, WEIGHTS = range(9)
 
     def generator(self, seed: int) -> np.random.Generator:
         """Return the source of randomness of this part for the seed of the whole simulation, which is 0 or more."""
@@ -38,10 +37,10 @@ def draw_machine(
     *,
     seed: int = 0,
     errors: float = 1.0,
-    elastic: float | None = None,
+    elastic: float = 1.0,
     masses_off: float = 0.0,
     effects: Sequence[tuple[str, Mapping[str, Any]]] = (),
-    massless: Sequence[str] = (),
+    unweighed: Sequence[str] = (),
 ) -> TrueMachine:
     """Draw a machine with errors, elasticity and hidden effects.
 
@@ -49,26 +48,19 @@ def draw_machine(
         nominal: The machine without errors.
         seed: Seed of the machine.
         errors: Size of the geometric errors relative to typical ones, 0 for none.
-        elastic: Compliance of drives and bearings relative to a typical one; default: 1 if the arm has masses, else 0.
+        elastic: Compliance of drives and bearings relative to a typical one.
         masses_off: Standard deviation of masses and centres of mass [%].
         effects: Hidden effects: name and given fields of each.
-        massless: Names of the arm's links that lack a mass.
+        unweighed: Names of the joints whose links have no mass that is known: plausible ones are drawn.
 
     Raises:
-        BadInputError: If an effect is unknown, or loads are asked for on an arm without masses.
+        BadInputError: If an effect is unknown.
     """
-    loaded = ["elasticity"] if elastic else []
-    loaded += [name for name, _ in effects if issubclass(HIDDEN_EFFECTS[name], SizedByLoad)]
-    if massless and loaded:
-        raise BadInputError(
-            f"{loaded[0]} needs inertial data, and {', '.join(massless)} of the URDF "
-            f"{'has' if len(massless) == 1 else 'have'} no mass; leave it out (--elastic 0)"
-        )
+    nominal = draw_weights(nominal, unweighed, Stream.WEIGHTS.generator(seed))
     machine = draw_typical_errors(nominal, Stream.ERRORS.generator(seed), scale=errors)
     machine = machine.draw_masses(Stream.MASSES.generator(seed), sigma=masses_off / 100.0)
-    scale = (0.0 if massless else 1.0) if elastic is None else elastic
-    if scale:
-        machine = draw_typical_elasticity(machine, Stream.ELASTICITY.generator(seed), scale=scale)
+    if elastic:
+        machine = draw_typical_elasticity(machine, Stream.ELASTICITY.generator(seed), scale=elastic)
     rng = Stream.EFFECTS.generator(seed)
     return machine.with_effects(*(typical_effect(machine, name, rng, **values) for name, values in effects))
 
