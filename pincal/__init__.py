@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pincal.identify.options import Options, StationOptions
     from pincal.identify.repeat import bootstrap, bootstrap_stations, cross_validate, monte_carlo
     from pincal.io.urdf_export import calibrated_urdf
+    from pincal.measure.from_arrays import measurements
     from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements_from_arrays
     from pincal.measure.named_points import KnownDistance
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from pincal.parameters import Parameter
     from pincal.plugins import load_plugin
     from pincal.robot.robot import Robot
+    from pincal.viewer.in_meshcat import draw_field
 
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
 _HOMES = {
@@ -73,6 +75,7 @@ _HOMES = {
     "pincal.identify.options": ("Options", "StationOptions"),
     "pincal.identify.repeat": ("bootstrap", "bootstrap_stations", "cross_validate", "monte_carlo"),
     "pincal.io.urdf_export": ("calibrated_urdf",),
+    "pincal.measure.from_arrays": ("measurements",),
     "pincal.measure.lens": ("Lens",),
     "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
     "pincal.measure.named_points": ("KnownDistance",),
@@ -90,6 +93,7 @@ _HOMES = {
     "pincal.parameters": ("Parameter",),
     "pincal.plugins": ("load_plugin",),
     "pincal.robot.robot": ("Robot",),
+    "pincal.viewer.in_meshcat": ("draw_field",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 # Names of 0.1.0, for one release.
@@ -153,11 +157,13 @@ __all__ = [
     "design_check",
     "design_poses",
     "diagnose",
+    "draw_field",
     "explain",
     "false_targets",
     "load_model",
     "load_plugin",
     "load_stations",
+    "measurements",
     "measurements_from_arrays",
     "monte_carlo",
     "pinocchio_model",
@@ -176,6 +182,8 @@ def __getattr__(name: str) -> Any:
     if name in _RENAMED:
         warnings.warn(f"pincal.{name} is now pincal.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
         name = _RENAMED[name]
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("pincal")
     name, _, part = name.partition(".")
     if name not in _HOME:
         raise AttributeError(f"module 'pincal' has no attribute {name!r}")
@@ -184,4 +192,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return ["__version__", *__all__]

@@ -66,7 +66,7 @@ _STYLES: dict[str, str] = {"": "", "good": "", "care": "yellow", "bad": "red", "
 _CLASSES = {Kind.LABEL: "nw", Kind.NAME: "name", Kind.NUMBER: "n", Kind.STATUS: "nw status", Kind.REMARK: "wide mute"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Table:
     """A table of results.
 
@@ -94,6 +94,9 @@ class Table:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def without(self, *names: str) -> Table:
         """Return the table without some columns."""

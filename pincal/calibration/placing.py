@@ -69,7 +69,7 @@ class Moved:
         return ", ".join(told) or "how far they moved can't be told from such readings"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Placed:
     """A calibrated robot at a new station.
 
@@ -84,6 +84,9 @@ class Placed:
     station: Station
     solution: Solution
     moved: Moved
+
+    def __repr__(self) -> str:
+        return f"Placed({self.model!r}, {len(self.station)} rows)"
 
     @property
     def values(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import time
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pincal.calibration.left_out import leave_out_stations, require_several
 from pincal.calibration.notes import notes_on_data
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.rows import StationRows, Validation, split_rows, with_holdout
+from pincal.calibration.tables import error_table
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, doubts_of_known, tables_of
 from pincal.identify.options import Options
@@ -24,7 +26,7 @@ from pincal.robot.robot import Robot
 from pincal.validate.agreement import check_agreement
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """A calibration with its validation.
 
@@ -41,6 +43,15 @@ class Calibration:
     fit: Fit
     result: Result
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        rows, errors = self.result.rows, self.result.error["calibrated"]
+        mean = errors["test" if "test" in errors else "train"]["mean_mm"]
+        counts = f"{rows['train']} rows fitted, {rows['test']} held out"
+        return f"Calibration({self.robot.name!r}: {counts}, mean error {mean:.4g} mm)"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(repr(self))}</p>{error_table(self.result.error).to_html()}{self.fit.parameters.to_html()}"
 
     @property
     def station(self) -> StationRows:

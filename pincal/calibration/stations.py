@@ -26,7 +26,7 @@ from pincal.io.model_file import (
 from pincal.parameters import Estimate
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CalibratedStations:
     """A robot calibrated at several stations.
 
@@ -41,6 +41,9 @@ class CalibratedStations:
     estimate: Estimate
     nominal_values: np.ndarray
     provenance: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return f"CalibratedStations({self.robot_model().model.chain.robot.name!r}: stations {' '.join(self.names)})"
 
     @classmethod
     def of(cls, fit: Fit, provenance: dict[str, Any] | None = None) -> CalibratedStations:

@@ -27,7 +27,7 @@ _PIECE = 32768
 _ORTHONORMAL = 1e-5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Compensation:
     """Joint positions to command, row by row.
 
@@ -51,6 +51,9 @@ class Compensation:
     seed_error: np.ndarray
     wanted: np.ndarray
     frame: Frame
+
+    def __repr__(self) -> str:
+        return f"Compensation({int(self.is_ok.sum())} of {len(self.q)} rows reached, in the frame {self.frame!r})"
 
     @property
     def is_ok(self) -> np.ndarray:

@@ -27,7 +27,7 @@ from pincal.robot.robot import Robot
 _COMFORTABLE = 1.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Design:
     """Poses to measure, in an order of short ways, and what they will tell.
 
@@ -74,6 +74,10 @@ class Design:
     path_length_unordered: float
     notes: tuple[str, ...]
     seconds: float
+
+    def __repr__(self) -> str:
+        error = 1e3 * self.found.designed.error
+        return f"Design({self.robot.name!r}: {self.found.poses} poses, {error:.4g} mm rms foreseen)"
 
     @property
     def q(self) -> np.ndarray:

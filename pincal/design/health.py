@@ -61,7 +61,7 @@ class NoticedChange:
     step: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HealthCheck:
     """Poses of a health check, and what it notices.
 
@@ -100,6 +100,9 @@ class HealthCheck:
     drawn: Draw
     notes: tuple[str, ...]
     seconds: float
+
+    def __repr__(self) -> str:
+        return f"HealthCheck({self.robot.name!r}: {len(self.conditions)} poses to notice {1e3 * self.notice:.3g} mm)"
 
     @property
     def is_met(self) -> bool:

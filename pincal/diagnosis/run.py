@@ -36,7 +36,7 @@ _DEGREES = 200.0
 _SAME_BY_CHANCE = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """Whether a robot has changed, and what.
 
@@ -47,6 +47,11 @@ class Diagnosis:
 
     found: DiagnosisFile
     model: CalibratedModel
+
+    def __repr__(self) -> str:
+        what = ", ".join(" of ".join(filter(None, (change.effect, change.joint))) for change in self.changes)
+        answer = f"changed: {what or 'nothing that has a name'}" if self.changed else "unchanged"
+        return f"Diagnosis({self.model.model.chain.robot.name!r}: {answer}, p {self.found.p_value:.2g})"
 
     @property
     def changed(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import logging
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -40,7 +41,7 @@ log = logging.getLogger(__name__)
 _CV_BLOCKS = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Discovery:
     """A discovery with its calibration.
 
@@ -57,6 +58,14 @@ class Discovery:
     findings: Findings
     gaps: tuple[Stage, ...]
     traces: tuple[PartialResidual, ...]
+
+    def __repr__(self) -> str:
+        named = ", ".join(" of ".join(filter(None, (entry.effect, entry.joint))) for entry in self.findings.effects)
+        robot = self.calibration.robot.name
+        return f"Discovery({robot!r}: {named or 'no effect'}; {self.findings.verdict})"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(repr(self))}</p>{self.calibration._repr_html_()}"
 
     @property
     def report(self) -> dict[str, Any]:

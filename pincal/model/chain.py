@@ -40,7 +40,7 @@ _KIND = {
 _DH_COLUMN = {"s_x": 0, "s_y": 1, "theta": 2, "d": 3, "a": 4, "alpha": 5}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Chain:
     """The coordinates of an arm between an instrument and a target.
 
@@ -62,6 +62,9 @@ class Chain:
     base_rotation: np.ndarray
     targets: tuple[str, ...]
     tool_rotations: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"Chain({self.robot.name!r}: {self.robot.n_joints} joints, targets {' '.join(self.targets)})"
 
     @classmethod
     def of(

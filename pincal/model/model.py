@@ -46,7 +46,7 @@ class Shared:
     basis: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Model:
     """What is assumed of a robot: its chain and the effects that act on it.
 
@@ -68,6 +68,9 @@ class Model:
     chain: Chain
     effects: tuple[Effect, ...]
     equilibrium: bool = False
+
+    def __repr__(self) -> str:
+        return f"Model({self.chain.robot.name!r}: {len(self.effects)} effects, {self.n_parameters} parameters)"
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:

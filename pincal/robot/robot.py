@@ -26,7 +26,7 @@ _NO_LIMIT = 1e3
 _MOST_JOINTS = 50
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Robot:
     """A serial arm from a base link to a tip link; everything else of the URDF is locked in place.
 
@@ -68,6 +68,9 @@ class Robot:
     urdf: bytes
     source: str
     mimics: tuple[Mimic, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}: {self.n_joints} joints from {self.base} to {self.tip})"
 
     @classmethod
     def from_urdf(

@@ -23,6 +23,7 @@ Example:
 from __future__ import annotations
 
 from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
+from pincal.viewer.in_meshcat import draw_field
 from pincal.viewer.live import LiveView, show
 from pincal.viewer.page import page, write_html
 from pincal.viewer.row_provenance import held_out_rows
@@ -36,6 +37,7 @@ __all__ = [
     "Scene",
     "build_scene",
     "deviation_fields",
+    "draw_field",
     "held_out_rows",
     "page",
     "show",

@@ -115,8 +115,7 @@ def build_scene(
     shapes, missing = shapes_of(chain.robot, mesh_folders)
     axes, axis_scale = axes_of(calibrated, axis_scale)
     upright, coordinates = _upright(chain.gravity), calibrated.model.rigid_coordinates(calibrated.model_values)
-    base = placed(chain.base_rotation, coordinates[[chain.base(symbol) for symbol in FRAME_SYMBOLS]])
-    seen = upright @ np.linalg.inv(base)
+    seen = upright @ np.linalg.inv(base_of(calibrated))
     lower, upper = _slider_ends(calibrated, fields.poses)
     return Scene(
         title=chain.robot.name,
@@ -131,7 +130,7 @@ def build_scene(
         axis_scale=axis_scale,
         frames=_frames(calibrated, upright, seen, coordinates),
         fields=fields.seen_from(seen),
-        scale=_visible(fields.layers[0], chain.robot.reach) if scale is None else scale,
+        scale=visible_scale(fields.layers[0], chain.robot.reach) if scale is None else scale,
         reach=chain.robot.reach,
         notes=(*notes, *_row_notes(fields.poses), *missing, *fields.notes),
     )
@@ -155,7 +154,14 @@ def _slider_ends(calibrated: CalibratedModel, poses: tuple[Poses, ...]) -> tuple
     )
 
 
-def _visible(layer: Layer, reach: float) -> float:
+def base_of(calibrated: CalibratedModel) -> np.ndarray:
+    """Return the robot's base in the instrument's frame, shape (4, 4)."""
+    chain = calibrated.model.chain
+    coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
+    return placed(chain.base_rotation, coordinates[[chain.base(symbol) for symbol in FRAME_SYMBOLS]])
+
+
+def visible_scale(layer: Layer, reach: float) -> float:
     """Return a round factor at which nearly all arrows are long enough to see and short enough to tell apart."""
     size = float(np.percentile(layer.sizes, 95.0))
     apart = float(np.cbrt(np.prod(np.ptp(layer.points, axis=0)) / len(layer.points)))
