@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from pincal.errors import MeasurementError
-from pincal.measure import excel_sheet
+from pincal.measure import bag_sheet, excel_sheet
 from pincal.measure.sheet import Sheet, open_parquet
 from pincal.measure.text_sheet import open_text
 
@@ -15,13 +15,23 @@ from pincal.measure.text_sheet import open_text
 _OTHERS = (".xls", ".xlsb", ".ods", ".numbers")
 
 
-def open_sheet(path: Path) -> Sheet:
-    """Return the sheet of a file, by the ending of its name: Parquet, Excel, and text for all others.
+def open_sheet(
+    path: Path, *, ignore: Collection[str] = (), only_joints: bool = False, joints: Collection[str] = ()
+) -> Sheet:
+    """Return the sheet of a file, by the ending of its name: Parquet, Excel, a recording of ROS, and text for all others.
+
+    Args:
+        path: the file; of a recording perhaps a folder.
+        ignore: topics of a recording to leave out.
+        only_joints: whether only the joints of a recording are wanted, sample by sample.
+        joints: those of a recording that have to stand still.
 
     Raises:
         MeasurementError: for a file that is empty, binary, or not of this format.
     """
     ending = path.suffix.lower()
+    if bag_sheet.is_bag(path):
+        return bag_sheet.open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
     if ending == ".parquet":
         return open_parquet(path)
     if ending in excel_sheet.ENDINGS:

@@ -96,7 +96,7 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
     """
     path = Path(path)
     with typed_errors(path):
-        sheet = open_sheet(path)
+        sheet = open_sheet(path, ignore=schema.options.ignore, joints=schema.joint_names)
         if schema.options.joints is not None and schema.joint_names:
             sheet, schema = _with_log(sheet, schema)
         header = _understood(sheet, schema)
@@ -167,7 +167,8 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
     place = Path(path if options.joints is None else options.joints)
     with typed_errors(place):
         others = () if options.joints is None else open_sheet(Path(path)).labels
-        labels = renamed(open_sheet(place).labels, options.columns, source=place.name, others=others)
+        sheet = open_sheet(place, ignore=options.ignore, only_joints=True)
+        labels = renamed(sheet.labels, options.columns, source=place.name, others=others)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
 
@@ -180,7 +181,7 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     readings = {name for part in schema.fields if part.name not in CONDITIONS for name in part.columns}
     told = {name: quantity for name, quantity in quantities.items() if name not in readings}
     with typed_errors(path):
-        log = open_sheet(path)
+        log = open_sheet(path, ignore=options.ignore, only_joints=True)
         labels = renamed(log.labels, options.columns, source=path.name, others=sheet.labels)
         labels = _with_joints(labels, schema, quantities, source=path.name)
         columns, unknown = _matched(labels, told, {}, source=path.name)
@@ -242,7 +243,7 @@ def _understood(sheet: Sheet, schema: Schema) -> _Header:
     if schema.may_lack_joints and not columns.keys() & set(joints):
         joints = ()
     _check_joints([name for name in schema.own_joints if joints and name not in columns], unknown, sheet)
-    if "*" not in options.ignore:
+    if "*" not in options.ignore and not sheet.takes_unknown:
         free = {name: quantity for name, quantity in quantities.items() if name not in columns}
         _check_unknown(sheet, unknown, free)
     return _Header(tuple(columns.values()), joints, orientation)

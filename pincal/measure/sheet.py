@@ -52,6 +52,11 @@ class Sheet(ABC):
     labels: tuple[str, ...]
     decimal_comma: bool
 
+    @property
+    def takes_unknown(self) -> bool:
+        """Whether columns that nobody knows are no mistake of the user."""
+        return isinstance(self, FrameSheet) and self.holds_more
+
     @abstractmethod
     def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
         """Return the cells of some columns under their names, as numbers or as text, and the line of each row."""
@@ -86,10 +91,12 @@ class FrameSheet(Sheet):
     Attributes:
         frame: the cells; its columns stand in the order of the labels, whatever their names.
         rows: shape (N,), line of each row.
+        holds_more: whether columns that nobody asked for belong there, such as the joints of a gripper.
     """
 
     frame: pl.DataFrame
     rows: np.ndarray
+    holds_more: bool = False
 
     def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
         """Return the cells."""
