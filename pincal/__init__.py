@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pincal.discover.policy import Policy
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
+    from pincal.export import export_model
     from pincal.identify.explain import explain
     from pincal.identify.options import Options, StationOptions
     from pincal.identify.repeat import bootstrap, bootstrap_stations, cross_validate, monte_carlo
@@ -71,6 +72,7 @@ _HOMES = {
     "pincal.discover.policy": ("Policy",),
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
+    "pincal.export": ("export_model",),
     "pincal.identify.explain": ("explain",),
     "pincal.identify.options": ("Options", "StationOptions"),
     "pincal.identify.repeat": ("bootstrap", "bootstrap_stations", "cross_validate", "monte_carlo"),
@@ -159,6 +161,7 @@ __all__ = [
     "diagnose",
     "draw_field",
     "explain",
+    "export_model",
     "false_targets",
     "load_model",
     "load_plugin",

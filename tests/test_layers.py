@@ -32,6 +32,7 @@ LAYERS = (
     "diagnosis",
     "design",
     "compensate",
+    "export",
     "report",
     "viewer",
     "cli",

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+
+from pincal.model.symbols import Cubic, are_symbols, cubic
 
 _DEGREE = 3
 FEWEST_SPLINES = _DEGREE + 1
@@ -28,4 +32,16 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
 
     inner = np.linspace(lower, upper, size - _DEGREE + 1)
     knots = np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
+    if are_symbols(x):
+        curves = [_cubic(BSpline(knots, row, _DEGREE), size) for row in np.eye(size)]
+        return np.array([[cubic(curve, at) for at in x] for curve in curves], object)
     return np.asarray(BSpline.design_matrix(np.clip(x, lower, upper), knots, _DEGREE).T.toarray(order="C"))
+
+
+def _cubic(spline: Any, size: int) -> Cubic:
+    """Return a spline over uniform knots by its pieces."""
+    from scipy.interpolate import PPoly
+
+    places = spline.t[_DEGREE : size + 1]
+    local = PPoly.from_spline(spline).c[::-1, _DEGREE:size] * np.diff(places) ** np.arange(_DEGREE + 1)[:, None]
+    return Cubic(float(places[0]), float(places[-1]), tuple(map(tuple, local.T.tolist())))

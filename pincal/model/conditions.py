@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError
-from pincal.model import kernels
+from pincal.model import kernels, walk
 from pincal.model.chain import Chain
+from pincal.model.symbols import are_symbols
 
 # Variables that have a column of their own in a table, with their units; positions of joints are the others.
 COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s"}
@@ -148,12 +149,17 @@ def recorded_variable(
 def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
     """Return the static moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload alone."""
     constant, n = chain.nominal, chain.robot.n_joints
+    layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
+    if are_symbols(conditions.q):
+        at = list(constant)
+        for i, k in enumerate(chain.drives):
+            at[k] = at[k] + conditions.q[0, i]
+        return np.array([walk.static_moments(layout, at, conditions.payload[0], conditions.payload_centre)], object)
     slot = np.full(chain.size, -1)
     slot[chain.drives] = np.arange(n)
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
     payload = kernels.Payload(mass, np.array(conditions.payload_centre, float))
-    layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
     return np.asarray(kernels.static_moments(layout, kernels.Values(constant.copy(), slot, varying), payload).T)
 
 

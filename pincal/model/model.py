@@ -216,6 +216,10 @@ class Model:
         out[:, varies] = deformed.varying[deformed.slot[varies]].T
         return out
 
+    def layout(self, values: np.ndarray) -> Layout:
+        """Return the chain's constant part, with the masses that the links have at these values, shape (P,)."""
+        return _laden(self, _RowValues(values))
+
     def rigid_coordinates(self, values: np.ndarray) -> np.ndarray:
         """Return the coordinates at q = 0, shape (K,), by all that is the same in every pose: the geometry alone."""
         at_zero = Conditions.at(np.zeros((1, self.chain.robot.n_joints)))

@@ -14,6 +14,7 @@ from pincal.model.catalogue.places import WAVE, drive_terms, drive_unit, paramet
 from pincal.model.chain import Chain
 from pincal.model.conditions import TURN, Conditions, Situation, recorded_variable
 from pincal.model.effect import Candidate, Curve, Locus, Term
+from pincal.model.symbols import held
 from pincal.parameters import Parameter
 
 # Part of a turn from which on the curve is taken as periodic: what is left is too small a gap for a Fourier series to swing.
@@ -110,7 +111,7 @@ class TransmissionError(Curve):
 
     def basis(self, q: np.ndarray) -> np.ndarray:
         """Return the basis functions at positions of shape (N,), shape (size, N)."""
-        inside = np.clip(q, self.lower, self.upper)
+        inside = held(q, self.lower, self.upper)
         if self.periodic:
             angles = np.arange(1, self.size // 2 + 1)[:, None] * inside
             return np.stack((np.sin(angles), np.cos(angles)), axis=1).reshape(self.size, -1)

@@ -97,7 +97,7 @@ class NonlinearElasticity(Discoverable):
         n, t = moments[:, moment], self.stiffening
         if t is None:
             return (Term(0, chain.joint(i, "gamma_z"), n * np.abs(n), moment, 2.0 * np.abs(n)),)
-        return (Term(0, chain.joint(i, "gamma_z"), t * np.arcsinh(n / t), moment, 1.0 / np.hypot(1.0, n / t)),)
+        return (Term(0, chain.joint(i, "gamma_z"), t * np.arcsinh(n / t), moment, 1.0 / np.hypot(n / t, 1.0)),)
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def _turned_back(vectors: np.ndarray, axis: int, angle: float | np.ndarray) -> n
     """Return vectors, shape (N, 3), in axes that are turned by an angle about one of their own."""
     c, s = np.cos(angle), np.sin(angle)
     y, z = (axis + 1) % 3, (axis + 2) % 3
-    out = vectors.copy()
+    out = np.array(vectors, np.result_type(vectors, c))
     out[:, y], out[:, z] = c * vectors[:, y] + s * vectors[:, z], c * vectors[:, z] - s * vectors[:, y]
     return out
 

@@ -75,7 +75,7 @@ def waves(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def turning(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
     """Return the rotations from the axes of joint i after q to those before q, shape (N, 3, 3), by nominal theta."""
-    turned = np.zeros((len(conditions), 3, 3))
+    turned = np.zeros((len(conditions), 3, 3), conditions.q.dtype)
     turned_by = conditions.q[:, i] if chain.robot.joint_types[i] != "prismatic" else np.zeros(len(conditions))
     sine, cosine = waves(chain.nominal[chain.joint(i, "theta")] + turned_by)
     turned[:, 0, 0] = turned[:, 1, 1] = cosine

@@ -1,0 +1,14 @@
+"""Exports: the calibrated robot in the forms that controllers, simulators and other programs read.
+
+A format is one module here that registers a :class:`pincal.export.exported.Format`.
+"""
+
+import pkgutil
+from importlib import import_module
+
+from pincal.export.exported import FORMATS, Exported, Format, export_model
+
+__all__ = ["FORMATS", "Exported", "Format", "export_model"]
+
+for _module in pkgutil.iter_modules(__path__, __name__ + "."):
+    import_module(_module.name)

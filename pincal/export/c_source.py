@@ -1,0 +1,136 @@
+"""The calibrated model as C99 without dependencies: for a controller's cycle, no allocation and no loop without an end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.export.exported import FORMATS, Exported, Format
+from pincal.export.formulas import Formulas, formulas_of
+from pincal.export.numpy_source import numpy_source, refuse_wrong
+from pincal.export.source import NOTES, filled, header, identifier, placed_in, plain
+from pincal.export.statements import Language, Number, Writer
+
+_C = Language(
+    statement="    const double {} = {};",
+    functions={"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arctan2": "atan2"},
+    select="{} ? {} : {}",
+    is_select_atom=False,
+    input=lambda name: name if name.startswith("moments") else f"state->{name}",
+    curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, {len(curve.pieces)}, curve_{i})",
+)
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class CSource(Format):
+    """One C99 header and one source: forward kinematics and compensation of one pose.
+
+    Attributes:
+        frame: frame of the poses: "instrument" or "base".
+    """
+
+    frame: str = "instrument"
+    name: ClassVar[str] = "c"
+    meaning: ClassVar[str] = "C99 without dependencies, for a controller's cycle"
+
+    def export(self, calibrated: CalibratedModel) -> Exported:
+        """Return header and source."""
+        formulas = formulas_of(placed_in(calibrated, self.frame))
+        name = identifier(calibrated.model.chain.robot.name)
+        files = {f"{name}.{kind}": _file(formulas, name, kind=kind, frame=self.frame).encode() for kind in "hc"}
+        worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame=self.frame))
+        return Exported(files, NOTES, worst)
+
+
+def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
+    chain = formulas.calibrated.model.chain
+    functions, curves = _functions(formulas, name)
+    return filled(
+        f"model.{kind}.in",
+        formulas,
+        header="\n".join(f" * {line}".rstrip() for line in header(formulas, frame=frame)),
+        name=name,
+        NAME=name.upper(),
+        joints=", ".join(map(plain, chain.robot.joint_names)),
+        targets=", ".join(map(plain, chain.targets)),
+        n_targets=str(len(chain.targets)),
+        lower=_numbers(chain.robot.lower),
+        upper=_numbers(chain.robot.upper),
+        frame=frame,
+        needs="".join(f", {name}" for name in formulas.inputs),
+        curves=curves,
+        evaluate=functions,
+    )
+
+
+def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
+    """Return the functions that evaluate the formulas, and the tables that they need."""
+    written, taken = [], ""
+    writer = Writer.of(_C, formulas.moments)
+    if formulas.moments:
+        lines, results = writer.statements(formulas.moments)
+        returned = [f"    taken[{i}] = {text};" for i, text in enumerate(results)]
+        arguments = f"const {name}_state *state, const double moments[3 * N], double taken[3 * N]"
+        written.append("\n".join([f"static void moments_of({arguments})", "{", *lines, *returned, "}", ""]))
+        taken = _TAKEN
+    entries: tuple[Number, ...] = (*formulas.pose, *formulas.columns)
+    last = Writer.of(_C, entries)
+    last.curves = writer.curves
+    blocks = []
+    for target, part in (("pose", formulas.pose), ("columns", formulas.columns)):
+        lines, results = last.statements(part)
+        blocks.append([*lines, *(f"    {target}[{i}] = {text};" for i, text in enumerate(results))])
+    body = [*blocks[0], "    if (!columns)", "        return;", *blocks[1]]
+    unused = [] if taken else ["    (void)moments;"]
+    written.append("\n".join([_EVALUATE.format(name=name, taken=taken), *unused, *body, "}", ""]))
+    tables = [
+        f"static const double curve_{i}[{len(curve.pieces)}][4] = {{"
+        + ", ".join("{" + ", ".join(map(repr, piece)) + "}" for piece in curve.pieces)
+        + "};"
+        for i, curve in enumerate(last.curves)
+    ]
+    return "\n".join(written), "\n".join([*tables, *([_CUBIC] if tables else [])])
+
+
+_EVALUATE = """/*
+ * The pose, and unless columns is null how each joint moves and turns the target, row by row, six rows.
+ * Static moments that are taken on the bent arm start from moments, and are left there.
+ */
+static void evaluate(const {name}_state *state, double moments[3 * N], double pose[12], double columns[6 * N])
+{{{taken}"""
+
+_TAKEN = """
+    double taken[3 * N];
+    int round, i;
+    for (round = 0; round < 20; ++round) {
+        double change = 0.0, largest = 0.0;
+        moments_of(state, moments, taken);
+        for (i = 0; i < 3 * N; ++i) {
+            change = fmax(change, fabs(taken[i] - moments[i]));
+            largest = fmax(largest, fabs(taken[i]));
+            moments[i] = taken[i];
+        }
+        if (change <= 1e-11 * largest)
+            break;
+    }"""
+
+_CUBIC = """
+/* A piecewise cubic over equal pieces, constant beyond its ends. */
+static double cubic(double x, double first, double last, int pieces, const double curve[][4])
+{
+    double t = (fmin(fmax(x, first), last) - first) / (last - first) * pieces;
+    int i = (int)t;
+    if (i >= pieces)
+        i = pieces - 1;
+    t -= i;
+    return ((curve[i][3] * t + curve[i][2]) * t + curve[i][1]) * t + curve[i][0];
+}
+"""
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(repr(float(value)).replace("inf", "INFINITY") for value in values)

@@ -1,0 +1,133 @@
+"""The calibrated model as formulas of joint positions and conditions: what the C and NumPy writers put into words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.errors import BadInputError
+from pincal.model import walk
+from pincal.model.chain import Chain
+from pincal.model.conditions import COLUMN_UNITS, Conditions
+from pincal.model.effect import Effect
+from pincal.model.model import Model
+from pincal.model.symbols import Symbol, either_way, multiply, symbols
+
+Number = float | Symbol
+# Inputs that each joint has one of.
+_PER_JOINT = ("q", "approach")
+
+
+@dataclass(frozen=True)
+class Formulas:
+    """A calibrated model in formulas.
+
+    Attributes:
+        calibrated: the model.
+        moments: the static moments as functions of the inputs and of themselves, where they are taken on the bent arm;
+            empty where they are not.
+        pose: the target's rotation and translation in the instrument's frame, row by row, 12 entries.
+        columns: how each joint moves (3) and turns (3) the target, row by row, 6 n entries.
+    """
+
+    calibrated: CalibratedModel
+    moments: tuple[Number, ...]
+    pose: tuple[Number, ...]
+    columns: tuple[Number, ...]
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the columns of conditions, and "target", that the pose depends on."""
+        found, seen = set(), set()
+        ahead: list[Any] = [*self.moments, *self.pose]
+        while ahead:
+            node = ahead.pop()
+            if isinstance(node, Symbol) and id(node) not in seen:
+                seen.add(id(node))
+                ahead += node.operands
+                found |= {node.about.split("[")[0]} if node.operation == "input" else set()
+        return tuple(name for name in (*COLUMN_UNITS, "target") if name in found)
+
+
+def formulas_of(calibrated: CalibratedModel) -> Formulas:
+    """Return the formulas of a calibrated model, from the code of its own effects.
+
+    Raises:
+        BadInputError: naming the effect that can't be stated in a formula.
+    """
+    model, values = calibrated.model, calibrated.model_values
+    chain, n, layout = model.chain, model.chain.robot.n_joints, model.layout(values)
+    at = _symbolic_conditions(chain, calibrated.payload_centre)
+    bends = any(effect.uses_moments for effect in model.effects)
+    rigid = _coordinates(model, values, conditions=at, moments=None)
+    moments: tuple[Number, ...] = ()
+    x = rigid
+    if bends:
+        known = symbols(*(f"moments[{i}]" for i in range(3 * n)))
+        on_straight = walk.static_moments(layout, rigid, at.payload[0], at.payload_centre)
+        taken = known if model.equilibrium else np.array(on_straight, object)
+        x = _coordinates(model, values, conditions=at, moments=taken[None])
+        if model.equilibrium:
+            moments = tuple(walk.static_moments(layout, x, at.payload[0], at.payload_centre))
+    tool = _by_target(chain.tool_rotations, at.target[0])
+    pose, columns = walk.tip_pose(layout, x, tool, [int(k) for k in chain.drives])
+    return Formulas(calibrated, moments, tuple(pose.ravel()), tuple(columns.ravel()))
+
+
+def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
+    n = chain.robot.n_joints
+    columns = {name: symbols(*(f"{name}[{i}]" for i in range(n)))[None] for name in _PER_JOINT}
+    columns |= {name: symbols(name) for name in ("payload", "temperature", "time")}
+    target = symbols("target") if len(chain.targets) > 1 else np.zeros(1, int)
+    return Conditions(**columns, target=target, payload_centre=np.asarray(payload_centre, float))
+
+
+def _coordinates(model: Model, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None) -> list[Number]:
+    """Return the K coordinates: without moments those of the rigid arm."""
+    x: list[Any] = [float(value) for value in model.chain.nominal]
+    for span, effect in zip(model.spans, model.effects, strict=True):
+        if moments is not None or not effect.uses_moments:
+            for k, change in _changes(effect, model.chain, values[span], conditions=conditions, moments=moments).items():
+                x[k] = x[k] + change
+    for i, k in enumerate(model.chain.drives):
+        x[k] = x[k] + conditions.q[0, i]
+    return x
+
+
+def _changes(
+    effect: Effect, chain: Chain, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None
+) -> dict[int, Any]:
+    """Return what an effect adds to each coordinate."""
+
+    def added() -> dict[int, Any]:
+        found: dict[int, Any] = {}
+        for term in effect.terms(chain, conditions, moments if effect.uses_moments else None):
+            change = float(values[term.parameter])
+            basis = 1.0 if term.basis is None else np.asarray(term.basis)[0]
+            found[term.coordinate] = found.get(term.coordinate, 0.0) + multiply(change, _plain(basis))
+        return found
+
+    try:
+        return either_way(added)
+    except Exception as error:  # The code of an effect may be anybody's.
+        raise BadInputError(
+            f"{effect.name}: can't be exported as a formula ({error}); export without it or take its value from predict"
+        ) from error
+
+
+def _plain(value: Any) -> Number:
+    return value if isinstance(value, Symbol) else float(value)
+
+
+def _by_target(rotations: np.ndarray, target: Any) -> np.ndarray:
+    """Return the reference orientation of a target, shape (3, 3)."""
+
+    def chosen() -> dict[int, Any]:
+        found = next((R for t, R in enumerate(rotations[:-1]) if target == t), rotations[-1])
+        return dict(enumerate(found.ravel().tolist()))
+
+    entries = either_way(chosen)
+    return np.array([entries[i] for i in range(9)], object).reshape(3, 3)

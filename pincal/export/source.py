@@ -1,0 +1,90 @@
+"""What the writers of source code share: the model's formulas, checked, and the words around them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from importlib.metadata import version
+from importlib.resources import files
+from string import Template
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.compensate.frames import in_base_frame
+from pincal.errors import BadInputError
+from pincal.export.formulas import Formulas
+from pincal.model.conditions import Conditions
+
+# Weight of a rotation against a translation in compensation, over the robot's reach; see pincal.compensate.ik_problem.
+_LEVER = 1.0 / 3.0
+_CHECKED_POSES = 200
+_PAYLOAD, _WARM, _LONG = 20.0, (5.0, 45.0), 1e5
+
+NOTES = (
+    "standard deviations and the parameters of the sensor itself are in model.json only",
+    "beyond the poses that were measured nobody has checked the model: pincal predict and compensate say which those are",
+)
+
+
+def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
+    """Return a calibrated model that predicts in a frame, "instrument" or "base".
+
+    Raises:
+        BadInputError: for another name.
+    """
+    if frame not in ("instrument", "base"):
+        raise BadInputError(f"frame {frame!r}; expected instrument or base")
+    return in_base_frame(calibrated) if frame == "base" else calibrated
+
+
+def filled(template: str, formulas: Formulas, **words: str) -> str:
+    """Return a template with the words that every language has, and others."""
+    robot = formulas.calibrated.model.chain.robot
+    common = {
+        "n": str(robot.n_joints),
+        "length": repr(max(_LEVER * robot.reach, 1e-3)),
+        "payload_centre": "({:g}, {:g}, {:g})".format(*formulas.calibrated.payload_centre),
+    }
+    text = files("pincal.export").joinpath("templates", template).read_text(encoding="utf-8")
+    return Template(text).substitute(common | words)
+
+
+def header(formulas: Formulas, *, frame: str) -> list[str]:
+    """Return lines that say what was exported, and what not."""
+    found = formulas.calibrated
+    effects = ", ".join(dict.fromkeys(effect.name for effect in found.model.effects)) or "none"
+    return [
+        f"{plain(found.model.chain.robot.name)}: the calibrated robot, written by pincal {version('pincal')}.",
+        "",
+        f"Poses of the target in the {frame} frame, with every effect of the model:",
+        f"{effects}.",
+        "",
+        "Not in it:",
+        *(f"- {note}" for note in NOTES),
+    ]
+
+
+def identifier(name: str) -> str:
+    """Return a name in the letters that names of programs have."""
+    found = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    return found if found and not found[0].isdigit() else f"robot_{found}".rstrip("_")
+
+
+def plain(text: str) -> str:
+    """Return a name as it may stand in a comment of any language."""
+    return re.sub(r"[^\w .:()/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
+
+
+def checked_poses(calibrated: CalibratedModel) -> Conditions:
+    """Return poses at which an export is compared with the model: all over the joints' ranges, everything recorded."""
+    robot, rng, n = calibrated.model.chain.robot, np.random.default_rng(0), _CHECKED_POSES
+    found = Conditions.at(robot.random_configurations(n, rng), payload_centre=calibrated.payload_centre)
+    return replace(
+        found,
+        target=rng.integers(0, len(calibrated.model.chain.targets), n),
+        payload=rng.uniform(0.0, _PAYLOAD, n),
+        temperature=rng.uniform(*_WARM, n),
+        time=rng.uniform(0.0, _LONG, n),
+        approach=rng.integers(-1, 2, found.q.shape),
+    )

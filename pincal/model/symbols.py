@@ -1,0 +1,298 @@
+"""Numbers that stand for any pose: what an effect's own code makes of them is the effect's formula.
+
+NumPy calculates with arrays of such symbols (dtype ``object``) as with numbers, so that the code of an effect, run once on
+symbols, yields its formula: what is exported is what predicts, and nothing has to be written twice. Equal expressions are
+one object; what is known is calculated at once. Where code asks whether a comparison holds, it is run for both answers, see
+:func:`either_way`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+# Functions of one argument by NumPy's names, as numbers are calculated.
+FUNCTIONS: dict[str, Callable[[float], float]] = {
+    "sin": math.sin, "cos": math.cos, "tan": math.tan, "arcsin": math.asin, "arccos": math.acos, "arctan": math.atan,
+    "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh, "arcsinh": math.asinh, "exp": math.exp, "log": math.log,
+    "sqrt": math.sqrt, "fabs": math.fabs, "rint": round, "floor": math.floor,
+}  # fmt: skip
+
+# What is taken for true or false in this run of an effect's code, by the identity of the comparison.
+_KNOWN: ContextVar[dict[int, bool]] = ContextVar("known")
+_NODES: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
+
+
+@dataclass(frozen=True)
+class Cubic:
+    """A piecewise cubic over equal pieces, constant beyond its ends.
+
+    Attributes:
+        lower, upper: its ends.
+        pieces: for each piece the coefficients of 1, t, t^2, t^3, with t from 0 to 1 along the piece.
+    """
+
+    lower: float
+    upper: float
+    pieces: tuple[tuple[float, ...], ...]
+
+    def __call__(self, x: float) -> float:
+        """Return its value."""
+        place = (min(max(x, self.lower), self.upper) - self.lower) / (self.upper - self.lower) * len(self.pieces)
+        i = min(int(place), len(self.pieces) - 1)
+        c, t = self.pieces[i], place - i
+        return ((c[3] * t + c[2]) * t + c[1]) * t + c[0]
+
+    def scaled(self, by: float) -> Cubic:
+        """Return it times a number."""
+        return Cubic(self.lower, self.upper, tuple(tuple(by * c for c in piece) for piece in self.pieces))
+
+    def plus(self, other: Cubic) -> Cubic:
+        """Return the sum with a cubic over the same pieces."""
+        pairs = zip(self.pieces, other.pieces, strict=True)
+        return Cubic(self.lower, self.upper, tuple(tuple(a + b for a, b in zip(p, o, strict=True)) for p, o in pairs))
+
+    def fits(self, other: Cubic) -> bool:
+        """Return whether another one has the same pieces."""
+        return (self.lower, self.upper, len(self.pieces)) == (other.lower, other.upper, len(other.pieces))
+
+
+class Symbol:
+    """A number that depends on the pose: an operation on others, or an input.
+
+    Attributes:
+        operation: "input", "add", "multiply", "divide", "less", "equal", "select", "cubic", "hypot", "arctan2" or one of
+            ``FUNCTIONS``.
+        operands: symbols and numbers.
+        about: the name of an input; the curve of a cubic.
+    """
+
+    __slots__ = ("__weakref__", "about", "operands", "operation")
+
+    operation: str
+    operands: tuple[float | Symbol, ...]
+    about: Any
+
+    def __new__(cls, operation: str, *operands: float | Symbol, about: Any = None) -> Symbol:
+        """Return the one symbol of an operation on operands."""
+        key = (operation, about, *(id(a) if isinstance(a, Symbol) else float(a).hex() for a in operands))
+        found = _NODES.get(key)
+        if found is None:
+            found = object.__new__(cls)
+            found.operation, found.operands, found.about = operation, operands, about
+            _NODES[key] = found
+        return found
+
+    def __repr__(self) -> str:
+        return f"Symbol({self.about or self.operation})"
+
+    def __getattr__(self, name: str) -> Callable[[], float | Symbol]:
+        # NumPy calls a function of an array of objects as a method of each of them.
+        if name not in FUNCTIONS:
+            raise AttributeError(name)
+        return lambda: apply(name, self)
+
+    def __bool__(self) -> bool:
+        answer = _KNOWN.get({}).get(id(self))
+        if answer is None:
+            raise _UndecidedError(self)
+        return answer
+
+    def __float__(self) -> float:
+        raise TypeError("its code needs the number itself, not only what can be calculated with it")
+
+    def __add__(self, other: Any) -> Any:
+        return _with(other, lambda b: add(self, b))
+
+    def __radd__(self, other: Any) -> Any:
+        return _with(other, lambda a: add(a, self))
+
+    def __sub__(self, other: Any) -> Any:
+        return _with(other, lambda b: add(self, multiply(-1.0, b)))
+
+    def __rsub__(self, other: Any) -> Any:
+        return _with(other, lambda a: add(a, multiply(-1.0, self)))
+
+    def __mul__(self, other: Any) -> Any:
+        return _with(other, lambda b: multiply(self, b))
+
+    def __rmul__(self, other: Any) -> Any:
+        return _with(other, lambda a: multiply(a, self))
+
+    def __truediv__(self, other: Any) -> Any:
+        return _with(other, lambda b: divide(self, b))
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _with(other, lambda a: divide(a, self))
+
+    def __pow__(self, power: Any) -> Any:
+        if float(power) == 0.5:
+            return apply("sqrt", self)
+        if float(power) not in (1.0, 2.0, 3.0, 4.0):
+            raise TypeError(f"power {power}; expected 1, 2, 3, 4 or 0.5")
+        product: float | Symbol = self
+        for _ in range(int(power) - 1):
+            product = multiply(product, self)
+        return product
+
+    def __neg__(self) -> Any:
+        return multiply(-1.0, self)
+
+    def __pos__(self) -> Symbol:
+        return self
+
+    def __abs__(self) -> Any:
+        return apply("fabs", self)
+
+    def __lt__(self, other: Any) -> Any:
+        return _with(other, lambda b: less(self, b))
+
+    def __gt__(self, other: Any) -> Any:
+        return _with(other, lambda b: less(b, self))
+
+    def __le__(self, other: Any) -> Any:
+        return _with(other, lambda b: not less(b, self))
+
+    def __ge__(self, other: Any) -> Any:
+        return _with(other, lambda b: not less(self, b))
+
+    def __eq__(self, other: object) -> Any:
+        return _with(other, lambda b: self is b or Symbol("equal", self, b))
+
+    def __ne__(self, other: object) -> Any:
+        return _with(other, lambda b: self is not b and not Symbol("equal", self, b))
+
+    __hash__ = object.__hash__
+
+    def hypot(self, other: Any) -> Any:
+        """Return the length of the hypotenuse."""
+        return Symbol("hypot", self, _scalar(other))
+
+    def arctan2(self, other: Any) -> Any:
+        """Return the angle of the point (other, self)."""
+        return Symbol("arctan2", self, _scalar(other))
+
+
+class _UndecidedError(Exception):
+    """An effect's code asks whether a comparison holds that depends on the pose."""
+
+    def __init__(self, comparison: Symbol) -> None:
+        super().__init__("its code asks for the outcome of a comparison")
+        self.comparison = comparison
+
+
+def _scalar(value: Any) -> float | Symbol:
+    return value if isinstance(value, Symbol) else float(value)
+
+
+def _with(other: Any, operation: Callable[[float | Symbol], Any]) -> Any:
+    return NotImplemented if isinstance(other, np.ndarray) else operation(_scalar(other))
+
+
+def apply(function: str, x: float | Symbol) -> float | Symbol:
+    """Return one of ``FUNCTIONS`` of a number or symbol."""
+    return Symbol(function, x) if isinstance(x, Symbol) else float(FUNCTIONS[function](x))
+
+
+def add(a: float | Symbol, b: float | Symbol) -> float | Symbol:
+    """Return the sum."""
+    if not isinstance(a, Symbol):
+        if not isinstance(b, Symbol):
+            return a + b
+        a, b = b, a
+    if not isinstance(b, Symbol):
+        return a if b == 0.0 else Symbol("add", a, b)
+    if a.operation == b.operation == "cubic" and a.operands[0] is b.operands[0] and a.about.fits(b.about):
+        return Symbol("cubic", a.operands[0], about=a.about.plus(b.about))
+    return Symbol("add", a, b)
+
+
+def multiply(a: float | Symbol, b: float | Symbol) -> float | Symbol:
+    """Return the product; what is multiplied by zero is zero."""
+    if not isinstance(a, Symbol):
+        if not isinstance(b, Symbol):
+            return a * b
+        a, b = b, a
+    if isinstance(b, Symbol):
+        return Symbol("multiply", a, b)
+    if b in (0.0, 1.0):
+        return a if b else 0.0
+    if a.operation == "cubic":
+        return Symbol("cubic", a.operands[0], about=a.about.scaled(b))
+    return Symbol("multiply", a, b)
+
+
+def divide(a: float | Symbol, b: float | Symbol) -> float | Symbol:
+    """Return the quotient."""
+    if not isinstance(a, Symbol) and not isinstance(b, Symbol):
+        return a / b
+    return 0.0 if not isinstance(a, Symbol) and a == 0.0 else Symbol("divide", a, b)
+
+
+def less(a: float | Symbol, b: float | Symbol) -> bool | Symbol:
+    """Return whether a < b."""
+    return Symbol("less", a, b) if isinstance(a, Symbol) or isinstance(b, Symbol) else a < b
+
+
+def select(comparison: bool | Symbol, yes: float | Symbol, no: float | Symbol) -> float | Symbol:
+    """Return one of two values by a comparison."""
+    if not isinstance(comparison, Symbol):
+        return yes if comparison else no
+    same = yes is no or (not isinstance(yes, Symbol) and not isinstance(no, Symbol) and yes == no)
+    return yes if same else Symbol("select", comparison, yes, no)
+
+
+def cubic(curve: Cubic, x: float | Symbol) -> float | Symbol:
+    """Return the value of a curve."""
+    return Symbol("cubic", x, about=curve) if isinstance(x, Symbol) else curve(x)
+
+
+def held(x: np.ndarray, lower: float, upper: float) -> np.ndarray:
+    """Return numbers or symbols held within a range."""
+    if not are_symbols(x):
+        return np.asarray(np.clip(x, lower, upper))
+    out = np.empty_like(x)
+    for place, value in np.ndenumerate(x):
+        out[place] = select(less(value, lower), lower, select(less(upper, value), upper, value))
+    return out
+
+
+def symbols(*names: str) -> np.ndarray:
+    """Return inputs as an array, shape (number of names,)."""
+    out = np.empty(len(names), object)
+    out[:] = [Symbol("input", about=name) for name in names]
+    return out
+
+
+def are_symbols(values: np.ndarray) -> bool:
+    """Return whether an array may hold symbols."""
+    return values.dtype == object
+
+
+def either_way(code: Callable[[], dict[int, Any]], known: dict[int, bool] | None = None) -> dict[int, Any]:
+    """Run code that makes sums by place, and where it depends on a comparison run it for both outcomes.
+
+    Args:
+        code: returns symbols and numbers by place; a place that is missing has zero.
+        known: the comparisons whose outcome is settled, by their identity.
+
+    Returns:
+        What holds in either case, by place.
+    """
+    known = known or {}
+    token = _KNOWN.set(known)
+    try:
+        return code()
+    except _UndecidedError as error:
+        asked = error.comparison
+    finally:
+        _KNOWN.reset(token)
+    yes, no = (either_way(code, {**known, id(asked): answer}) for answer in (True, False))
+    places = dict.fromkeys((*yes, *no))
+    return {place: select(asked, yes.get(place, 0.0), no.get(place, 0.0)) for place in places}

@@ -1,0 +1,389 @@
+"""Exports: each is read back by a tool that is not ours and compared with what the model predicts."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_catalogue import ARMS, EFFECTS, chain_of, conditions_of, surrounded, units_of
+from test_cli import run
+
+import pincal
+from pincal.calibration.calibrated import CalibratedModel, estimate_of
+from pincal.calibration.covered import Covered
+from pincal.errors import BadInputError
+from pincal.export import FORMATS, export_model
+from pincal.model.chain import Chain, MomentFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect, Locus, Term
+from pincal.model.effects import ELASTIC, BaseFrame, ToolFrame
+from pincal.model.model import Model
+from pincal.model.registry import EFFECTS as KNOWN
+from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.robot import Robot
+
+pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+
+# What a formula may differ by [m, elements of the rotation matrix].
+EXACT = 1e-12
+# For a controller's cycle [s].
+FORWARD_TIME, COMPENSATION_TIME = 3e-6, 40e-6
+
+DRIVER = """
+#define _POSIX_C_SOURCE 199309L
+#include "{name}.h"
+#include <time.h>
+static double now(void) {{ struct timespec t; clock_gettime(CLOCK_MONOTONIC, &t); return t.tv_sec + 1e-9 * t.tv_nsec; }}
+double forward_all(int n, const {name}_state *states, double *poses)
+{{
+    double start = now();
+    for (int i = 0; i < n; ++i)
+        {name}_forward(states + i, poses + 12 * i);
+    return (now() - start) / n;
+}}
+double compensate_all(int n, const double *wanted, int orientation, {name}_state *states, int *status)
+{{
+    double start = now();
+    for (int i = 0; i < n; ++i)
+        status[i] = {name}_compensate(wanted + 12 * i, orientation, states + i);
+    return (now() - start) / n;
+}}
+"""
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """An exported C source, compiled as a controller's would be."""
+
+    library: ctypes.CDLL
+
+    @classmethod
+    def of(cls, calibrated: CalibratedModel, folder: Path) -> Compiled:
+        """Export, compile without a warning, load."""
+        exported = export_model(calibrated, "c", folder)
+        name = next(file for file in exported.files if file.endswith(".c")).removesuffix(".c")
+        (folder / "driver.c").write_text(DRIVER.format(name=name))
+        flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fPIC", "-shared"]
+        files = [folder / f"{name}.c", folder / "driver.c"]
+        library = folder / f"{name}.so"
+        subprocess.run(["cc", *flags, *files, "-o", library, "-lm"], check=True)
+        found = ctypes.CDLL(str(library))
+        found.forward_all.restype = found.compensate_all.restype = ctypes.c_double
+        return cls(found)
+
+    def forward(self, at: Conditions) -> tuple[np.ndarray, float]:
+        """Return poses, shape (N, 3, 4), and seconds a pose."""
+        states, poses = states_of(at), np.empty((len(at), 3, 4))
+        return poses, self.library.forward_all(len(at), address(states), address(poses))
+
+    def compensate(self, wanted: np.ndarray, at: Conditions, *, turn: bool = True) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return joint positions, shape (N, n), statuses, shape (N,), and seconds a pose."""
+        states, status, poses = states_of(at), np.empty(len(at), np.int32), np.ascontiguousarray(wanted)
+        seconds = self.library.compensate_all(len(at), address(poses), int(turn), address(states), address(status))
+        return states["q"], status, seconds
+
+
+def states_of(at: Conditions) -> np.ndarray:
+    """Return poses as the C struct has them."""
+    n = at.q.shape[1]
+    fields = [("q", "f8", n), ("payload", "f8"), ("temperature", "f8"), ("time", "f8"), ("approach", "f8", n)]
+    out = np.zeros(len(at), np.dtype([*fields, ("target", "i4")], align=True))
+    for name in out.dtype.names:
+        column = getattr(at, name)
+        out[name] = 0 if column is None else column
+    return out
+
+
+def address(array: np.ndarray) -> ctypes.c_void_p:
+    """Return where an array stands."""
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def loaded(text: str) -> Callable[..., np.ndarray]:
+    """Return the functions of an exported Python file, run by a Python that has no pincal."""
+    assert "pincal." not in text.split('"""', 2)[2] and "import pincal" not in text
+    names: dict[str, Callable[..., np.ndarray]] = {}
+    exec(text, names)
+    return names
+
+
+def columns_of(at: Conditions) -> dict[str, np.ndarray]:
+    """Return what else a pose depends on, as the Python file takes it."""
+    return {name: getattr(at, name) for name in ("payload", "temperature", "time", "approach", "target")}
+
+
+def calibrated_of(model: Model, values: np.ndarray, payload_centre: tuple[float, ...] = (0.1, 0.0, 0.2)) -> CalibratedModel:
+    """Return a calibrated model with given values."""
+    n = model.chain.robot.n_joints
+    estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
+    covered = Covered(np.tile([-4.0, 4.0], (n, 1)), np.array([0.0, 12.0]))
+    return CalibratedModel(model, estimate, "pose", np.array(payload_centre), covered, np.ones(2), {})
+
+
+def drawn(
+    effect: Effect | None, robot: Robot, *, frame: MomentFrame = "paper", equilibrium: bool = False
+) -> CalibratedModel:
+    """Return a calibrated model with an effect of about a milliradian beside the full elastic one."""
+    rng = np.random.default_rng(5)
+    model = surrounded(effect, chain_of(robot, frame), equilibrium=equilibrium)  # type: ignore[arg-type]
+    units = units_of(model, conditions_of(robot, 50, rng))
+    return calibrated_of(model, 1e-3 * rng.uniform(-1.0, 1.0, model.n_parameters) / units)
+
+
+def everything(robot: Robot, *, equilibrium: bool = False) -> CalibratedModel:
+    """Return a calibrated model with all effects that the catalogue knows at once, seen by two targets."""
+    rng, chain = np.random.default_rng(7), Chain.of(robot, moment_frame="after", targets=("ball", "prism"))
+    made: list[Effect] = [*ELASTIC, BaseFrame(), ToolFrame(FRAME_SYMBOLS)]
+    for effect in (make(robot.joint_names) for make in EFFECTS.values()):
+        if not {p.name for p in effect.parameters(chain)} & set(Model(chain, tuple(made)).names):
+            made.append(effect)
+    model = Model(chain, tuple(made), equilibrium=equilibrium)
+    units = units_of(model, conditions_of(robot, 50, rng))
+    return calibrated_of(model, 2e-4 * rng.uniform(-1.0, 1.0, model.n_parameters) / units)
+
+
+def poses_of(calibrated: CalibratedModel, n: int, rng: np.random.Generator) -> Conditions:
+    """Return poses of which everything is recorded and varies."""
+    at = conditions_of(calibrated.model.chain.robot, n, rng)
+    return replace(at, target=rng.integers(0, len(calibrated.model.chain.targets), n))
+
+
+# --- every effect of the catalogue --------------------------------------------------------------------------------
+
+
+def check_python(calibrated: CalibratedModel, rng: np.random.Generator) -> None:
+    """Compare the exported Python file with the model."""
+    at = poses_of(calibrated, 300, rng)
+    forward = loaded(export_model(calibrated, "python").text)["forward"]
+    np.testing.assert_allclose(forward(at.q, **columns_of(at)), calibrated.predict(at), rtol=0.0, atol=EXACT)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_formula_of_every_effect_is_what_it_predicts(kuka: Robot, name: str, rng: np.random.Generator) -> None:
+    """Of each effect alone, from its own code; one that can't be carried would be refused here."""
+    full = drawn(EFFECTS[name](kuka.joint_names), kuka, frame="after")
+    check_python(full.with_effects(lambda effect: effect is full.model.effects[0]), rng)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("frame", "equilibrium"), [("paper", False), ("after", True), ("before", True)])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_effects_work_together_in_formulas(
+    kuka: Robot, name: str, frame: MomentFrame, equilibrium: bool, rng: np.random.Generator
+) -> None:
+    """Of each effect beside the elastic model, on straight and bent arm, in all moment frames."""
+    check_python(drawn(EFFECTS[name](kuka.joint_names), kuka, frame=frame, equilibrium=equilibrium), rng)
+
+
+def test_every_registered_effect_is_among_them(kuka: Robot) -> None:
+    """What is registered is exported in these tests: by itself, in the full model, or at one station."""
+    tried = {type(make(kuka.joint_names)).name for make in EFFECTS.values()}
+    beside = {effect.name for effect in (*ELASTIC, BaseFrame(), ToolFrame())}
+    ours = {name for name, cls in KNOWN.known().items() if cls.__module__.startswith("pincal.")}
+
+    assert ours - tried - beside == {"at_station"}
+
+
+def test_the_whole_catalogue_at_once_is_exported(kuka: Robot, rng: np.random.Generator) -> None:
+    """One model with all effects, two targets."""
+    check_python(everything(kuka), rng)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("equilibrium", [False, True])
+def test_compiled_c_is_the_model_with_all_effects(
+    arm: str, equilibrium: bool, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """One model with the whole catalogue, two targets: C and NumPy agree with it, forward and back."""
+    calibrated = everything(Robot.from_urdf(ARMS[arm]()), equilibrium=equilibrium)
+    compiled, at = Compiled.of(calibrated, tmp_path), poses_of(calibrated, 1000, rng)
+    source = loaded(export_model(calibrated, "python").text)
+    true = calibrated.predict(at)
+    seed = replace(at, q=at.q + rng.normal(0.0, 2e-3, at.q.shape))
+    q, status, _ = compiled.compensate(true, seed)
+    same, reached = source["compensate"](true, seed.q, **columns_of(at))
+    there = status == 0
+    arrived = calibrated.predict(replace(at, q=q))
+    print(f"{arm}: C {np.abs(compiled.forward(at)[0] - true).max():.1e} m")
+
+    np.testing.assert_allclose(compiled.forward(at)[0], true, rtol=0.0, atol=EXACT)
+    np.testing.assert_allclose(source["forward"](at.q, **columns_of(at)), true, rtol=0.0, atol=EXACT)
+    assert there.mean() > 0.97, "the others are singular or at a limit"
+    np.testing.assert_allclose(arrived[there], true[there], rtol=0.0, atol=2e-10)
+    np.testing.assert_array_equal(reached, there)
+    np.testing.assert_allclose(same[there], q[there], rtol=0.0, atol=1e-7)
+    np.testing.assert_array_equal(q[~there], seed.q[~there])
+
+
+def test_c_is_exact_and_fast_enough_for_a_cycle(kuka: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
+    """The KUKA of the paper with all its elasticity at 10^4 poses: to 1e-12 m, in microseconds, nothing allocated."""
+    calibrated = drawn(EFFECTS["transmission_error"](kuka.joint_names), kuka)
+    compiled, at = Compiled.of(calibrated, tmp_path), poses_of(calibrated, 10_000, rng)
+    true = calibrated.predict(at)
+    seed = replace(at, q=at.q + rng.normal(0.0, 2e-3, at.q.shape))
+    few = np.arange(1000)
+    forward = min(compiled.forward(at.select(few))[1] for _ in range(20))
+    compensation = min(compiled.compensate(true[few], seed.select(few))[2] for _ in range(5))
+    error = np.abs(compiled.forward(at)[0] - true).max()
+    print(f"C: {error:.1e} m at {len(at)} poses, {1e6 * forward:.2f} us forward, {1e6 * compensation:.1f} us compensation")
+
+    assert error < EXACT and forward < FORWARD_TIME and compensation < COMPENSATION_TIME
+    table = subprocess.run(["nm", tmp_path / f"{kuka.name}.so"], capture_output=True, text=True, check=True).stdout
+    called = [line.split()[-1].split("@")[0] for line in table.splitlines() if " U " in line]
+    assert set(called) <= {"sin", "cos", "sincos", "sqrt", "atan2", "fmax", "fmin", "clock_gettime", "__stack_chk_fail"}
+
+
+# --- frames, targets, refusals ------------------------------------------------------------------------------------
+
+
+def test_poses_in_the_base_frame_need_no_instrument(kuka: Robot, rng: np.random.Generator) -> None:
+    """With frame="base" poses are those of the robot alone: the instrument's pose times them is what it sees."""
+    calibrated = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka)
+    at = poses_of(calibrated, 40, rng)
+    seen, own = (loaded(export_model(calibrated, "python", frame=f).text)["forward"](at.q, **columns_of(at))
+                 for f in ("instrument", "base"))  # fmt: skip
+    square = [np.concatenate([poses, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (40, 1, 1))], axis=1) for poses in (seen, own)]
+    placed = square[0] @ np.linalg.inv(square[1])
+
+    np.testing.assert_allclose(placed, np.broadcast_to(placed[0], placed.shape), rtol=0.0, atol=1e-12)
+    with pytest.raises(BadInputError, match="frame 'flange'; expected instrument or base"):
+        export_model(calibrated, "c", frame="flange")
+
+
+def test_an_arm_of_few_joints_reaches_positions(rng: np.random.Generator, tmp_path: Path) -> None:
+    """Position alone, in C and in NumPy; an orientation is refused where there are fewer than six joints."""
+    robot = Robot.from_urdf("ur10", tip="wrist_1_link")
+    calibrated = drawn(EFFECTS["gear_ratio"](robot.joint_names), robot)
+    at = poses_of(calibrated, 200, rng)
+    true, seed = calibrated.predict(at), replace(at, q=at.q + rng.normal(0.0, 1e-3, at.q.shape))
+    compiled = Compiled.of(calibrated, tmp_path)
+    q, status, _ = compiled.compensate(true, seed, turn=False)
+    source = loaded(export_model(calibrated, "python").text)
+
+    assert robot.n_joints == 4 and (status == 0).mean() > 0.97
+    reached = calibrated.predict(replace(at, q=q))[status == 0, :, 3]
+    np.testing.assert_allclose(reached, true[status == 0, :, 3], rtol=0.0, atol=2e-10)
+    assert set(compiled.compensate(true, seed)[1]) == {3}
+    with pytest.raises(ValueError, match="4 joints can't reach a position and an orientation"):
+        source["compensate"](true, seed.q, **columns_of(at))
+
+
+def test_what_is_out_of_reach_leaves_the_joints_alone(kuka: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
+    """A pose 10 m away is not reached, one beyond a limit is told from it; the state stays."""
+    calibrated = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka)
+    compiled, at = Compiled.of(calibrated, tmp_path), poses_of(calibrated, 5, rng)
+    away, edge = calibrated.predict(at), replace(at, q=np.tile(kuka.upper - 1e-4, (5, 1)))
+    away[:, 0, 3] += 10.0
+    beyond = calibrated.predict(replace(edge, q=edge.q + 2e-4))
+
+    q, status, _ = compiled.compensate(away, at)
+    assert set(status) == {3}
+    np.testing.assert_array_equal(q, at.q)
+    assert set(compiled.compensate(beyond, edge)[1]) == {1}
+
+
+def test_a_python_file_says_what_it_needs(kuka: Robot) -> None:
+    """Missing columns, wrong shapes and targets are named."""
+    source = loaded(export_model(everything(kuka), "python").text)
+    for given, message in (
+        ({}, "this model needs approach, temperature, time"),
+        ({"temperature": 20.0, "time": 0.0, "approach": 0.0, "target": 2}, "target 2; expected an index into TARGETS"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            source["forward"](np.zeros(6), **given)
+    with pytest.raises(ValueError, match=r"shape \(1, 5\); expected \(N, 6\)"):
+        source["forward"](np.zeros(5))
+
+
+@dataclass(frozen=True)
+class Tabulated(Effect):
+    """An effect whose code needs the numbers themselves."""
+
+    joint: str
+    name = "tabulated"
+    meaning = "reads a table"
+    locus = property(lambda self: Locus(self.joint, "drive", self.joint))
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """One parameter."""
+        return (Parameter(f"{self.joint}.table", "rad", self.name, 0.0, 1e-3),)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Look the position up."""
+        q = conditions.q[:, chain.robot.joint_names.index(self.joint)]
+        return (Term(0, int(chain.drives[0]), np.interp(q.astype(float), [-3.0, 3.0], [0.0, 1.0])),)
+
+
+@dataclass(frozen=True)
+class Counting(Tabulated):
+    """An effect whose formula would be wrong: it depends on how many poses there are."""
+
+    name = "counting"
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the number of poses."""
+        return (Term(0, int(chain.drives[0]), np.full(len(conditions), float(len(conditions)))),)
+
+
+@pytest.mark.parametrize(("cls", "why"), [(Tabulated, "can't be exported as a formula"), (Counting, "formula differs")])
+@pytest.mark.parametrize("format", ["c", "python"])
+def test_an_effect_that_can_not_be_carried_is_refused_by_name(
+    kuka: Robot, cls: type[Tabulated], why: str, format: str
+) -> None:
+    """It is never left out in silence, and never written wrongly."""
+    model = Model(Chain.of(kuka), (EFFECTS["gear_ratio"](kuka.joint_names), cls("joint_1")))
+    with pytest.raises(BadInputError, match=f"^{cls.name}: .*{why}"):
+        export_model(calibrated_of(model, np.full(2, 1e-3)), format)
+
+
+def test_an_effect_from_outside_is_exported_too(kuka: Robot, rng: np.random.Generator) -> None:
+    """A plugin says nothing of exports: its code is its formula."""
+    path = Path(__file__).parents[1] / "examples" / "hose_pull.py"
+    pincal.load_plugin(path)
+    effect = KNOWN.known()["hose_pull"](kuka.joint_names[3], kuka.joint_names[2])
+    calibrated = drawn(effect, kuka)
+    at = poses_of(calibrated, 100, rng)
+    forward = loaded(export_model(calibrated, "python").text)["forward"]
+
+    np.testing.assert_allclose(forward(at.q, **columns_of(at)), calibrated.predict(at), rtol=0.0, atol=EXACT)
+
+
+# --- the command --------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_all_that_is_asked_for(kuka: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Several formats at once; each says how far it is off and what it can't carry."""
+    calibrated, model = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka), tmp_path / "model.json"
+    calibrated.save(model)
+    wanted = ["--c", tmp_path / "arm", "--python", tmp_path / "arm.py", "--urdf", tmp_path / "arm.urdf"]
+    assert run("export", model, *wanted, "--json", "--quiet") == 0
+    told = json.loads(capsys.readouterr().out)
+
+    assert sorted(file.name for file in (tmp_path / "arm").iterdir()) == ["kuka_kr125_2.c", "kuka_kr125_2.h"]
+    assert told["c"] == str(tmp_path / "arm") and told["max_error_m"] < 1e-9 and told["notes"]
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import arm; "
+         "print(arm.forward([0.0] * 6).shape, 'pincal' in sys.modules)"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "(1, 3, 4) False"
+    assert run("export", model) == 2
+    assert "give at least one of" in capsys.readouterr().err
+
+
+def test_formats_and_options_are_checked(kuka: Robot) -> None:
+    """An unknown name is answered with those that there are."""
+    calibrated = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka)
+    with pytest.raises(BadInputError, match="format 'pyhton': unknown; expected one of python, "):
+        export_model(calibrated, "pyhton")
+    with pytest.raises(BadInputError, match=r"format 'urdf'.*colour"):
+        export_model(calibrated, "urdf", colour="red")
+    assert all(cls.name == name and cls.meaning for name, cls in FORMATS.known().items())
