@@ -619,6 +619,19 @@ def test_poses_without_joints_take_a_seed_or_none(bench: Bench) -> None:
         assert not turns or turned(there, bench.wanted).max() < PROMISED
 
 
+def test_rows_whose_joints_move_far_are_marked(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beyond the limit, 2 deg by default, a row has large_change 1 and a note; such a table is taken again."""
+    limit = f"{1e3 * 0.5 * np.abs(bench.q(bench.compensate(bench.joints())) - bench.given.q).max():.6f}mrad"
+    capsys.readouterr()
+    found = bench.compensate(bench.joints(), "--max-change", limit)
+    said = capsys.readouterr().err
+
+    marked = found["change_max"] > 1e-3 * float(limit.removesuffix("mrad"))
+    assert marked.sum() > 0 and found["large_change"].tolist() == marked.astype(int).tolist()
+    assert "a joint moves more than" in said and "large_change" in said
+    assert "large_change" not in bench.compensate(bench.joints(), "--max-change", "90deg")
+
+
 def test_false_targets_are_written_beside_the_joints(bench: Bench) -> None:
     """They are the nominal flange, in the robot's base frame, at the joints to command."""
     found = bench.compensate(bench.joints(), "--false-targets", "tip")

@@ -534,6 +534,23 @@ def test_the_command_writes_poses_that_simulate_takes(tmp_path, capsys):
         assert words in text
 
 
+def test_the_table_has_degrees_on_request_and_columns_to_fill_in(tmp_path):
+    """Rows are the same poses; what the instrument will read is empty, and said to be so by whoever reads it."""
+    chosen = ["--poses", 8, "--model", "geometric", "--candidates", 20, "--quiet"]
+    assert run("design", KUKA, *chosen, "--out", tmp_path / "rad.csv") == 0
+    assert run("design", KUKA, *chosen, "--degrees", "--out", tmp_path / "deg.csv", "--sensor", "pose") == 0
+    header = [(tmp_path / f"{name}.csv").read_text().splitlines()[0].split(",") for name in ("rad", "deg")]
+    names = Robot.from_urdf(KUKA).joint_names
+
+    assert header[0] == [*names, "x", "y", "z"]
+    assert header[1] == [*(f"{name} [deg]" for name in names), *"xyz", "qx", "qy", "qz", "qw"]
+    rad, deg = (read_measurements(tmp_path / f"{name}.csv", names, require="joints").q for name in ("rad", "deg"))
+    np.testing.assert_allclose(np.abs([rad, deg]) < 2.0 * np.pi, True)
+    assert rad.shape == deg.shape == (8, 6)
+    with pytest.raises(ValueError, match="an empty cell"):
+        read_measurements(tmp_path / "rad.csv", names)
+
+
 def test_the_command_answers_programs(tmp_path, capsys):
     """With --json: the fewest poses for an accuracy, the curve, and what each constraint removed."""
     arguments = ["--accuracy", "0.1mm", "--model", "geometric", "--candidates", 100, "--instrument", 4, 0, 1]

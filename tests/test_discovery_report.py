@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from discovery_cases import SIGMA, Case, draw_case
@@ -20,11 +21,14 @@ from pincal.discover.precheck import precheck
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
+from pincal.io.discovery_file import Findings, Gap, ScatteringJoint
+from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.report.plots.found import effect_figure, shrinking_figure
+from pincal.report.verdict import verdict_of_search
 
 HIDDEN = (
     "backlash_cobot",
@@ -432,3 +436,26 @@ def _is(hidden: dict[str, Any], named: dict[str, Any]) -> bool:
     """Return whether a name is the hidden one, and at its joint; of a nameless one the joint alone."""
     keys = [key for key in ("effect", "joint", "source") if key in hidden]
     return all(hidden[key] == named.get(key) for key in keys)
+
+
+def test_a_verdict_says_what_is_wrong() -> None:
+    """Never "not adequate" with nothing unexplained: a joint scatters, or single rows are too far off."""
+    gap = Gap(mean_mm=0.1, rms_mm=0.1, max_mm=0.2)
+    findings = Findings(
+        noise_floor_mm=0.08,
+        gap={"before": gap, "after": gap},
+        where=(),
+        effects=(),
+        scatter=(),
+        not_testable=(),
+        verdict=FoundVerdict.NOT_ADEQUATE,
+        unexplained_mm=0.0,
+    )
+    scatter = ScatteringJoint("elbow", 1e-4, "approach_elbow")
+
+    assert "are larger than the declared noise" in verdict_of_search(findings).reason
+    scatters = verdict_of_search(msgspec.structs.replace(findings, scatter=(scatter,))).reason
+    assert "elbow scatters from reading to reading" in scatters and "0.0" not in scatters
+    assert (
+        "0.250 mm rms beyond the noise" in verdict_of_search(msgspec.structs.replace(findings, unexplained_mm=0.25)).reason
+    )

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.common import ANGLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
 from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pincal.calibration.calibrated import CalibratedModel
-    from pincal.compensate.frames import FalseTarget
     from pincal.compensate.targets import CompensatedTable, Targets
     from pincal.robot.robot import Robot
 
@@ -43,7 +42,8 @@ nominal robot would reach, in its base frame. Without joint positions, the searc
 
 FILE.csv has the joint positions to command, the wanted pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
-change of a joint from its start (change_max, rad or m) and a status:
+change of a joint from its start (change_max, rad or m; if any is more than --max-change, the column
+large_change is 1 in these rows: look at them before the robot moves) and a status:
   ok           reached
   singular     a small correction would need large joint motions; the joints stay close to their
                start, and position has priority over orientation
@@ -72,6 +72,13 @@ class CompensateArguments:
     )
     false_targets: Literal["tip", "target"] | None = option(
         "Also write poses for a controller that uses the nominal model: of the tip, or of the calibrated target."
+    )
+    max_change: float = option(
+        "Mark rows in which a joint moves more than this from its start (prismatic: as many m as rad).",
+        float(np.deg2rad(2.0)),
+        type=ANGLE,
+        metavar="ANGLE",
+        words="2deg",
     )
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
     strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
@@ -106,9 +113,9 @@ def compensate(arguments: CompensateArguments) -> Exit:
         any_orientation=arguments.free_orientation,
         limits=not arguments.ignore_limits,
     )
-    write_table(arguments.out, _columns(calibrated, done, arguments.false_targets))
+    write_table(arguments.out, _columns(calibrated, done, arguments))
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
-    result = _result(robot, done, beyond) | place.contents | {"out": str(arguments.out)}
+    result = _result(robot, done, beyond, max_change=arguments.max_change) | place.contents | {"out": str(arguments.out)}
     if arguments.general.as_json:
         print_json(result)
     else:
@@ -136,9 +143,7 @@ def _seed(robot: Robot, table: Targets, text: str | None) -> np.ndarray | None:
     return np.where(turns & in_degrees, np.deg2rad(seed), seed)
 
 
-def _columns(
-    calibrated: CalibratedModel, done: CompensatedTable, false_targets: FalseTarget | None
-) -> dict[str, np.ndarray]:
+def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: CompensateArguments) -> dict[str, np.ndarray]:
     """Return the table to write."""
     from pincal.compensate.frames import false_targets as poses_to_give
 
@@ -156,14 +161,16 @@ def _columns(
     columns["sigma_mm"] = 1e3 * done.sigma
     if done.targets.has_joints:
         columns["change_max"] = np.abs(found.q - done.seeds.q).max(axis=1)
+        large = columns["change_max"] > arguments.max_change
+        columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
-    if false_targets:
-        poses = pose_columns(poses_to_give(calibrated, done.commanded, of=false_targets), with_orientation=True)
+    if arguments.false_targets:
+        poses = pose_columns(poses_to_give(calibrated, done.commanded, of=arguments.false_targets), with_orientation=True)
         columns |= {f"false_{name}": column for name, column in poses.items()}
     return columns
 
 
-def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any]) -> dict[str, Any]:
+def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max_change: float) -> dict[str, Any]:
     """Return the outcome for programs."""
     from pincal.compensate.solve_ik import STATUSES
 
@@ -177,10 +184,11 @@ def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any]) -> dic
         }
         for i in np.flatnonzero(~found.is_ok)
     ]
-    errors, change = {"commanded": _statistics(found.error)}, None
+    errors, change, large = {"commanded": _statistics(found.error)}, None, list[int]()
     if done.targets.has_joints:
         errors = {"seeds": _statistics(found.seed_error)} | errors
         moved = np.abs(found.q - done.seeds.q)
+        large = [int(line) for line in lines[moved.max(axis=1) > max_change]]
         row, joint = np.unravel_index(np.argmax(moved), moved.shape)
         name, unit = robot.joint_names[joint], robot.joint_units[joint]
         change = {"joint": name, "line": int(lines[row]), "value": float(moved[row, joint]), "unit": unit}
@@ -191,6 +199,8 @@ def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any]) -> dic
         "error": errors,
         "sigma_mm": 1e3 * float(np.sqrt(np.mean(done.sigma**2))),
         "change": change,
+        "max_change": max_change,
+        "large_changes": large,
         "not_ok": left,
     } | beyond
 
@@ -217,7 +227,14 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
 
 
 def _failures(result: dict[str, Any]) -> Iterator[str]:
-    """Yield notes on the rows that are not reached."""
+    """Yield notes on the rows that are not reached, and on those that take large motions."""
+    if large := result["large_changes"]:
+        named = ", ".join(map(str, large[:_SHOWN])) + (", ..." if len(large) > _SHOWN else "")
+        rows = "1 row" if len(large) == 1 else f"{len(large)} rows"
+        yield (
+            f"{rows} (line {named}): a joint moves more than {np.rad2deg(result['max_change']):.3g} deg from its start; "
+            "marked in the column large_change, look at them before the robot moves (--max-change)"
+        )
     for row in result["not_ok"][:_SHOWN]:
         left = f"remaining error {row['error_mm']:.4f} mm and {row['error_mrad']:.4f} mrad"
         yield f"line {row['line']}: {row['status']}, {left}"

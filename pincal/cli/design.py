@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -133,6 +133,7 @@ class DesignArguments:
         "Number of random poses to choose from.", metavar="N", type=click.IntRange(min=2), words="1500, or twice the poses"
     )
     seed: int = option("Random seed.", 0, type=click.IntRange(min=0))
+    degrees: bool = option("Write joint positions in degrees.", False)
     tip: str | None = tip_option(words="end of the longest chain")
     base: str | None = base_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
@@ -153,7 +154,6 @@ def design(arguments: DesignArguments) -> Exit:
         return _check(arguments)
     from pincal.cli.inputs import load_table
     from pincal.design.design import design_poses
-    from pincal.measure.table import write_table
 
     if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError("give --poses N, or --accuracy for as many as are needed")
@@ -176,7 +176,7 @@ def design(arguments: DesignArguments) -> Exit:
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
-    write_table(arguments.out, found.columns())
+    _write(arguments, robot, found.columns(), sensor=found.rig.sensor)
     if arguments.general.as_json:
         print_json(found.to_dict() | {"out": str(arguments.out)})
     else:
@@ -192,7 +192,6 @@ def _check(arguments: DesignArguments) -> Exit:
     """Choose the poses of a health check."""
     from pincal.calibration.stations import load_stations
     from pincal.design.health import CheckRequest, design_check
-    from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
 
     wanted = arguments.health
@@ -210,7 +209,7 @@ def _check(arguments: DesignArguments) -> Exit:
     robot = known if isinstance(known, Robot) else known.model.chain.robot
     options, limits = _options(arguments), _limits(robot, arguments)
     found = design_check(known, request, options=options, rig=_rig(arguments), limits=limits)
-    write_table(arguments.out, found.columns())
+    _write(arguments, robot, found.columns(), sensor=found.sensor)
     if arguments.general.as_json:
         print_json(found.to_dict() | {"out": str(arguments.out)})
     else:
@@ -220,6 +219,17 @@ def _check(arguments: DesignArguments) -> Exit:
         print_check(found, console())
         click.echo(f"written to {arguments.out}, ordered for short motions")
     return Exit.DONE if found.is_met else Exit.INACCURATE
+
+
+def _write(arguments: DesignArguments, robot: Robot, columns: Mapping[str, np.ndarray], *, sensor: str) -> None:
+    """Write the poses and, empty, the columns of what is measured there."""
+    from pincal.measure.registry import columns_of
+    from pincal.measure.table import write_table
+
+    turns = {name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "revolute"}
+    in_degrees = turns if arguments.degrees else set()
+    shown = {f"{n} [deg]" if n in in_degrees else n: np.rad2deg(c) if n in in_degrees else c for n, c in columns.items()}
+    write_table(arguments.out, shown, to_fill=columns_of(sensor))
 
 
 def _robot(arguments: DesignArguments) -> Robot:

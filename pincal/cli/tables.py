@@ -28,6 +28,7 @@ from pincal.report.tables import (
     smallest_size,
     stage_table,
 )
+from pincal.report.verdict import verdict_of
 from pincal.report.words import effect_words, noise_words
 from pincal.tables import hanging, one_line
 from pincal.units import Quantity, format_small
@@ -131,7 +132,7 @@ def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: 
 def print_discovery(found: Discovery, out: Console) -> None:
     """Print where model and data disagreed, what made them, and how the error fell to the noise."""
     findings = found.findings
-    out.print(f"Verdict: {findings.verdict}, {findings.unexplained_mm:.4f} mm rms unexplained")
+    out.print(hanging("Verdict:", f"{findings.verdict}. {verdict_of(found.calibration.result, found).reason}"))
     if findings.where:
         out.print(location_table(findings.where))
     out.print(effect_table(findings.effects) if findings.effects else "These data show no missing effect.")

@@ -24,7 +24,15 @@ from pincal.robot.se3 import compose, inverse, rotation_matrices
 
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 # Further columns that the command writes: they are ignored, so that its output can be its input.
-_WRITTEN = ("status", "error_mm", "error_mrad", "sigma_mm", "change_max", *(f"false_{name}" for name in POSE_COLUMNS))
+_WRITTEN = (
+    "status",
+    "error_mm",
+    "error_mrad",
+    "sigma_mm",
+    "change_max",
+    "large_change",
+    *(f"false_{name}" for name in POSE_COLUMNS),
+)
 _FIELDS = tuple(known_fields()[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point")
 # A wanted position farther from the base than this many times the reach is in another unit.
 _OTHER_UNIT = 50.0

@@ -64,6 +64,12 @@ def blocks_of(kind: str) -> tuple[Block, ...]:
     return next(sensor.blocks for sensor in SENSORS.known().values() if sensor.kind == kind)
 
 
+def columns_of(kind: str) -> tuple[str, ...]:
+    """Return the columns of the readings of a known kind."""
+    sensor = next(sensor for sensor in SENSORS.known().values() if sensor.kind == kind)
+    return tuple(column for field in sensor.fields for column in field.columns)
+
+
 def foreseeable() -> Mapping[str, type[Foreseeable]]:
     """Return the sensors, by their kind, for which measurements can be designed."""
     return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Foreseeable)}

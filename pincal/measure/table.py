@@ -83,12 +83,13 @@ def read_measurements(
     return measurements
 
 
-def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
+def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray], *, to_fill: Sequence[str] = ()) -> None:
     """Write columns as CSV (or Parquet, by the name's ending): the whole file or nothing, in full precision.
 
     Args:
         path: the file to write; an existing one is replaced only when the new one is complete.
         columns: values by header, shape (N,) each.
+        to_fill: further headers, whose columns stay empty.
 
     Raises:
         OutputError: for columns of unequal length, or a place that can't be written to.
@@ -101,6 +102,7 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray])
         shapes = ", ".join(f"{name} {np.shape(values)}" for name, values in columns.items())
         raise OutputError(f"{path}: columns of shape {shapes or 'nothing'}; expected all of one shape (N,)")
     frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in arrays.items()})
+    frame = frame.with_columns(pl.lit(None, pl.Float64).alias(name) for name in to_fill if name not in arrays)
     with replacing(path) as draft:
         try:
             frame.write_parquet(draft) if path.suffix.lower() == ".parquet" else frame.write_csv(draft)

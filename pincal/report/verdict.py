@@ -18,6 +18,8 @@ from pincal.validate.misfit import MISFIT
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
 # sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
 _OVERFITTED = 1.3
+# What is left beyond the noise is told from here on [mm]; less is shown as nothing.
+_SHOWN_MM = 5e-4
 
 
 class Judgement(StrEnum):
@@ -42,7 +44,7 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
     if not result.converged:
         return Verdict(Judgement.NOT_CONVERGED, "The fit did not converge; do not use its numbers.")
     if discovery is not None:
-        return _verdict_of_search(discovery.findings)
+        return verdict_of_search(discovery.findings)
     if result.chi2_p_value is not None:
         is_misfit = result.chi2_p_value < MISFIT
         smaller = "the declared noise of the instrument"
@@ -63,12 +65,18 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
     return Verdict(Judgement.ADEQUATE, f"The residuals are no larger than {smaller}.")
 
 
-def _verdict_of_search(found: Findings) -> Verdict:
+def verdict_of_search(found: Findings) -> Verdict:
+    """Return whether a search has explained the data, and if not, what is wrong."""
     n = len(found.effects)
     added = f"{n} effects were found and added" if n > 1 else "One effect was found and added" if n else "Nothing was added"
     if (judgement := Judgement(found.verdict)) is Judgement.ADEQUATE:
         return Verdict(judgement, f"{added}; the remaining residuals look like noise.")
-    return Verdict(judgement, f"{added}; {found.unexplained_mm:.3f} mm rms beyond the noise remain unexplained.")
+    wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
+    if found.unexplained_mm >= _SHOWN_MM:
+        wrong.append(f"{found.unexplained_mm:.3f} mm rms beyond the noise remain unexplained")
+    elif not wrong:
+        wrong.append("some residuals are larger than the declared noise allows, though not on average over all rows")
+    return Verdict(judgement, f"{added}; {', and '.join(wrong)}.")
 
 
 def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[str]:
