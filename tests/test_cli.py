@@ -283,6 +283,7 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(arguments: list[str],
         ("x --socket-distance a b 0.05 c d 1e-1 --out o", "x --socket-distance a b 0.05 --socket-distance c d 1e-1 --out o"),
         ("--socket-distance a b 0.05 r.urdf t.csv", "--socket-distance a b 0.05 r.urdf t.csv"),
         ("--socket-distance a b --out o", "--socket-distance a b --out o"),
+        ("x --socket-distance a b 50mm c d 2cm --out o", "x --socket-distance a b 50mm --socket-distance c d 2cm --out o"),
         ("x --socket-distance a b 1 --socket-distance c d 2", "x --socket-distance a b 1 --socket-distance c d 2"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from pincal import ELASTIC, CalibratedModel, Measurements, Options, Robot
 from pincal.calibration.placing import place_station
 from pincal.cli import main
 from pincal.diagnosis.evidence import Known, weigh
+from pincal.diagnosis.excluded import farthest_apart, separation, tell_apart
 from pincal.diagnosis.lineup import Lineup
 from pincal.diagnosis.run import verdict_of
 from pincal.errors import BadInputError, ChangedRobotError, MeasurementError
@@ -74,6 +76,38 @@ def offset(change_examples: Path) -> tuple[CalibratedModel, Measurements]:
     """Return a robot whose joint offset has changed since it was calibrated, and rows measured then."""
     model = calibrated(change_examples / "cases", "offset15_heavy_6r")
     return model, rows(change_examples / "cases" / "offset15_heavy_6r" / "new.csv", model.model.chain.robot)
+
+
+def test_an_instrument_with_more_noise_tells_less(offset: tuple[CalibratedModel, Measurements]) -> None:
+    """Declared noise counts where it is more than the calibration's; what is no length is refused."""
+    model, new = offset
+    plain, better, worse = (pincal.diagnose(model, new, sigma=sigma) for sigma in (None, 1e-6, 1e-3))
+
+    assert plain.report == better.report and plain.changed
+    smallest = {(e.effect, e.joint, e.parameter): e.smallest for e in plain.excluded}
+    assert not worse.changed
+    assert all(e.smallest > 3.0 * smallest.get((e.effect, e.joint, e.parameter), 0.0) for e in worse.excluded)
+    with pytest.raises(BadInputError, match="noise of 0 m"):
+        pincal.diagnose(model, new, sigma=0.0)
+
+
+def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path) -> None:
+    """With the poses that are named, the change stands out by more than five standard deviations from its rival."""
+    model = calibrated(change_examples / "cases", "loose40_cobot_6r")
+    new = rows(change_examples / "cases" / "loose40_cobot_6r" / "new.csv", model.model.chain.robot)
+    placed = place_station(model, new)
+    verdict = verdict_of(model, placed, 0.01)
+    lineup = verdict.lineup
+    change = verdict.happened[0]
+    rival = next(i for i, c in enumerate(lineup.changes) if c.heading != lineup.changes[change].heading and c.parts is False)
+    step = replace(verdict.steps[0], equivalent=(replace(verdict.steps[0].score, change=rival),))
+    words = tell_apart(verdict, step)
+
+    told = re.match(r"measure (\d+) more poses in which the two differ most, by [0-9.]+ mm at the target: joints at", words)
+    assert told is not None
+    there, apart = farthest_apart(verdict, change, rival)
+    assert separation(verdict, there.select(np.arange(int(told[1]))), change, rival) > 30.0
+    assert apart[0] == apart.max() > 2.0 * np.median(apart)
 
 
 @pytest.fixture(scope="module")

@@ -107,6 +107,17 @@ def test_a_pose_seed_measures_the_same_machine_elsewhere(tmp_path):
     assert one["effects"][0]["joint"] == other["effects"][0]["joint"]
 
 
+def test_a_setup_seed_moves_the_instrument_and_nothing_else(tmp_path):
+    """The machine and its poses are the same; instrument and target stand elsewhere."""
+    (first, one), (second, other) = (
+        simulate(tmp_path, "--effect", "axis_wobble", "--setup-seed", seed, name=f"s{seed}") for seed in (1, 2)
+    )
+
+    assert first["joint_1"] == second["joint_1"] and first["x"] != second["x"]
+    assert one["geometry"] == other["geometry"] and one["compliance"] == other["compliance"]
+    assert one["T_instrument_base"] != other["T_instrument_base"] and one["targets"] != other["targets"]
+
+
 def test_given_poses_are_measured_as_they_are(tmp_path):
     """Joints and conditions of another table are kept."""
     given, _ = simulate(tmp_path, "--payload", "0,40", "--with", "time", poses=12, name="given")

@@ -50,6 +50,21 @@ def test_rows_of_the_same_station_stand_as_calibrated(machine: sim.TrueMachine, 
     assert found.misfit.p_value > 1e-3 and found.doubt == "" and found.model is model
 
 
+def test_rows_that_were_fitted_are_not_called_held_out(
+    machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They tell how well the model was fitted: said as diagnose says it, with the number of such rows."""
+    fitted, new = measured(machine, kuka, poses=100), measured(machine, kuka, seed=5)
+    found = validate_rows([model], fitted)
+    assert found.fitted_rows == 100 and any("fitted to 100 of these 100 rows" in note for note in found.notes)
+    assert validate_rows([model], new).fitted_rows == 0
+
+    model.save(tmp_path / "model.json")
+    assert run("validate", tmp_path / "model.json", written(tmp_path / "fitted.csv", fitted)) == 0
+    told = capsys.readouterr()
+    assert "held out" not in told.out and "fitted to 100 of these 100 rows" in " ".join(told.err.split())
+
+
 @pytest.mark.parametrize("way", [2e-4, 5.0])
 def test_a_moved_instrument_is_told(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel, way: float) -> None:
     """A fifth of a millimetre or five metres: the place is found again, and the errors there are noise."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -12,11 +13,12 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import inside_curves
 from pincal.calibration.placing import Moved, Placed, expected_noise, place_station
 from pincal.errors import BadInputError
+from pincal.identify.fingerprints import known_rows, together
 from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
-from pincal.validate.accuracy import pose_errors
+from pincal.validate.accuracy import error_table, pose_errors
 from pincal.validate.agreement import is_anothers, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
 from pincal.validate.misfit import Misfit, has_moved, misfit
@@ -43,6 +45,7 @@ class Validation:
         misfit: what is left, against what noise and the calibration's uncertainty allow.
         doubt: why these rows can't be of the robot as it was calibrated; empty if they can.
         note: what else the user should know of the place; empty for nothing.
+        fitted: fingerprints of the rows that the model was fitted to, at all stations.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Validation:
     misfit: Misfit
     doubt: str = ""
     note: str = ""
+    fitted: str = ""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -65,7 +69,23 @@ class Validation:
         why = "arms may be beyond the loads of their calibration" if self.misfit.is_far() else "arms may be on another day"
         rest += f"allow, as {why}; pincal diagnose tells whether something has changed"
         is_noted = self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt
-        return ((self.note,) if self.note else ()) + ((rest,) if is_noted else ())
+        fitted = (
+            f"{self.table.source}: the model was fitted to {self.fitted_rows} of these {len(self.table)} rows, so they tell "
+            "how well it was fitted, not how well it predicts; validate on rows measured apart"
+        )
+        told = ((self.note, bool(self.note)), (rest, is_noted), (fitted, self.fitted_rows > 0))
+        return tuple(note for note, is_told in told if is_told)
+
+    @cached_property
+    def fitted_rows(self) -> int:
+        """Number of the rows that the model was fitted to; one may be so by chance and counts for none."""
+        found = int(np.sum(known_rows(self.fitted, self.station)))
+        return found if found > 1 else 0
+
+    @cached_property
+    def error(self) -> dict[str, float]:
+        """Errors of all rows: their statistics."""
+        return error_table(self.station, self.values)
 
     @property
     def values(self) -> np.ndarray:
@@ -126,6 +146,12 @@ def validate_rows(
     Raises:
         BadInputError: if the rows are not of a calibrated station, and too few to find another from.
     """
+    found = _judged(models, measurements, name=name, refit=refit)
+    return replace(found, fitted=together(*(model.rows for model in models)))
+
+
+def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, name: str, refit: bool) -> Validation:
+    """Return the judgement; arguments as in :func:`validate_rows`."""
     stands = list(_stands(models, measurements))
     if not stands:
         if not refit:

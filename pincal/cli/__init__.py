@@ -130,7 +130,7 @@ def _spread(arguments: list[str]) -> list[str]:
         if word != _MANY:
             out.append(word)
             continue
-        while len(words) >= 3 and _is_number(words[2]):
+        while len(words) >= 3 and _is_length(words[2]):
             out += [_MANY, *words[:3]]
             words = words[3:]
             word = ""
@@ -138,9 +138,10 @@ def _spread(arguments: list[str]) -> list[str]:
     return out
 
 
-def _is_number(word: str) -> bool:
+def _is_length(word: str) -> bool:
+    """Return whether a word is a number, with a unit or without."""
     try:
-        float(word)
+        float(word.rstrip("ucm"))
     except ValueError:
         return False
     return True

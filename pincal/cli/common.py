@@ -19,10 +19,13 @@ ANGLES = {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "deg": 0.017453292519943295}
 
 
 class Quantity(click.ParamType[float]):
-    """A positive number with its unit, such as ``0.05mm``; or, where zero makes sense, 0 with or without one."""
+    """A positive number with its unit, such as ``0.05mm``; or, where zero makes sense, 0 with or without one.
 
-    def __init__(self, units: dict[str, float], name: str, *, zero: bool = False) -> None:
-        self._units, self.name, self._zero = units, name, zero
+    A number without a unit counts ``bare`` of the SI unit, where that is given.
+    """
+
+    def __init__(self, units: dict[str, float], name: str, *, zero: bool = False, bare: float | None = None) -> None:
+        self._units, self.name, self._zero, self._bare = units, name, zero, bare
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         """Return an example of the value, for the help text."""
@@ -41,12 +44,12 @@ class Quantity(click.ParamType[float]):
                     break
                 if self._zero and number == 0.0:
                     return 0.0
-                if not unit:
+                if not unit and self._bare is None:
                     break
                 if not 0.0 < number < float("inf"):
                     of = " of pixels" if unit == "px" else ""
                     self.fail(f"{text!r} is not a positive number{of}", param, ctx)
-                return number * self._units[unit]
+                return number * (self._units[unit] if unit else self._bare or 1.0)
         self.fail(f"{text!r}; expected a number with a unit, such as {self.name} ({', '.join(self._units)})", param, ctx)
 
 
@@ -248,7 +251,11 @@ class SetupOptions:
         "Frame of --points: one of their own, to be identified, or the robot's base.", "own"
     )
     gaps: tuple[tuple[str, str, float], ...] = option(
-        "Known distance between two sockets, anchors or points.", (), metavar="A B METRES", name="--socket-distance"
+        "Known distance between two sockets, anchors or points; a number without a unit is in metres.",
+        (),
+        metavar="A B LENGTH",
+        type=(str, str, Quantity(_LENGTHS, "50mm", bare=1.0)),
+        name="--socket-distance",
     )
     distances: Path | None = option("Known distances as a table: columns first, second, distance and optionally sigma.")
     camera: Path | None = option(

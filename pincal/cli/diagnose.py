@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, TableArguments, model_argument
+from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, model_argument
 from pincal.cli.outputs import print_json, print_notes, provenance
 from pincal.errors import Exit
 from pincal.io.result_folder import output_folder
@@ -34,6 +34,11 @@ class DiagnoseArguments:
     data: Path = argument("NEW.csv", "Measurements made since; instrument and target may stand elsewhere.")
     out: Path = option("Folder for the results.", MISSING, metavar="DIR")
     alpha: float = option("Chance of an alarm on a robot that has not changed.", 0.01)
+    noise: float | None = option(
+        "Noise of one coordinate of the new measurements, if it is more than that of the calibration.",
+        type=LENGTH,
+        words="that of the calibration",
+    )
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
@@ -52,7 +57,7 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
     calibrated = load_stations(arguments.model)
     table = load_table(calibrated.robot_model().model.chain.robot, arguments.data, options=arguments.table.options)
     with output_folder(arguments.out) as draft:
-        found = run(calibrated, table, alpha=arguments.alpha)
+        found = run(calibrated, table, alpha=arguments.alpha, sigma=arguments.noise)
         write_diagnosis(draft, found, provenance([arguments.model, arguments.data]))
     if arguments.general.as_json:
         print_json(found.report)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # The view in three dimensions, beside the report.
 VIEW = "view3d.html"
+# Stations that have a view of their own: a page is about a megabyte.
+_MOST_VIEWS = 12
 FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
 EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
 
@@ -134,16 +136,26 @@ def write_results(
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
-        from pincal.measure.table import concatenate
-        from pincal.viewer import build_scene, write_html
-
-        train, test = calibration.stations[0].train, calibration.stations[0].test
-        rows = concatenate([train, test]) if len(test) else train
-        held = np.repeat([False, True], [len(train), len(test)])
-        write_html(folder / VIEW, build_scene(robot, rows, held_out=held))
+        _write_views(folder, calibration)
     page = report_page(Subject(calibration, origin, export.notes, discovery, view=VIEW if view else None))
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)
+
+
+def _write_views(folder: Path, calibration: Calibration) -> None:
+    """Write the view in three dimensions: of several stations a page for each, the first one under the usual name."""
+    from pincal.measure.table import concatenate
+    from pincal.viewer import build_scene, write_html
+
+    stations = calibration.stations[:_MOST_VIEWS]
+    names = [VIEW if k == 0 else f"{Path(VIEW).stem}-{rows.name}{Path(VIEW).suffix}" for k, rows in enumerate(stations)]
+    for rows, name in zip(stations, names, strict=True):
+        table = concatenate([rows.train, rows.test]) if len(rows.test) else rows.train
+        held = np.repeat([False, True], [len(rows.train), len(rows.test)])
+        others = ", ".join(other for other in names if other != name)
+        notes = [f"station {rows.name}; the others are in {others}"] if others else []
+        model = calibration.fit.at(rows.name) if others else calibration.fit.robot_model()
+        write_html(folder / name.replace("/", "_"), build_scene(model, table, held_out=held, notes=notes))
 
 
 def _write_residuals(path: Path, calibration: Calibration) -> None:

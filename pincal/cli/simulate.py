@@ -63,7 +63,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
     campaign = _campaign(robot, machine, arguments)
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
-    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed}
+    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
     found = names | seeds | campaign.truth(machine, tip=robot.tip) | _weights(robot, machine)
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
     _write_files({
@@ -122,7 +122,7 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
 
     given = arguments.campaign
     conditions: dict[str, np.ndarray] = {}
-    rng = Stream.LAYOUT.generator(given.seed)
+    rng = Stream.LAYOUT.generator(arguments.setup_seed)
     setup = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
     if given.at is not None:
         q, conditions = poses_of_table(load_table(robot, given.at, joints_only=True))

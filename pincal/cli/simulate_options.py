@@ -143,6 +143,10 @@ class CampaignArguments:
     )
     seed: int = option("Random seed of the machine, the set-up and everything else.", 0)
     pose_seed: int | None = option("Random seed of poses, conditions and noise.", words="the value of --seed")
+    setup_seed: int | None = option(
+        "Random seed of the set-up: another one moves instrument and target, the machine stays the same.",
+        words="the value of --seed",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,6 +224,11 @@ class SimulateArguments:
     def pose_seed(self) -> int:
         """Seed of poses, conditions and noise."""
         return self.campaign.seed if self.campaign.pose_seed is None else self.campaign.pose_seed
+
+    @property
+    def setup_seed(self) -> int:
+        """Seed of the place of instrument and target."""
+        return self.campaign.seed if self.campaign.setup_seed is None else self.campaign.setup_seed
 
     @property
     def floor(self) -> float | None:

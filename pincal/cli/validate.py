@@ -94,11 +94,10 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], list[str]]:
 
 def _station(found: Validation) -> dict[str, Any]:
     """Return what is said of one station."""
-    from pincal.validate.accuracy import error_table
-
     iso, lack = found.replicate_statistics()
     contents = {"name": found.name, "kind": found.table.kind, "rows": len(found.table), "placed": found.placed}
-    contents |= found.moved.to_dict() | {"error": error_table(found.station, found.values)}
+    contents |= found.moved.to_dict() | {"error": found.error}
+    contents |= {"fitted_rows": found.fitted_rows}
     contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
     contents |= {} if iso is None else {"iso9283": iso}
     return contents | ({} if lack is None else {"lack_of_fit": asdict(lack)})
@@ -115,7 +114,11 @@ def _print(found: list[Validation], result: dict[str, Any]) -> None:
     for each in found:
         out.print(hanging(f"{each.name}:", _place_words(each)))
     parts = {part["name"]: part["error"] for part in result["stations"]}
-    out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
+    if len(found) == 1 and found[0].fitted_rows:
+        parts = {"train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[0].error}
+        out.print(error_table({"calibrated": parts}))
+    else:
+        out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
     for each in found:
         print_replicates(*each.replicate_statistics(), out)
 

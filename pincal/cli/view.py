@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import GeneralOptions, TableArguments, model_argument
+from pincal.cli.common import GeneralOptions, TableArguments, model_argument, station_option
 from pincal.cli.outputs import print_json
 from pincal.errors import BadInputError, Exit
 
@@ -43,6 +43,7 @@ class ViewArguments:
     scale: float | None = option("Arrow scale factor.", metavar="FACTOR", words="automatic")
     axis_scale: float | None = option("Scale factor for tilts and offsets of axes.", metavar="FACTOR", words="automatic")
     grid: int = option("Number of workspace points with an arrow.", 1000, type=click.IntRange(0, 100000))
+    station: str | None = station_option(words="the first one")
     holdout: Path | None = option("More measurements, marked as held out; all rows of DATA then count as fitted.")
     meshes: tuple[Path, ...] = option("Another folder with the URDF's meshes and packages.", (), metavar="DIR")
     port: int = option("Server port.", 0, type=click.IntRange(0, 65535), words="any free port")
@@ -80,12 +81,13 @@ def view(arguments: ViewArguments) -> Exit:
 
 
 def _scene(arguments: ViewArguments) -> Scene:
-    from pincal.calibration.calibrated import load_model
+    from pincal.calibration.stations import load_stations
     from pincal.cli.inputs import load_table
     from pincal.measure.table import concatenate
     from pincal.viewer import build_scene, held_out_rows
 
-    calibrated, data, holdout = load_model(arguments.model), arguments.data, arguments.holdout
+    stations, data, holdout = load_stations(arguments.model), arguments.data, arguments.holdout
+    calibrated = stations.at(stations.names[0] if arguments.station is None else arguments.station)
     robot = calibrated.model.chain.robot
     table, held, notes = None, None, []
     if data is not None:

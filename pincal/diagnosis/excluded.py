@@ -12,14 +12,15 @@ from scipy.special import fdtri, ncfdtr
 from pincal.diagnosis.changes import Change
 from pincal.diagnosis.evidence import Evidence
 from pincal.diagnosis.search import Step, Verdict, limit_of
+from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ExcludedEntry
 
 # Chance with which a change of the size that is given would have been noticed.
 POWER = 0.9
 # Non-centrality at which two changes are told apart: 5.5 standard deviations of one parameter.
 _TOLD_APART = 30.0
-# Times as many poses as there were that are tried to tell changes apart.
-_TIMES = (1, 2, 4)
+# Numbers of further poses that may tell changes apart, random poses among which they are chosen, and those shown.
+_MORE, _TRIED, _SHOWN = (3, 6, 12, 25, 50), 200, 2
 # A direction in which an effect shows less than this part of what it shows in the best is not seen.
 _SEEN = 1e-6
 
@@ -76,29 +77,51 @@ def noticed_noncentrality(rank: int, degrees: float, limit: float, power: float 
 
 
 def tell_apart(verdict: Verdict, step: Step) -> str:
-    """Return, in words, how many more poses would tell a change from the likeliest of the others."""
+    """Return, in words, which further poses would tell a change from the likeliest of the others, and how many."""
     rival = next((score.change for score in step.equivalent), None)
     if rival is None:
         return ""
-    n = len(verdict.lineup.station)
-    for times in _TIMES:
-        if _separation(verdict, step.score.change, rival, times * n) > _TOLD_APART:
-            return f"measure {times * n} more poses over the whole range of the joints, with and without load"
-    return "no further poses with this instrument do; look at the joints themselves"
+    change = step.score.change
+    there, apart = farthest_apart(verdict, change, rival)
+    for n in _MORE:
+        if separation(verdict, there.select(np.arange(n)), change, rival) > _TOLD_APART:
+            shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
+            like = " and poses like these" if n > _SHOWN else ""
+            most = f"{1e3 * apart[0]:.2g} mm at the target"
+            return f"measure {n} more poses in which the two differ most, by {most}: {shown}{like}"
+    most = f"{1e3 * apart[0]:.2g} mm"
+    why = f"the two differ by at most {most}, too little for {_MORE[-1]} more poses"
+    return f"{why}; mend either, or look at the joints themselves"
 
 
-def _separation(verdict: Verdict, change: int, rival: int, more: int) -> float:
-    """Return the signal of a change that another can't take over if poses are added, squared, in units of the noise."""
+def farthest_apart(verdict: Verdict, change: int, rival: int) -> tuple[Station, np.ndarray]:
+    """Return a station with random poses, those first in which two changes differ most, and by how much [m].
+
+    Each is taken with the size that explains the rows best, instrument and target placed again: what differs is what new
+    rows would see of it.
+    """
     lineup, rng = verdict.lineup, np.random.default_rng(0)
-    rows = np.resize(np.arange(len(lineup.station)), len(lineup.station) + more)
-    wider = lineup.station.select(rows)
-    conditions, robot = wider.conditions, wider.model.chain.robot
-    q, payload = conditions.q.copy(), conditions.payload.copy()
-    q[-more:] = robot.random_configurations(more, rng)
-    payload[-more:] = rng.choice(lineup.robot.covered.payload, more)
-    there = replace(wider, conditions=replace(conditions, q=q, payload=payload))
     others = [i for i in verdict.happened if i != change]
-    found = replace(lineup, station=there).weigh(verdict.values, others)
+    one, other = (lineup.release([*others, i], verdict.values) for i in (change, rival))
+    rows = lineup.station.select(np.resize(np.arange(len(lineup.station)), _TRIED))
+    conditions, robot = rows.conditions, rows.model.chain.robot
+    payload = rng.choice(lineup.robot.covered.payload, _TRIED)
+    there = replace(rows, conditions=replace(conditions, q=robot.random_configurations(_TRIED, rng), payload=payload))
+    motion = there.model.linearise(there.model.own(lineup.start), there.conditions)[1]
+    apart = np.linalg.norm(motion @ there.model.own(one - other), axis=1)
+    order = np.argsort(-apart)
+    return there.select(order), apart[order]
+
+
+def separation(verdict: Verdict, more: Station, change: int, rival: int) -> float:
+    """Return the signal of a change that another can't take over if rows are added, squared, in units of the noise."""
+    lineup = verdict.lineup
+    n = len(lineup.station)
+    wider = lineup.station.select(np.resize(np.arange(n), n + len(more)))
+    old, new = lineup.station.conditions, more.conditions
+    both = replace(wider.conditions, q=np.concatenate([old.q, new.q]), payload=np.concatenate([old.payload, new.payload]))
+    others = [i for i in verdict.happened if i != change]
+    found = replace(lineup, station=replace(wider, conditions=both)).weigh(verdict.values, others)
     c, g = lineup.places[change], lineup.places[rival]
     g = np.setdiff1d(g, c)
     size = (verdict.values - lineup.start)[c]
@@ -106,6 +129,15 @@ def _separation(verdict: Verdict, change: int, rival: int, more: int) -> float:
         return 0.0
     left = found.given(g).P[np.ix_(c, c)]
     return float(max(size @ left @ size, 0.0))
+
+
+def _pose_words(verdict: Verdict, there: Station, i: int) -> str:
+    """Return a pose in words: joint positions, and the load if there is any."""
+    robot, q = there.model.chain.robot, there.conditions.q[i]
+    kinds = zip(robot.joint_types, q, strict=True)
+    numbers = " ".join(f"{1e3 * x:.0f}mm" if kind == "prismatic" else f"{np.degrees(x):.0f}" for kind, x in kinds)
+    load = float(there.conditions.payload[i])
+    return f"joints at {numbers} deg" + (f" with {load:g} kg" if verdict.lineup.robot.covered.payload.any() else "")
 
 
 def names_of(changes: tuple[Change, ...], step: Step, most: int = 8) -> list[Change]:

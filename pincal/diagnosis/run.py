@@ -74,13 +74,21 @@ class Diagnosis:
         return msgspec.to_builtins(self.found)  # type: ignore[no-any-return]
 
 
-def diagnose(calibrated: Calibrated | CalibratedStations, measurements: Measurements, *, alpha: float = ALPHA) -> Diagnosis:
+def diagnose(
+    calibrated: Calibrated | CalibratedStations,
+    measurements: Measurements,
+    *,
+    alpha: float = ALPHA,
+    sigma: float | None = None,
+) -> Diagnosis:
     """Find out whether a robot still obeys its model, up to where instrument and target stand, and what has changed if not.
 
     Args:
         calibrated: the robot as it was calibrated.
         measurements: new rows, with any instrument, set up anew.
         alpha: chance of an alarm on a robot that has not changed.
+        sigma: noise of one component of the new readings [m]; default: the column ``sigma``. It is never taken to be less
+            than what the calibration left, which holds what its model does not describe.
 
     Returns:
         What has changed, with what it could be as well; what has not; and the mended model.
@@ -109,7 +117,7 @@ def diagnose(calibrated: Calibrated | CalibratedStations, measurements: Measurem
     if not 0.0 < alpha < 0.5:
         raise BadInputError(f"alpha is {alpha:g}; expected a chance of a false alarm between 0 and 0.5, such as 0.01")
     model = calibrated.robot_model()
-    placed = placed_anew(model, measurements)
+    placed = placed_anew(model, measurements, sigma=sigma)
     verdict = verdict_of(model, placed, alpha)
     lineup, happened = verdict.lineup, verdict.happened
     posterior = lineup.mend(happened, lineup.release(happened, verdict.values))
@@ -143,14 +151,18 @@ def known_degrees(model: CalibratedModel, station: Station) -> float:
     return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else _DEGREES
 
 
-def placed_anew(model: CalibratedModel, measurements: Measurements) -> Placed:
-    """Return a calibrated robot at the station of new rows.
+def placed_anew(model: CalibratedModel, measurements: Measurements, *, sigma: float | None = None) -> Placed:
+    """Return a calibrated robot at the station of new rows, whose noise may be declared [m].
 
     Raises:
-        BadInputError: if the rows are too few to tell where instrument and target stand, or those that the model was fitted
-            to: it obeys them, whatever happened since.
+        BadInputError: if the noise is not a length, or the rows are too few to tell where instrument and target stand, or
+            those that the model was fitted to: it obeys them, whatever happened since.
     """
     check_table(model.model.chain.robot, measurements, minimum=1)
+    if sigma is not None:
+        if not 0.0 < sigma < np.inf:
+            raise BadInputError(f"noise of {sigma:g} m; expected a length above 0, such as 5e-5")
+        measurements = replace(measurements, sigma=np.full(len(measurements), sigma))
     placed = place_station(model, measurements)
     known = int(np.sum(known_rows(model.rows, placed.station)))
     if known > _SAME_BY_CHANCE:

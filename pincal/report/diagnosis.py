@@ -106,8 +106,8 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
 def moved_words(found: DiagnosisFile) -> str:
     """Return how far instrument and target moved."""
     at = found.station
-    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.1f} mm"]
-    parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.1f} mrad"]
+    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
+    parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
     parts += [] if at.target_moved_mm is None else [f"the target sits {at.target_moved_mm:.2f} mm from where it was"]
     return ", ".join(parts) or "these readings don't tell where the instrument stands"
 
