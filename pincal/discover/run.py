@@ -158,7 +158,7 @@ def _search(
     if not frames:
         frames = MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,)
     first = start(replace(options, moment_frame=frames[0]))
-    likeliest = frames[0] if first.robot.massless else likeliest_frame(first.fit, frames, policy)
+    likeliest = likeliest_frame(first.fit, frames, policy)
     if likeliest != frames[0]:
         first = start(replace(options, moment_frame=likeliest))
     found = {likeliest: _discover(first, extra, policy)}
@@ -191,6 +191,4 @@ def _discovered(
 
 def _discover(first: Calibration, extra: tuple[Effect, ...], policy: Policy) -> tuple[Calibration, History]:
     blocks = [row_groups(rows.train, split="blocked", seed=0) % _CV_BLOCKS for rows in first.stations]
-    return first, discover_effects(
-        first.fit, np.concatenate(blocks), extra=extra, policy=policy, elastic=not first.robot.massless
-    )
+    return first, discover_effects(first.fit, np.concatenate(blocks), extra=extra, policy=policy)
