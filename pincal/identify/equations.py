@@ -17,10 +17,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pincal.identify.batch import Batch
-from pincal.identify.normal import accumulate_each
 from pincal.identify.posterior import Contribution, Eliminated, Posterior, posterior, posterior_step
 from pincal.identify.problem import Problem
-from pincal.identify.sums import Kept, Part, Squares, contribution, contribution_of, squares, squares_of
+from pincal.identify.sums import Kept, Part, Squares, contribution, contribution_of, reweighted, squares, squares_of
 
 # Bytes of normal equations of single stations that are kept at most at one point.
 _MOST_KEPT = 2_000_000
@@ -187,11 +186,11 @@ class Linearised:
             for kept, (_, robust) in zip(past, asked, strict=True)
         ]
         tasks = (
-            (*batch.work(self.values), self.free[batch.places[0]], robust)
-            for kept, (batch, robust) in zip(valid, asked, strict=True)
+            (*batch.work(self.values), self.free[batch.places[0]], robust, stale)
+            for kept, stale, (batch, robust) in zip(valid, past, asked, strict=True)
             if kept is None
         )
-        fresh = iter(self._map(accumulate_each, tasks))
+        fresh = iter(self._map(reweighted, tasks))
         pairs = zip(valid, asked, strict=True)
         return [Kept(robust, next(fresh)) if kept is None else kept for kept, (_, robust) in pairs]
 

@@ -5,13 +5,16 @@ These are functions of arguments that can be pickled, so that the sums can be ma
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pincal.identify.normal import Normal, accumulate_each, beliefs_squared, block_rows
 from pincal.identify.posterior import Contribution, eliminate
 from pincal.identify.station import Station
+
+# Where more than one row in so many has another weight, all of them are summed anew.
+_MOST_CHANGED = 3
 
 
 @dataclass(frozen=True)
@@ -107,3 +110,26 @@ class Kept:
 
     robust: np.ndarray
     normal: Normal
+
+
+def reweighted(
+    station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray, past: Kept | None = None
+) -> Normal:
+    """Return the normal equations of stations; of one that is alone summed anew only for rows of other robust weights.
+
+    Args:
+        station: the rows of S stations, one after the other.
+        ends: shape (S + 1,), where those of each begin and end.
+        values: shape (P,), or of several stations shape (P, S).
+        free: shape (P,), which parameters may move.
+        robust: shape (N,), factor on each row's weight: 0 leaves a row out.
+        past: the equations at the same values with other robust weights.
+    """
+    rows = np.arange(len(station)) if past is None else np.flatnonzero(robust != past.robust)
+    if past is None or len(ends) > 2 or station.sensor.is_whole or _MOST_CHANGED * len(rows) > len(station):
+        return accumulate_each(station, ends, values, free, robust)
+    changed, ends, normal = station.select(rows), np.array([0, len(rows)]), past.normal
+    old, new = (accumulate_each(changed, ends, values, free, weights[rows]) for weights in (past.robust, robust))
+    # From the rows: the difference of large squares would leave their rounding.
+    squares = np.sum(normal.row_squares * robust**2, axis=1)[None]
+    return replace(normal, G=normal.G + (new.G - old.G), g=normal.g + (new.g - old.g), squares=squares)
