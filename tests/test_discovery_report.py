@@ -20,7 +20,7 @@ from pincal.discover.power import critical_gain, detectable_noncentrality, minim
 from pincal.discover.precheck import precheck
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
-from pincal.discover.shrink import PartialResidual, period_of
+from pincal.discover.shrink import PartialResidual, _tone_gains, period_of
 from pincal.io.discovery_file import Findings, Gap, ScatteringJoint
 from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
@@ -277,6 +277,21 @@ def test_period_is_that_of_a_tone_and_none_of_anything_else() -> None:
     assert period_of(_trace(1e-4 * np.exp(-0.5 * ((x - 0.5) / 0.3) ** 2), x, 3e-5)) is None
     assert period_of(_trace(1e-4 * np.sin(0.8 * x), x, 3e-5)) is None
     assert period_of(_trace(0.0 * x, x, 3e-5)) is None
+
+
+def test_gains_of_tones_are_those_of_least_squares() -> None:
+    """A sine, a cosine and a constant fitted with weights take as much off, for the first of many cycles and the last."""
+    rng = np.random.default_rng(2)
+    angle, y, w = rng.uniform(0.0, 2.0 * np.pi, 300), rng.standard_normal(300), rng.uniform(0.5, 2.0, 300)
+    cycles = np.arange(1.8, 75.0, 0.125)
+
+    gains = _tone_gains(angle, cycles, y, w)
+
+    constant = np.sum(w * (y - np.average(y, weights=w)) ** 2)
+    for k in (0, 100, len(cycles) - 1):
+        A = np.sqrt(w)[:, None] * np.column_stack([np.ones(300), np.cos(cycles[k] * angle), np.sin(cycles[k] * angle)])
+        left = np.linalg.lstsq(A, np.sqrt(w) * y, rcond=None)[1]
+        assert gains[k] == pytest.approx(constant - left[0], rel=1e-9)
 
 
 def test_traces_show_noise_after_and_the_effect_before(found: Discovery) -> None:

@@ -185,7 +185,7 @@ def period_of(trace: PartialResidual) -> float | None:
     cycles = np.arange(_PERIODS, _FINEST * len(x), 1.0 / _OVERSAMPLED)
     if not len(cycles):
         return None
-    gains = np.array([_tone_gain(2.0 * np.pi * c * (x - x.min()) / width, y, w) for c in cycles])
+    gains = _tone_gains(2.0 * np.pi * (x - x.min()) / width, cycles, y, w)
     # Whitened, each row of noise adds 1 to the weighted squares, a tone of noise alone 2.
     excess = squares - len(y)
     best = int(np.argmax(gains))
@@ -193,12 +193,24 @@ def period_of(trace: PartialResidual) -> float | None:
     return width / float(cycles[best]) if sure and gains[best] - 2.0 > _TONE * max(excess, 1e-9) else None
 
 
-def _tone_gain(phase: np.ndarray, y: np.ndarray, w: np.ndarray) -> float:
-    """Return what a sine and a cosine beside a constant take off the weighted squares."""
-    A = np.stack([np.cos(phase), np.sin(phase)])
-    A = A - (A @ w / w.sum())[:, None]
-    G, b = (A * w) @ A.T, (A * w) @ y
-    return float(b @ np.linalg.pinv(G, rcond=1e-9, hermitian=True) @ b)
+def _tone_gains(angle: np.ndarray, cycles: np.ndarray, y: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Return what a sine and a cosine beside a constant take off the weighted squares, for evenly spaced cycles.
+
+    The weighted sums of y e^(i c angle), e^(i c angle) and its square say it all; each tone is the one before, turned.
+    """
+    tone, turn = np.exp(1j * cycles[0] * angle), np.exp(1j * angle / _OVERSAMPLED)
+    sums = np.empty((len(cycles), 3), complex)
+    for found in sums:
+        found[:] = (w * y) @ tone, w @ tone, (w * tone) @ tone
+        tone *= turn
+    with_y, mean, square = sums.T
+    whole = w.sum()
+    G = 0.5 * np.array([[whole + square.real, square.imag], [square.imag, whole - square.real]])
+    parts = np.array([mean.real, mean.imag])
+    G -= parts[:, None] * parts / whole
+    b = np.array([with_y.real, with_y.imag]) - parts * (w @ y) / whole
+    inverse = np.linalg.pinv(np.moveaxis(G, -1, 0), rcond=1e-9, hermitian=True)
+    return np.asarray(np.einsum("ik,kij,jk->k", b, inverse, b))
 
 
 def _title(effect: Effect) -> str:
