@@ -20,8 +20,9 @@ from pincal import (
 from pincal.errors import MeasurementError
 from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.explain import explain
-from pincal.identify.normal import accumulate
+from pincal.identify.normal import accumulate, accumulate_each
 from pincal.identify.split import hold_out
+from pincal.identify.sums import Kept, reweighted
 from pincal.model.catalogue import TransmissionError
 from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.simulate import paper_positions
@@ -370,6 +371,43 @@ def test_normal_equations_are_those_of_the_whole_jacobian(curved):
     scale = np.sqrt(np.maximum(np.sum(A**2, axis=1), 1e-300))
     np.testing.assert_allclose(normal.G[0] / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
     np.testing.assert_allclose(normal.g[0] / scale, A @ r / scale, atol=1e-12 * np.linalg.norm(r))
+
+
+@pytest.mark.parametrize("changed", [7, 300])
+def test_new_weights_of_some_rows_give_the_normal_equations_of_all(curved, changed):
+    """Summed anew for rows whose weights changed, outliers of metres among them, or for all: the same equations."""
+    fit = curved[1]
+    station = fit.station.select(np.arange(len(fit.station)))
+    position = station.sensor.position.copy()
+    position[3] += 2.0
+    station = replace(station, sensor=replace(station.sensor, position=position))
+    before, free = np.linspace(0.2, 1.0, len(station)), fit.solution.free
+    after = before.copy()
+    after[3], after[-changed:] = 0.0, 0.7
+
+    ends = np.array([0, len(station)])
+    known = Kept(before, reweighted(station, ends, fit.values, free, before))
+    found = reweighted(station, ends, fit.values, free, after, known)
+
+    whole = accumulate_each(station, ends, fit.values, free, after)
+    scale = np.sqrt(np.maximum(np.diag(whole.G[0, 0]), 1e-300))
+    np.testing.assert_allclose(found.G[0, 0] / np.outer(scale, scale), whole.G[0, 0] / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(found.g[0, 0] / scale, whole.g[0, 0] / scale, atol=1e-12)
+    np.testing.assert_allclose(found.squares, whole.squares, rtol=1e-12)
+
+
+def test_a_refit_from_near_the_end_ends_there(curved):
+    """The last stage alone, from heights that are about right, finds what all stages find from zero."""
+    fit, fine = curved[1:]
+    others = [effect for effect in fit.options.effects if effect is not fine]
+    places = fit.problem.places_at(fine)
+
+    found = refit(refit(fit, others), fit.options.effects, start={fine: 1.02 * fit.values[places]})
+
+    assert [stage.name for stage in found.stages] == ["final"]
+    np.testing.assert_array_equal(found.solution.weights, fit.solution.weights)
+    moved = np.linalg.norm(found.station.residuals(found.values) - fit.station.residuals(fit.values), axis=0)
+    assert moved.max() < 0.02 * 5e-5
 
 
 def test_a_spline_that_no_pose_is_near_is_like_the_others(curved):

@@ -14,6 +14,7 @@ from pincal.identify.fit import Fit
 from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
+from pincal.model.chain import MomentFrame
 from pincal.model.conditions import Situation
 from pincal.model.effect import Effect, Family
 
@@ -29,6 +30,7 @@ class Search:
         first: the fit to start from, all rows of it.
         all_groups: shape (all rows,), blocks of its rows for cross-validation.
         groups: shape (N,), those of the rows from which effects are chosen.
+        frames: conventions of where moments bend the arm to choose from.
     """
 
     policy: Policy
@@ -37,6 +39,7 @@ class Search:
     first: Fit
     all_groups: np.ndarray
     groups: np.ndarray
+    frames: tuple[MomentFrame, ...] = ()
 
 
 def choose(fit: Fit, search: Search) -> Decision | None:

@@ -11,37 +11,77 @@ import numpy as np
 from pincal.discover.candidate_tests import Search, addable, choose, has_compliance, sampled, variants
 from pincal.discover.decisions import Decision, each_heading_once, is_own_curve
 from pincal.discover.history import History, State, Step
+from pincal.discover.moment_frames import best_frame, fit_cost, in_frame, is_brought, likeliest_frame
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import curves_over, refined, resolved
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
+from pincal.identify.moment_frames import FRAME_BETTER
 from pincal.model.catalogue.candidates import elasticity
+from pincal.model.chain import MomentFrame
 from pincal.model.effect import Curve, Effect, Family
 
 log = logging.getLogger(__name__)
 
 
 def discover_effects(
-    fit: Fit, groups: np.ndarray, *, extra: Sequence[Effect] = (), policy: Policy = POLICY, elastic: bool = True
+    fit: Fit,
+    groups: np.ndarray,
+    *,
+    frames: Sequence[MomentFrame] = (),
+    extra: Sequence[Effect] = (),
+    policy: Policy = POLICY,
+    elastic: bool = True,
 ) -> History:
     """Find the effects that a fit misses.
 
     Args:
         fit: the model to start from, usually the geometric one.
         groups: shape (N,), blocks of training rows for cross-validation.
+        frames: conventions of where moments bend the arm to choose from; default: that of the fit. The first stays unless
+            another fits better beyond chance.
         extra: effects of the user's own, which take part like those of the catalogue.
         policy: thresholds and limits.
         elastic: whether elasticity may be found; not for an arm without masses.
     """
     few, rows = sampled(fit, policy)
-    search = Search(policy, tuple(extra), elastic, fit, groups, groups[rows])
+    search = Search(policy, tuple(extra), elastic, fit, groups, groups[rows], tuple(frames) if elastic else ())
     state = State(few)
     for step_on in PASSES:
         state = step_on(state, search)
     few, _ = sampled(state.fit, policy)
     last = score_test_beside_masses(few, addable(state.fit, search))
-    return History(fit, state.steps, state.fit, last)
+    return History(in_frame(fit, state.fit.problem.chain.moment_frame), state.steps, state.fit, last)
+
+
+def start_in_likeliest_frame(state: State, search: Search) -> State:
+    """Take the convention of moments in which elasticity explains most."""
+    return State(in_frame(state.fit, likeliest_frame(state.fit, search.frames))) if len(search.frames) > 1 else state
+
+
+def compare_frames(state: State, search: Search) -> State:
+    """Go on in the convention of moments that fits what was found best, unless this one explains the data as well then."""
+    rough = len(state.fit.problem) < len(search.first.problem)
+    frame = best_frame(state, search.frames, search.policy, rough=rough)
+    if frame == state.fit.problem.chain.moment_frame:
+        return state
+    log.info("once more with --moment-frame %s", frame)
+    told = State(in_frame(sampled(search.first, search.policy)[0], frame))
+    for step in state.steps:
+        if not is_brought(step):
+            start = {effect: state.fit.values[state.fit.problem.places_at(effect)] for effect in step.effects}
+            after = refit(told.fit, [*told.fit.options.effects, *step.effects], start=start)
+            told = State(after, (*told.steps, replace(step, before=told.fit, after=after)))
+    return min(state, add_effects(told, search), key=lambda found: _cost(found, search))
+
+
+def _cost(state: State, search: Search) -> float:
+    """Return the extended Bayesian information criterion of all that was found, and what another convention has to gain."""
+    named = sum(not step.is_elastic for step in state.steps)
+    is_other = state.fit.problem.chain.moment_frame != search.frames[0]
+    choices = max(len(addable(state.fit, search)), 2)
+    return fit_cost(state.fit) + 2.0 * named * float(np.log(choices)) + FRAME_BETTER * is_other
 
 
 def add_effects(state: State, search: Search) -> State:
@@ -71,9 +111,12 @@ def _next_step(fit: Fit, search: Search) -> Step | None:
 def _decided(fit: Fit, decision: Decision, search: Search) -> Step:
     """Return the step that adds what was decided, a curve as fine as the data can tell."""
     tested = decision.effect
-    estimate = score_test_beside_masses(fit, [tested]).estimate([0])
-    effect = resolved(fit, tested, search.groups) if isinstance(tested, Curve) else tested
-    after = refit(fit, [*fit.options.effects, effect])
+    effect = tested
+    if isinstance(tested, Curve):
+        effect, start, estimate = resolved(fit, tested, search.groups)
+    else:
+        start = estimate = score_test_beside_masses(fit, [tested]).estimate([0])
+    after = refit(fit, [*fit.options.effects, effect], start={effect: start})
     return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate)
 
 
@@ -133,17 +176,14 @@ def fit_all_rows(state: State, search: Search) -> State:
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
         state = _with_curves(state, wider, fit)
     chosen = {curve: refined(without(fit, curve), curve, search.all_groups) for curve in _curves_of(state)}
-    finer = {curve: other for curve, other in chosen.items() if other != curve}
+    finer = {curve: other for curve, (other, _) in chosen.items() if other != curve}
     if finer:
         names = (f"{c.locus.joint} {c.resolution} to {other.resolution}" for c, other in finer.items())
         log.info("resolved again: %s", ", ".join(names))
     elif not is_thinned:
         return state
-    bare = fit
-    for curve in finer:
-        # The heights of other splines are no start for these.
-        bare = without(bare, curve)
-    return _with_curves(state, finer, refit(bare, _exchanged(fit.options.effects, finer)))
+    start: dict[Effect, np.ndarray] = {finer[curve]: heights for curve, (_, heights) in chosen.items() if curve in finer}
+    return _with_curves(state, finer, refit(fit, _exchanged(fit.options.effects, finer), start=start))
 
 
 def _curves_of(state: State) -> list[Curve]:
@@ -211,7 +251,9 @@ def _listed(effects: Sequence[Effect]) -> str:
 
 # The algorithm.
 PASSES: tuple[Callable[[State, Search], State], ...] = (
+    start_in_likeliest_frame,
     add_effects,
+    compare_frames,
     name_again,
     drop_needless,
     fit_all_rows,

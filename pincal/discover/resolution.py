@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import POSES_PER_PIECE
 from pincal.model.effect import Curve
@@ -21,22 +22,31 @@ def curves_over(fit: Fit, curve: Curve, sizes: Sequence[int]) -> list[Curve]:
     return [curve.resized(situation, size) for size in sizes if size <= len(fit.problem) // POSES_PER_PIECE]
 
 
-def resolved(fit: Fit, curve: Curve, groups: np.ndarray) -> Curve:
-    """Return the curve of this joint in the resolution that predicts blocks of poses left out best."""
-    curves = curves_over(fit, curve, _SIZES)
-    return curves[int(np.argmax(_gains(fit, curves, groups).sum(axis=1)))]
+def resolved(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarray, np.ndarray]:
+    """Return the curve of this joint in the resolution that predicts blocks of poses left out best.
+
+    Its heights and those of the curve as it was given are returned as well, to first order.
+    """
+    curves = [*curves_over(fit, curve, _SIZES), curve]
+    tests, gains = _tested(fit, curves, groups)
+    best = int(np.argmax(gains[:-1].sum(axis=1)))
+    return curves[best], tests.estimate([best]), tests.estimate([len(curves) - 1])
 
 
-def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> Curve:
-    """Return a finer curve of this joint if it predicts blocks of poses left out better by more than chance, else this."""
+def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarray]:
+    """Return a finer curve of this joint if it predicts blocks of poses left out better by more than chance, else this.
+
+    Its heights are returned as well, to first order.
+    """
     curves = [curve, *curves_over(fit, curve, [size for size in _SIZES if size > curve.resolution])]
-    more = _gains(fit, curves, groups)
-    more -= more[0].copy()
+    tests, gains = _tested(fit, curves, groups)
+    more = gains - gains[0]
     best = int(np.argmax(more.sum(axis=1)))
-    return curves[best if more[best].sum() > more[best].std() * np.sqrt(more.shape[1]) else 0]
+    best = best if more[best].sum() > more[best].std() * np.sqrt(more.shape[1]) else 0
+    return curves[best], tests.estimate([best])
 
 
-def _gains(fit: Fit, curves: Sequence[Curve], groups: np.ndarray) -> np.ndarray:
-    """Return by how much each curve lowers the squared error on each block left out, shape (curves, blocks)."""
-    found = score_test_beside_masses(fit, curves, groups)
-    return np.array([found.gains_by_block([i]) for i in range(len(curves))])
+def _tested(fit: Fit, curves: Sequence[Curve], groups: np.ndarray) -> tuple[ScoreTests, np.ndarray]:
+    """Return tests of curves, and by how much each lowers the squared error on each block left out, (curves, blocks)."""
+    tests = score_test_beside_masses(fit, curves, groups)
+    return tests, np.array([tests.gains_by_block([i]) for i in range(len(curves))])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import logging
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
@@ -22,7 +21,6 @@ from pincal.calibration.run import Calibration, run_calibration
 from pincal.discover.history import History
 from pincal.discover.judge import findings_of
 from pincal.discover.loop import discover_effects
-from pincal.discover.moment_frames import FRAME_BETTER, cost_of, likeliest_frame, other_frames
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.shrink import PartialResidual, Stage, partial_residuals, stages_of
 from pincal.identify.calibrate import Tables, tables_of
@@ -34,8 +32,6 @@ from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
-
-log = logging.getLogger(__name__)
 
 # Blocks of poses that are left out in turn: enough that seven eighths determine the model nearly as well as all.
 _CV_BLOCKS = 8
@@ -127,17 +123,19 @@ def run_discovery(
     """
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
-    search = partial(_search, frames=tuple(moment_frames), extra=extra, policy=policy)
+    frames = tuple(moment_frames) or (MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,))
+    options = replace(options, moment_frame=frames[0])
+    search = partial(_search, frames=frames, extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()
     if split == "station":
         # Stations are held out instead of rows.
         split, test_fraction = "random", 0.0
         others = partial(_discovered, search)
         left_out = leave_out_stations(robot, tables_of(measurements), options, fit_others=others, executor=executor)
-    start = partial(
-        run_calibration, robot, measurements, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout
+    first = run_calibration(
+        robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout
     )
-    first, trail, notes = search(start, options)
+    trail, notes = search(first)
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
     result = result_of(trail.final, first.stations, seconds=seconds, notes=notes, left_out=left_out)
@@ -147,48 +145,22 @@ def run_discovery(
 
 
 def _search(
-    start: Callable[..., Calibration],
-    options: Options,
-    *,
-    frames: tuple[MomentFrame, ...],
-    extra: tuple[Effect, ...],
-    policy: Policy,
-) -> tuple[Calibration, History, tuple[str, ...]]:
-    """Return a calibration, what was found from there on and notes, with the convention of moments that fits best."""
-    if not frames:
-        frames = MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,)
-    first = start(replace(options, moment_frame=frames[0]))
-    likeliest = likeliest_frame(first.fit, frames, policy)
-    if likeliest != frames[0]:
-        first = start(replace(options, moment_frame=likeliest))
-    found = {likeliest: _discover(first, extra, policy)}
-    others = other_frames(found[likeliest][1], [frame for frame in frames if frame != likeliest], policy)
-    for k, frame in enumerate(others, 1):
-        log.info("once more with --moment-frame %s", frame, extra={"done": k, "of": 1 + len(others)})
-        found[frame] = _discover(start(replace(options, moment_frame=frame)), extra, policy)
-    costs = {frame: cost_of(trail) + FRAME_BETTER * (frame != frames[0]) for frame, (_, trail) in found.items()}
-    frame = min(costs, key=lambda f: costs[f])
-    first, trail = found[frame]
-    if frame == frames[0]:
-        return first, trail, first.notes
-    return (
-        first,
-        trail,
-        (*first.notes, f"moments bend the arm as with --moment-frame {frame}: it fits better than {frames[0]}"),
-    )
+    first: Calibration, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
+) -> tuple[History, tuple[str, ...]]:
+    """Return what was found from a calibration on, and notes."""
+    blocks = [row_groups(rows.train, split="blocked", seed=0) % _CV_BLOCKS for rows in first.stations]
+    trail = discover_effects(first.fit, np.concatenate(blocks), frames=frames, extra=extra, policy=policy)
+    was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
+    better = f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}"
+    return trail, first.notes if frame == was else (*first.notes, better)
 
 
 def _discovered(
-    search: Callable[..., tuple[Calibration, History, tuple[str, ...]]],
+    search: Callable[[Calibration], tuple[History, tuple[str, ...]]],
     robot: Robot,
     tables: dict[str, Measurements],
     options: Options,
 ) -> CalibratedFit:
     """Return the fit of all that is discovered on all rows of some stations."""
-    _, trail, _ = search(partial(run_calibration, robot, tables, test_fraction=0.0), options)
+    trail, _ = search(run_calibration(robot, tables, options, test_fraction=0.0))
     return CalibratedFit.of(trail.final)
-
-
-def _discover(first: Calibration, extra: tuple[Effect, ...], policy: Policy) -> tuple[Calibration, History]:
-    blocks = [row_groups(rows.train, split="blocked", seed=0) % _CV_BLOCKS for rows in first.stations]
-    return first, discover_effects(first.fit, np.concatenate(blocks), extra=extra, policy=policy)

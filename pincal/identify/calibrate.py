@@ -163,13 +163,21 @@ def _in_best_frame(fit: Fit) -> Fit:
     return replace(fit, options=replace(fit.options, moment_frame=frame))
 
 
-def refit(fit: Fit, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None, rough: bool = False) -> Fit:
+def refit(
+    fit: Fit,
+    effects: Sequence[Effect],
+    *,
+    moment_frame: MomentFrame | None = None,
+    start: Mapping[Effect, np.ndarray] | None = None,
+    rough: bool = False,
+) -> Fit:
     """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
 
     Args:
         fit: a calibration.
         effects: what may deviate, beside base and tool; parameters known to ``fit`` by name start at its values.
         moment_frame: where moments are taken and bend the arm; default: as in ``fit``.
+        start: values of new effects close to the end, so that the last stage is all that is needed; default: zero.
         rough: whether to stop before the last stage, close to the end, outliers only weighed down.
     """
     frame = moment_frame or fit.problem.chain.moment_frame
@@ -177,8 +185,12 @@ def refit(fit: Fit, effects: Sequence[Effect], *, moment_frame: MomentFrame | No
     problem = fit.problem.with_effects(effects, moment_frame=frame)
     options = replace(fit.options, effects=tuple(effects), moment_frame=frame)
     priors = priors_of(problem, options)
-    start = fit.problem.carried_over(fit.values, problem)
-    fitted, stages = _fit(problem, start, priors, fit.noise, options, rough=rough)
+    near = carried(fit.solution, fit.problem, problem)
+    for effect, values in (start or {}).items():
+        near.values[problem.places_at(effect)] = values
+    fitted, stages = _fit(
+        problem, near.values, priors, fit.noise, options, near=None if start is None else near, rough=rough
+    )
     return Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
 
 
@@ -213,15 +225,18 @@ def _fit(
     noise: Noise,
     options: Options,
     *,
+    near: Solution | None = None,
     rough: bool = False,
     executor: Executor | None = None,
 ) -> tuple[Solution, tuple[Stage, ...]]:
-    """Go through the stages; each begins where the one before ended."""
+    """Go through the stages; each begins where the one before ended. The last is enough after a solution that is near."""
     released = released_of(problem, options)
     excited = released & excited_of(problem)
     stages: list[Stage] = []
     values, loss = start, options.loss
-    for name, free in _plan(problem, excited, options):
+    if near is not None:
+        fitted = replace(near, free=excited)
+    for name, free in _plan(problem, excited, options) if near is None else ():
         fitted = solve(problem, values, free, priors, noise, loss=loss, rough=True, label=name, executor=executor)
         values = fitted.values
         stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
