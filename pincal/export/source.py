@@ -73,7 +73,7 @@ def identifier(name: str) -> str:
 
 def plain(text: str) -> str:
     """Return a name as it may stand in a comment of any language."""
-    return re.sub(r"[^\w .:()/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
+    return re.sub(r"[^\w .:;()'/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
 
 
 def checked_poses(calibrated: CalibratedModel) -> Conditions:

@@ -79,7 +79,11 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     values = model.own(np.asarray(values, float))
     before, after = _placements(model, np.zeros(model.n_parameters)), _placements(model, values)
     segments, old = _segments(tree, robot), read_origins(text, tree.source)
-    edited, tip, notes = write_origins(text, _origins(segments, old, before, after), tree.source), robot.tip, _notes(model)
+    edited, tip, notes = (
+        write_origins(text, _origins(segments, old, before, after), tree.source),
+        robot.tip,
+        rigid_notes(model),
+    )
     if not segments[-1] and np.abs(after[-1] - before[-1]).max() > _TIP_MOVED:
         edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[-1]) @ after[-1])
         notes = (*notes, f"no fixed joint holds {robot.tip}; link {tip} was inserted behind it as the calibrated tip")
@@ -143,19 +147,26 @@ def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.nd
     return append_frame(text, parent=robot.tip, joint=joint, link=name, origin=origin, source=tree.source), name
 
 
-def _notes(model: Model) -> tuple[str, ...]:
-    """Say what stands in ``model.json`` only."""
+def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
+    """Say what a file of the rigid geometry leaves to ``model.json``.
+
+    Args:
+        model: the model.
+        what: the format of the file.
+    """
     names = [effect.name for effect in model.effects]
-    elastic = [effect.name for effect in model.effects if effect.uses_moments or effect.bodies(model.chain)]
+    elastic = [effect.name for effect in model.effects if effect.uses_moments]
     others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic)]
     notes = []
     if elastic:
         notes.append(
-            f"{', '.join(elastic)}: a URDF describes a rigid arm; deflection under the arm's own weight and under a payload "
-            "is in model.json only"
+            f"{', '.join(elastic)}: a {what} describes a rigid arm; deflection under the arm's own weight and under a "
+            "payload is in model.json only"
         )
     if others:
-        notes.append(f"{', '.join(others)}: varies from pose to pose; the URDF has its value at q = 0, model.json all of it")
+        notes.append(
+            f"{', '.join(others)}: varies from pose to pose; the {what} has its value at q = 0, model.json all of it"
+        )
     if "base_frame" in names:
         notes.append(f"base_frame: the pose of {model.chain.robot.base} in the instrument's frame is in model.json only")
     if "tool_frame" in names:
@@ -171,7 +182,7 @@ def _check(text: bytes, tip: str, model: Model, values: np.ndarray) -> float:
         warnings.simplefilter("ignore", PincalWarning)
         written = Robot.from_urdf(text, tip=tip, base=robot.base)
     q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
-    difference = written.forward_kinematics(q)[:, :3] - _geometry(model, values, q)
+    difference = written.forward_kinematics(q)[:, :3] - rigid_tips(model, values, q)
     error = float(np.linalg.norm(difference[:, :, 3], axis=1).max())
     if not np.abs(difference).max() <= FK_TOLERANCE:
         raise RobotFileError(
@@ -181,7 +192,7 @@ def _check(text: bytes, tip: str, model: Model, values: np.ndarray) -> float:
     return error
 
 
-def _geometry(model: Model, values: np.ndarray, q: np.ndarray) -> np.ndarray:
+def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return the tip in the base frame, shape (N, 3, 4), by the rigid part of the model, not by its placements."""
     robot = model.chain.robot
     chain = Chain.of(robot, moment_frame=model.chain.moment_frame)

@@ -85,6 +85,18 @@ class Convention:
             return np.asarray(Rotation.from_rotvec(values).as_quat())
         return np.asarray(Rotation.from_euler("xyz", values).as_quat())
 
+    def values(self, rotation: np.ndarray) -> np.ndarray:
+        """Return what stands in the usual columns, in their order and unit, for a rotation matrix, shape (3, 3)."""
+        from scipy.spatial.transform import Rotation
+
+        turned = Rotation.from_matrix(rotation)
+        if self.kind == "quaternion":
+            found = turned.as_quat(canonical=True)
+        else:
+            found = turned.as_rotvec() if self.kind == "vector" else turned.as_euler("xyz")
+        values = found[["xyzw".index(axis) for axis in self.order]]
+        return np.asarray(np.degrees(values) if self.unit == "deg" else values)
+
 
 _ALL = (
     Convention("kuka", "KUKA's A B C about z, y, x", ("A", "B", "C"), "zyx", "deg", "angles", ("A",)),

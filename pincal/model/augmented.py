@@ -73,12 +73,14 @@ def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.n
         Shape (n, 4, 4): joint frame i at q = 0 in joint frame i-1 (the first: in the base frame); and shape (4, 4): the
         tip in the last joint frame.
     """
-    chain = model.chain
-    n = chain.robot.n_joints
-    _, _, turning = _placements(chain, chain.nominal, np.tile(np.eye(4), (n, 1, 1)))
-    mounts = np.linalg.inv(turning) @ (chain.robot.frames.T_base_link @ chain.robot.T_link_joint)
-    placed, tip, _ = _placements(chain, model.rigid_coordinates(values), mounts)
+    placed, tip, _ = _placements(model.chain, model.rigid_coordinates(values), joint_mounts(model.chain))
     return placed, tip
+
+
+def joint_mounts(chain: Chain) -> np.ndarray:
+    """Return the URDF's joint frames in the frames that turn with the joints, about their z, behind theta, (n, 4, 4)."""
+    _, _, turning = _placements(chain, chain.nominal, np.tile(np.eye(4), (chain.robot.n_joints, 1, 1)))
+    return np.asarray(np.linalg.inv(turning) @ (chain.robot.frames.T_base_link @ chain.robot.T_link_joint))
 
 
 def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

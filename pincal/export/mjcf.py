@@ -1,0 +1,237 @@
+"""The calibrated robot as a MuJoCo model: bodies where the calibrated geometry puts them, linear compliances as springs.
+
+A spring is the same thing as a compliance where the moment that bends and the rotation that follows are about one axis of
+one frame: about a joint's own axis in every convention, across it where moments are taken and bend the arm in one place.
+MuJoCo balances the arm as it is bent; how far that is from moments taken on the straight arm is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.export.exported import FORMATS, Exported, Format
+from pincal.io.urdf_export import rigid_notes, rigid_tips
+from pincal.model.augmented import joint_mounts, joint_placements
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
+from pincal.model.model import Model
+from pincal.robot.se3 import quaternions, rotation, translation
+
+# MuJoCo has no bodies without mass or inertia [kg, kg m^2].
+_LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
+# MuJoCo's own [s]: a spring that swings faster needs armature and damping to be stable.
+_TIME_STEP = 2e-3
+_CHECKED_POSES = 100
+
+
+@dataclass(frozen=True)
+class _Springs:
+    """The compliances that are springs.
+
+    Attributes:
+        compliances: shape (n, 3), about the joint's x, y, z [rad/(N m)]; zero where there is none.
+        carried: the effects that they are of.
+        refused: names of those among them that no spring has, since they yield against the load.
+    """
+
+    compliances: np.ndarray
+    carried: tuple[Effect, ...]
+    refused: tuple[str, ...]
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class MujocoModel(Format):
+    """A MJCF file: bodies, joints, masses, and springs beside the joints."""
+
+    name: ClassVar[str] = "mjcf"
+    meaning: ClassVar[str] = "a MuJoCo model"
+    of_robot: ClassVar[bool] = True
+
+    def export(self, calibrated: CalibratedModel) -> Exported:
+        """Return the file."""
+        model, values = calibrated.model, calibrated.model_values
+        robot = model.chain.robot
+        springs = _springs(model, values)
+        placed, tip = joint_placements(model, values)
+        root = ET.Element("mujoco", model=robot.name)
+        _add(root, "compiler", angle="radian", autolimits="true", balanceinertia="true")
+        _add(root, "option", gravity=_numbers(model.chain.gravity))
+        # The world is the robot's base link.
+        parent = _add(root, "worldbody")
+        for i, name in enumerate(robot.joint_names):
+            parent = _add(parent, "body", name=f"{name}_body", **_pose(placed[i]))
+            _add_mass(parent, model, values, i=i)
+            for attributes in _joints(model, values, springs, i=i):
+                _add(parent, "joint", **attributes)
+        _add(parent, "site", name=robot.tip, **_pose(tip))
+        ET.indent(root)
+        notes = _notes(calibrated, springs)
+        comment = "\n".join(f"  {note}".replace("--", "- -") for note in notes)
+        text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
+        return Exported({"": text.encode()}, notes, _error(model, values, text))
+
+
+def _springs(model: Model, values: np.ndarray) -> _Springs:
+    """Return the compliances that a spring between two links has, too."""
+    chain, n = model.chain, model.chain.robot.n_joints
+    at, moments = Conditions.at(np.zeros((1, n))), np.ones((1, 3 * n))
+    found, carried, refused = np.zeros((n, 3)), [], []
+    axes = "z" if chain.moment_frame == "paper" else "xyz"
+    places = {(chain.joint(i, f"gamma_{axis}"), 3 * i + "xyz".index(axis)) for i in range(n) for axis in axes}
+    for span, effect in zip(model.spans, model.effects, strict=True):
+        terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
+        if terms and all(t.moment is not None and t.slope is None and (t.coordinate, t.moment) in places for t in terms):
+            carried.append(effect)
+            for term in terms:
+                value, name = float(values[span][term.parameter]), model.names[span.start + term.parameter]
+                assert term.moment is not None
+                if value < 0.0:
+                    refused.append(name)
+                else:
+                    found[divmod(term.moment, 3)] += value
+    return _Springs(found, tuple(carried), tuple(refused))
+
+
+def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> Iterator[dict[str, str]]:
+    """Yield the attributes of the joints of a body in the order in which they turn it: springs, and the robot's own."""
+    chain, robot = model.chain, model.chain.robot
+    turning = np.linalg.inv(joint_mounts(chain)[i])
+    kind = "slide" if robot.joint_types[i] == "prismatic" else "hinge"
+    own = {"name": robot.joint_names[i], "type": kind, "pos": _numbers(turning[:3, 3]), "axis": _numbers(turning[:3, 2])}
+    if np.isfinite(robot.lower[i]):
+        own["range"] = _numbers(np.array([robot.lower[i], robot.upper[i]]))
+    before = chain.moment_frame == "before"
+    axes = turning[:3, :3]
+    if before:
+        axes = axes @ rotation("z", -model.rigid_coordinates(values)[chain.joint(i, "theta")])[:3, :3]
+    elastic = [
+        _spring(f"{robot.joint_names[i]}_spring_{'xyz'[c]}", own["pos"], axes[:, c], 1.0 / springs.compliances[i, c])
+        for c in (2, 1, 0)
+        if springs.compliances[i, c] > 0.0
+    ]
+    yield from (*elastic, own) if before else (own, *elastic)
+
+
+def _spring(name: str, foot: str, axis: np.ndarray, stiffness: float) -> dict[str, str]:
+    """Return the attributes of a spring; statics feels neither its armature nor its damping."""
+    return {
+        "name": name,
+        "type": "hinge",
+        "pos": foot,
+        "axis": _numbers(axis),
+        "stiffness": repr(float(stiffness)),
+        "armature": repr(float(stiffness * _TIME_STEP**2)),
+        "damping": repr(float(stiffness * _TIME_STEP)),
+    }
+
+
+def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> None:
+    """Give a body its mass, its centre where the calibrated link has it, and the inertia of the URDF."""
+    chain, robot = model.chain, model.chain.robot
+    layout, x = model.layout(values), model.rigid_coordinates(values)
+    d, a, alpha = (x[chain.joint(i, symbol)] for symbol in ("d", "a", "alpha"))
+    link = np.linalg.inv(joint_mounts(chain)[i]) @ translation(a, 0.0, d) @ rotation("x", alpha)
+    nominal = robot.pinocchio_model()
+    inertia = np.asarray(nominal.inertias[nominal.getJointId(robot.joint_names[i])].inertia)
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    centre = link[:3, :3] @ layout.centres[i] + link[:3, 3]
+    _add(
+        body,
+        "inertial",
+        mass=repr(float(max(layout.masses[i], _LEAST_MASS))),
+        diaginertia=_numbers(np.maximum(moments, _LEAST_INERTIA)),
+        pos=_numbers(centre),
+        quat=_quaternion(axes),
+    )
+
+
+def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
+    """Say what MuJoCo does otherwise, and what it does not know."""
+    model = calibrated.model
+    left = replace(model, effects=tuple(effect for effect in model.effects if effect not in springs.carried))
+    notes = rigid_notes(left, what="MuJoCo model")
+    if springs.refused:
+        notes += (f"{', '.join(springs.refused)}: negative, which no spring is; left out",)
+    if np.any(springs.compliances):
+        notes += (
+            "springs have the arm's deflection at rest under its own weight; their armature and damping keep MuJoCo stable "
+            "at a step of 2 ms and are not measured",
+            *([] if model.equilibrium else [_bent(calibrated)]),
+        )
+    if calibrated.model.chain.robot.massless:
+        notes += ("inertia of links without one in the URDF is a placeholder: statics is right, dynamics is not",)
+    return notes
+
+
+def _bent(calibrated: CalibratedModel) -> str:
+    """Say how far moments on the bent arm are from those on the straight one."""
+    own = calibrated.with_effects(lambda effect: effect.scope == "robot" and not effect.needs)
+    q = own.model.chain.robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
+    at = Conditions.at(q)
+    straight, bent = (replace(own.model, equilibrium=e).predict(own.model_values, at)[:, :, 3] for e in (False, True))
+    most = 1e3 * float(np.linalg.norm(straight - bent, axis=1).max())
+    return f"springs bend the arm until they balance, the model takes moments on the straight arm: up to {most:.4f} mm apart"
+
+
+def _error(model: Model, values: np.ndarray, text: str) -> float:
+    """Return how far the bodies of a file put the tip from the calibrated geometry at most [m]."""
+    robot = model.chain.robot
+    q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
+    bodies = list(ET.fromstring(text).iter("body"))
+    site = next(ET.fromstring(text).iter("site"))
+    found = []
+    for at in q:
+        T = np.eye(4)
+        for body, name, position in zip(bodies, robot.joint_names, at, strict=True):
+            joint = next(j for j in body.findall("joint") if j.get("name") == name)
+            T = T @ _read(body) @ _moved(joint, float(position))
+        found.append((T @ _read(site))[:3, 3])
+    return float(np.linalg.norm(np.array(found) - rigid_tips(model, values, q)[:, :, 3], axis=1).max())
+
+
+def _read(element: ET.Element) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(np.array(element.attrib["quat"].split(), float), scalar_first=True).as_matrix()
+    T[:3, 3] = np.array(element.attrib["pos"].split(), float)
+    return T
+
+
+def _moved(joint: ET.Element, position: float) -> np.ndarray:
+    """Return what a joint does to its body."""
+    from scipy.spatial.transform import Rotation
+
+    axis, foot = (np.array(joint.attrib[key].split(), float) for key in ("axis", "pos"))
+    T = np.eye(4)
+    if joint.get("type") == "slide":
+        T[:3, 3] = position * axis
+        return T
+    T[:3, :3] = Rotation.from_rotvec(position * axis / np.linalg.norm(axis)).as_matrix()
+    T[:3, 3] = foot - T[:3, :3] @ foot
+    return T
+
+
+def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
+    return ET.SubElement(parent, tag, attributes)
+
+
+def _pose(T: np.ndarray) -> dict[str, str]:
+    return {"pos": _numbers(T[:3, 3]), "quat": _quaternion(T[:3, :3])}
+
+
+def _quaternion(R: np.ndarray) -> str:
+    x, y, z, w = quaternions(R[None])[0]
+    return _numbers(np.array([w, x, y, z]))
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(repr(float(value)) for value in values)

@@ -1,0 +1,285 @@
+"""Exports of the geometry, each read back by a tool that is not ours: MuJoCo, xacro, yourdfpy, Pinocchio, SciPy."""
+
+from __future__ import annotations
+
+import csv
+import io
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SHARED
+from scipy.spatial.transform import Rotation
+from test_catalogue import chain_of, conditions_of, units_of
+from test_cli import run
+from test_export import calibrated_of
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.errors import BadInputError
+from pincal.export import export_model
+from pincal.io.urdf_export import calibrated_urdf
+from pincal.model.chain import Chain, MomentFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, ToolFrame
+from pincal.model.model import Model
+from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.robot import Robot
+
+pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+XACRO = SHARED / "robots" / "ur_description" / "urdf" / "ur.urdf.xacro"
+GEOMETRY = 1e-9
+ARMS = ("ur10", "panda", "kuka")
+
+
+def calibrated(robot: Robot, *, moment_frame: MomentFrame = "after", equilibrium: bool = False) -> CalibratedModel:
+    """Return an arm with errors of millimetres and milliradians, and bent by as much."""
+    rng = np.random.default_rng(3)
+    effects = (*ELASTIC, BaseFrame(), ToolFrame(FRAME_SYMBOLS))
+    model = Model(chain_of(robot, moment_frame), effects, equilibrium=equilibrium)
+    units = units_of(model, conditions_of(robot, 50, rng))
+    values = 1e-3 * rng.uniform(-1.0, 1.0, model.n_parameters) / units
+    compliant = [parameter.unit == "rad/(N m)" for parameter in model.parameters]
+    return calibrated_of(model, np.where(compliant, np.abs(values), values))
+
+
+def tips(found: CalibratedModel, q: np.ndarray) -> np.ndarray:
+    """Return the calibrated tip in the base frame by Pinocchio, from the calibrated URDF, shape (N, 4, 4)."""
+    text = calibrated_urdf(found.model, found.values)
+    robot = found.model.chain.robot
+    return Robot.from_urdf(text.text, tip=text.tip, base=robot.base).forward_kinematics(q)
+
+
+@pytest.fixture(params=ARMS)
+def arm(request: pytest.FixtureRequest, kuka: Robot) -> Robot:
+    """Return arms with parallel axes, seven joints, and industrial ones."""
+    return kuka if request.param == "kuka" else Robot.from_urdf(request.param)
+
+
+def test_yourdfpy_reads_the_calibrated_urdf(arm: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """The URDF written through the registry, read by yourdfpy, has its tip where the model has it."""
+    import yourdfpy
+
+    found, q = calibrated(arm), arm.random_configurations(20, rng)
+    text = calibrated_urdf(found.model, found.values)
+    export_model(found, "urdf", tmp_path / "arm.urdf")
+    read = yourdfpy.URDF.load(tmp_path / "arm.urdf", load_meshes=False, build_scene_graph=True)
+    places = []
+    for row in q:
+        read.update_cfg(dict(zip(arm.joint_names, row, strict=True)))
+        places.append(read.get_transform(text.tip, arm.base))
+    error = np.abs(np.array(places) - tips(found, q)).max()
+    print(f"yourdfpy: {error:.1e} m")
+
+    assert error < GEOMETRY
+
+
+# --- MuJoCo -------------------------------------------------------------------------------------------------------
+
+
+def test_mujoco_has_the_calibrated_geometry(arm: Robot, rng: np.random.Generator) -> None:
+    """With its springs at rest the MuJoCo model's tip is the calibrated tip."""
+    mujoco = pytest.importorskip("mujoco")
+    found, q = calibrated(arm), arm.random_configurations(50, rng)
+    exported = export_model(found, "mjcf")
+    model = mujoco.MjModel.from_xml_string(exported.text)
+    data = mujoco.MjData(model)
+    places = []
+    for row in q:
+        for name, position in zip(arm.joint_names, row, strict=True):
+            data.qpos[model.joint(name).qposadr] = position
+        mujoco.mj_kinematics(model, data)
+        site = data.site(arm.tip)
+        places.append(np.column_stack([site.xmat.reshape(3, 3), site.xpos]))
+    error = np.abs(np.array(places) - tips(found, q)[:, :3]).max()
+    print(f"mujoco: {error:.1e} m")
+
+    assert error < GEOMETRY and exported.max_error_m < GEOMETRY
+    assert model.njnt == 4 * arm.n_joints
+
+
+@pytest.mark.parametrize("moment_frame", ["after", "before", "paper"])
+def test_mujoco_bends_as_the_model_does(kuka: Robot, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
+    """At rest under gravity the springs' deflection is that of the compliances; what is no spring is said."""
+    mujoco = pytest.importorskip("mujoco")
+    found, q = calibrated(kuka, moment_frame=moment_frame, equilibrium=True), kuka.random_configurations(20, rng)
+    exported = export_model(found, "mjcf")
+    model = mujoco.MjModel.from_xml_string(exported.text)
+    data = mujoco.MjData(model)
+    springs = [i for i in range(model.njnt) if model.jnt_stiffness[i] > 0.0]
+    dofs, stiffness = model.jnt_dofadr[springs], model.jnt_stiffness[springs]
+    own = found.with_effects(lambda effect: effect.scope == "robot" and (moment_frame != "paper" or effect.name[0] != "b"))
+    bare = own.model.with_chain(own.model.chain.with_references(np.eye(3), np.eye(3)[None]))
+    true = bare.predict(own.model_values, Conditions.at(q))[:, :, 3]
+    straight = tips(found, q)[:, :3, 3]
+    places = []
+    for row in q:
+        mujoco.mj_resetData(model, data)
+        for name, position in zip(kuka.joint_names, row, strict=True):
+            data.qpos[model.joint(name).qposadr] = position
+        for _ in range(8):
+            mujoco.mj_forward(model, data)
+            data.qpos[model.jnt_qposadr[springs]] = -data.qfrc_bias[dofs] / stiffness
+        mujoco.mj_kinematics(model, data)
+        places.append(data.site(kuka.tip).xpos.copy())
+    error, bent = (np.linalg.norm(at - true, axis=1).max() for at in (np.array(places), straight))
+    print(f"mujoco, {moment_frame}: bent by {1e3 * bent:.3f} mm, {1e6 * error:.3f} um apart")
+
+    assert bent > 1e-3 and error < 2e-3 * bent
+    assert ("bearing_elasticity" in " ".join(exported.notes)) == (moment_frame == "paper")
+
+
+def test_mujoco_has_the_masses(kuka: Robot) -> None:
+    """Mass and gravity are the robot's; a link without mass has next to none."""
+    mujoco = pytest.importorskip("mujoco")
+    found = calibrated(kuka)
+    model = mujoco.MjModel.from_xml_string(export_model(found, "mjcf").text)
+    light = replace(kuka, masses=np.zeros(6), massless=("link_1",))
+    other = mujoco.MjModel.from_xml_string(
+        export_model(calibrated_of(Model(Chain.of(light), GEOMETRIC), np.zeros(36)), "mjcf").text
+    )
+
+    np.testing.assert_allclose(model.body_mass.sum(), kuka.masses.sum(), rtol=1e-12)
+    np.testing.assert_allclose(model.opt.gravity, found.model.chain.gravity, rtol=0.0, atol=1e-12)
+    assert other.body_mass.sum() < 1e-5
+
+
+# --- UR -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not XACRO.is_file(), reason="no folder shared/robots next to the project")
+@pytest.mark.parametrize("kind", ["ur10e", "ur5"])
+def test_the_xacro_of_ur_description_makes_the_calibrated_arm(kind: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """Expanded with the exported kinematics, the flange's axes are the calibrated ones; the tip's own part is said."""
+    pytest.importorskip("xacrodoc")
+    arguments = {"ur_type": kind, "name": "ur"}
+    robot = Robot.from_urdf(XACRO, tip="tool0", base="base_link", xacro_args=arguments)
+    model = Model(chain_of(robot), (*GEOMETRIC, BaseFrame(), ToolFrame()))
+    values = 1e-3 * rng.uniform(-1.0, 1.0, model.n_parameters)
+    behind_last = [f"wrist_3_joint.{symbol}" for symbol in ("d", "a", "alpha")]
+    values[[model.index(name) for name in behind_last]] = 0.0
+    found = calibrated_of(model, values)
+    exported = export_model(found, "ur-kinematics", tmp_path / "arm.yaml")
+    again = Robot.from_urdf(
+        XACRO, tip="tool0", base="base_link", xacro_args={**arguments, "kinematics_params": str(tmp_path / "arm.yaml")}
+    )
+    q = robot.random_configurations(50, rng)
+    error = np.abs(again.forward_kinematics(q) - tips(found, q)).max()
+    print(f"{kind}, xacro: {error:.1e} m")
+
+    assert error < GEOMETRY and not any("the tip has moved" in note for note in exported.notes)
+    values[model.index("wrist_3_joint.a")] = 2e-3
+    moved = export_model(calibrated_of(model, values), "ur-kinematics")
+    assert any("the tip has moved by" in note and "2.000000" in note for note in moved.notes)
+
+
+def test_what_is_no_ur_is_refused(kuka: Robot) -> None:
+    """Other arms by their joints; older descriptions of a UR by their frames."""
+    with pytest.raises(BadInputError, match=r"joints joint_1, .* are not those of a UR"):
+        export_model(calibrated(kuka), "ur-kinematics")
+    with pytest.raises(BadInputError, match="an older description, whose frames stand elsewhere"):
+        export_model(calibrated(Robot.from_urdf("ur10")), "ur-kinematics")
+
+
+# --- DH -----------------------------------------------------------------------------------------------------------
+
+
+def by_table(text: str, convention: str, q: np.ndarray) -> np.ndarray:
+    """Return tips, shape (N, 4, 4), by a DH table and SciPy's rotations."""
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    rows = [{k.split()[0]: v for k, v in row.items()} for row in csv.DictReader(io.StringIO("\n".join(lines)))]
+    base, *joints, tool = [row for row in rows if row["convention"] == convention]
+
+    def frame(row: dict[str, str]) -> np.ndarray:
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", [float(row[a]) for a in ("roll", "pitch", "yaw")]).as_matrix()
+        T[:3, 3] = [float(row[a]) for a in "xyz"]
+        return T
+
+    def screw(axis: int, angle: float, way: float) -> np.ndarray:
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
+        T[axis, 3] = way
+        return T
+
+    out = []
+    for at in q:
+        T = frame(base)
+        for row, position in zip(joints, at, strict=True):
+            theta, d, a, alpha, beta = (float(row[key]) for key in ("theta", "d", "a", "alpha", "beta"))
+            theta, d = (theta, d + position) if row["type"] == "prismatic" else (theta + position, d)
+            joint, link = screw(2, theta, d), screw(0, alpha, a) @ screw(1, beta, 0.0)
+            T = T @ (joint @ link if convention == "standard" else link @ joint)
+        out.append(T @ frame(tool))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_dh_tables_are_the_calibrated_arm(arm: Robot, convention: str, rng: np.random.Generator) -> None:
+    """Both conventions, multiplied out, are the tip that Pinocchio finds; parallel axes need beta, which is said."""
+    found, q = calibrated(arm), arm.random_configurations(30, rng)
+    exported = export_model(found, "dh")
+    error = np.abs(by_table(exported.text, convention, q) - tips(found, q)).max()
+    print(f"DH, {convention}: {error:.1e} m")
+
+    assert error < GEOMETRY and exported.max_error_m < GEOMETRY
+    assert any(note.startswith("beta (Hayati)") for note in exported.notes) == (arm.name != "panda")
+
+
+def test_a_dh_table_of_a_drawing_has_no_beta() -> None:
+    """The nominal UR10 is in plain parameters; its lengths are those that its maker publishes."""
+    robot = Robot.from_urdf("ur10")
+    exported = export_model(calibrated_of(Model(Chain.of(robot), ()), np.zeros(0)), "dh")
+    rows = [line.split(",") for line in exported.text.splitlines() if line.startswith("standard,") and "revolute" in line]
+
+    assert not exported.notes
+    assert [abs(float(row[5])) for row in rows][1:3] == pytest.approx([0.612, 0.5723])
+
+
+# --- frames -------------------------------------------------------------------------------------------------------
+
+READ = {
+    "kuka": lambda v: Rotation.from_euler("ZYX", v, degrees=True),
+    "fanuc": lambda v: Rotation.from_euler("xyz", v, degrees=True),
+    "abb": lambda v: Rotation.from_quat(v, scalar_first=True),
+    "ur": lambda v: Rotation.from_rotvec(v),
+}
+
+
+@pytest.mark.parametrize("controller", READ)
+def test_frames_are_in_the_convention_of_the_controller(kuka: Robot, controller: str, rng: np.random.Generator) -> None:
+    """Read by SciPy: what the instrument sees of the target is base, arm and tool one after the other."""
+    found, q = calibrated(kuka), kuka.random_configurations(10, rng)
+    rigid = found.with_effects(lambda effect: not effect.uses_moments)
+    exported = export_model(found, "frames", controller=controller)
+    lines = [line for line in exported.text.splitlines() if not line.startswith("#")]
+    frames = {}
+    for name, *cells in (line.split(",") for line in lines[1:]):
+        numbers = np.array(cells, float)
+        frames[name] = np.eye(4)
+        frames[name][:3, :3] = READ[controller](numbers[3:]).as_matrix()
+        frames[name][:3, 3] = numbers[:3] * (1.0 if controller == "ur" else 1e-3)
+    seen = np.linalg.inv(frames["base"]) @ tips(found, q) @ frames["tool"]
+    error = np.abs(seen[:, :3] - rigid.predict(q)).max()
+    print(f"frames, {controller}: {error:.1e} m")
+
+    assert error < 1e-8 and exported.max_error_m < 1e-9
+    assert ("[deg]" in lines[0]) == (controller in ("kuka", "fanuc")) and ("[mm]" in lines[0]) == (controller != "ur")
+    with pytest.raises(BadInputError, match="controller 'siemens'; expected one of kuka, fanuc, abb, ur"):
+        export_model(found, "frames", controller="siemens")
+
+
+def test_the_command_has_all_formats(kuka: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Files are written, frames are printed, notes are told; a format that does not fit is bad input."""
+    model = tmp_path / "model.json"
+    calibrated(kuka).save(model)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert run("export", model, "--mjcf", tmp_path / "a.xml", "--dh", tmp_path / "a.csv", "--frames", "abb") == 0
+    told = capsys.readouterr().out
+
+    assert "frame,x [mm],y [mm],z [mm],q1,q2,q3,q4" in told and "note: beta (Hayati)" in told
+    assert (tmp_path / "a.xml").read_text().startswith("<!--") and (tmp_path / "a.csv").read_text().startswith("# ")
+    assert run("export", model, "--ur-kinematics", tmp_path / "a.yaml") == 3
+    assert not (tmp_path / "a.yaml").exists()
