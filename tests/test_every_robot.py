@@ -1,0 +1,53 @@
+"""Every robot at hand, with what its makers publish and no more: simulated with compliances, calibrated with defaults."""
+
+import json
+from pathlib import Path
+
+import pytest
+from test_cli import run
+from test_robot import ARMS
+
+pytestmark = [pytest.mark.long, pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")]
+
+PUBLISHED = {
+    "abb/abb_irb2400_support/urdf/irb2400.urdf": (),
+    "abb/abb_irb5400_support/urdf/irb5400.urdf": (),
+    "kuka/kuka_kr16_support/urdf/kr16_2.urdf": (),
+    "kuka/kuka_kr10_support/urdf/kr10r1420.xacro": (),
+    "fanuc/fanuc_m10ia_support/urdf/m10ia.xacro": (),
+    "fanuc/fanuc_m10ia_support/urdf/m10ia7l.xacro": (),
+    "fanuc/fanuc_lrmate200id_support/urdf/lrmate200id.xacro": (),
+    "ur_description/urdf/ur.urdf.xacro": ("--xacro-arg", "name:=ur", "--xacro-arg", "ur_type:=ur5e"),
+}
+NOISE_M = 5e-5
+# Held-out rms over the noise that is as good as the noise: 225 rows tell 50 parameters so well.
+GOOD = 1.15
+
+
+def calibrated(robot: object, options: tuple[str, ...], folder: Path) -> dict:
+    """Simulate 300 poses of a robot, calibrate with defaults, and return the result."""
+    table, noise = folder / "table.csv", ("--noise", "0.05mm")
+    assert run("simulate", robot, "--poses", "300", "--no-floor", *noise, "--out", table, *options) == 0
+    assert run("calibrate", robot, table, *noise, "--out", folder / "found", "--quiet", *options) == 0
+    return json.loads((folder / "found" / "result.json").read_text(encoding="utf-8"))
+
+
+def check_held_out(result: dict) -> None:
+    """Hold the error on held-out poses against the noise of three coordinates."""
+    before, after = (result["error"][model]["test"]["rms_mm"] * 1e-3 for model in ("nominal", "calibrated"))
+    assert after <= GOOD * NOISE_M * 3**0.5 < before
+
+
+@pytest.mark.parametrize("path", PUBLISHED)
+def test_published_robots_are_calibrated_with_defaults(published_robots: Path, path: str, tmp_path: Path) -> None:
+    """As they are published, most without masses: held-out poses are predicted as well as the noise allows."""
+    check_held_out(calibrated(published_robots / path, PUBLISHED[path], tmp_path))
+
+
+@pytest.mark.parametrize(("name", "tip", "base"), ARMS)
+def test_arms_of_example_robot_data_are_calibrated_with_defaults(
+    name: str, tip: str | None, base: str | None, tmp_path: Path
+) -> None:
+    """Six and seven joints, sliding ones, arms of humanoids: likewise."""
+    options = (*(("--tip", tip) if tip else ()), *(("--base", base) if base else ()))
+    check_held_out(calibrated(name, options, tmp_path))
