@@ -25,6 +25,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.discover.nuisance import MassError
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
+from pincal.identify.gauge import along_gauge, weight_of
 from pincal.identify.moments import found_moments
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.catalogue.masses import LinkMass, with_masses
@@ -188,6 +189,42 @@ def test_payloads_make_masses_absolute(bare: Robot, kuka: Robot) -> None:
 
     assert moments[0] == pytest.approx(truth, rel=0.03)
     assert abs(sigmas[0]) < 0.03 < 0.15 < abs(sigmas[1])
+
+
+def test_an_earlier_fit_is_weighed_anew(bare: Robot) -> None:
+    """Payloads that come after a fit without any change all masses at once: what is found is what the joint fit finds."""
+    options = Options(payload_centre=PAYLOAD_COM, sigma=5e-5)
+    rng = np.random.default_rng(8)
+
+    def noisy(n: int, seed: int, loads: list[float]) -> Measurements:
+        table = paper_table(bare, n, seed, np.resize(loads, n))
+        return table.with_readings(position=table.position + 5e-5 * rng.standard_normal(table.position.shape))
+
+    old, new = noisy(300, 0, [0.0]), noisy(40, 5, [0.0, 60.0, 125.0])
+    first = calibrate(bare, old, options)
+    later = calibrate(bare, new, replace(options, earlier=first.robot_estimate))
+    both = calibrate(bare, {"old": old, "new": new}, options)
+    for load in (0.0, 125.0):
+        others = paper_table(bare, 200, 7, np.full(200, load))
+        there = both.at("new").predict(both.readings(others, station="new").conditions)
+        joint = np.linalg.norm(there[:, :, 3] - others.position, axis=1)
+        assert np.sqrt(np.mean(errors(later, others) ** 2)) < 1.2 * np.sqrt(np.mean(joint**2))
+
+
+def test_a_robot_along_its_gauge_is_the_same(bare: Robot) -> None:
+    """An estimate with other masses and compliances to match predicts what it did, and is known as well relative to them."""
+    fit = calibrate(bare, paper_table(bare, 60, 0, np.zeros(60)), Options(sigma=5e-5))
+    moved = along_gauge(fit.problem, fit.estimate, 1.7)
+    conditions = Conditions.at(bare.random_configurations(10, np.random.default_rng(1)))
+
+    assert weight_of(fit.problem, moved) == pytest.approx(1.7 * weight_of(fit.problem, fit.estimate))
+    poses, jacobian = (of[:, :3] for of in fit.model.linearise(fit.values, conditions))
+    again, other = (of[:, :3] for of in fit.model.linearise(moved.values, conditions))
+    np.testing.assert_allclose(again, poses, rtol=0.0, atol=1e-13)
+    spreads = [
+        np.einsum("nip,pq,niq->ni", J, of.dense_covariance(), J) for J, of in ((jacobian, fit.estimate), (other, moved))
+    ]
+    np.testing.assert_allclose(spreads[1], spreads[0], rtol=1e-6)
 
 
 # Beside the rest.

@@ -15,6 +15,7 @@ from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
 from pincal.identify.fit import Fit, Stage, carried
+from pincal.identify.gauge import along_gauge, weight_of
 from pincal.identify.initial import place
 from pincal.identify.moment_frames import best_of, some_rows_of
 from pincal.identify.noise import Noise
@@ -36,6 +37,8 @@ _MISSED = 1e-6
 # Readings beyond the unknowns from which the noise is known to 30 %. Beside an earlier fit fewer won't do: the parameters
 # that it knows give way as far as the noise seems small, and the noise seems small as far as they give way.
 _FEWEST_LEFT = 6
+# How often the masses of an earlier fit are taken to what they weigh now, and the change that is none.
+_WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
 # The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
@@ -68,7 +71,7 @@ def calibrate(
     """
     tables = tables_of(measurements)
     options = _completed(robot, options, tables)
-    fit = _fitted(robot, tables, options, executor)
+    fit = _weighed_anew(_fitted(robot, tables, options, executor))
     _refuse_too_few(tables, fit.problem, fit.solution, fit.noise)
     return _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
 
@@ -114,6 +117,23 @@ def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, exe
     problem, nominal, priors, noise = _begin(robot, tables, options, executor)
     fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options, executor=executor)
     return Fit(problem, nominal, fitted, priors, noise, stages, options)
+
+
+def _weighed_anew(fit: Fit) -> Fit:
+    """Return a fit beside an earlier one that found masses, the earlier one moved to what they weigh now."""
+    earlier, problem, factor = fit.options.earlier, fit.problem, 1.0
+    weight = 0.0 if earlier is None else weight_of(problem, earlier)
+    if earlier is None or not weight:
+        return fit
+    for _ in range(_WEIGHINGS):
+        before, factor = factor, weight_of(problem, fit.estimate) / weight
+        if not 0.1 < factor < 10.0 or abs(factor / before - 1.0) < _SAME_WEIGHT:
+            break
+        problem = replace(problem, earlier=Earlier.of(along_gauge(problem, earlier, factor)))
+        priors = priors_of(problem, fit.options)
+        fitted, stages = _fit(problem, problem.recalled(fit.values), priors, fit.noise, fit.options)
+        fit = replace(fit, problem=problem, solution=fitted, priors=priors, stages=stages)
+    return fit
 
 
 def _without_outliers(fit: Fit, executor: Executor | None) -> Solution:
