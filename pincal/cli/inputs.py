@@ -153,6 +153,8 @@ def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> Stati
         base = np.eye(4)
         base[:3, 3] = -np.array(setup.anchor)
     mount = read_mount(setup.camera) if setup.camera and _has_camera(table) else None
+    if mount is not None and not (table.sensor and table.sensor.is_on_tool):
+        raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is of a camera that stands still; remove it")
     known: tuple[float, float, float] | np.ndarray | None = setup.tool if mount is None else mount
     tools = None if known is None else {str(table.target[0]): known}
     sigma = setup.noise[0] if setup.noise and setup.noise[1] == _unit_of(table) else None

@@ -7,7 +7,7 @@ A point is known in the instrument's frame, or its coordinates are parameters of
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, final
 
@@ -101,12 +101,9 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         if self.impossible is not None:
             keep = ~self.impossible.rows
             yield self.impossible
-        names = np.array(self.points.names)[self.index]
-        found, inverse, count = np.unique(names[keep], return_inverse=True, return_counts=True)
-        poor = (count < self.fewest) & np.array([self.points.places[str(name)] is None for name in found], bool)
         lonely = np.zeros(len(self), bool)
-        lonely[keep] = poor[inverse]
-        listed = ", ".join(str(name) for name in found[poor][:_LISTED]) + (" ..." if poor.sum() > _LISTED else "")
+        known = [name for name, place in self.points.places.items() if place is not None]
+        lonely[keep], listed = poor_groups(np.array(self.points.names)[self.index][keep], self.fewest, known)
         yield Excluded(
             lonely,
             f"are of {self.thing} with fewer than {self.fewest} readings, which only place it ({listed})",
@@ -122,11 +119,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @final
     def unscorable_rows(cls, table: Table, setup: Setup) -> Iterator[Excluded]:
         """Yield rows of points that the calibration did not have, but for those judged by the mean of at least two rows."""
-        names = names_of(table)
-        found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
-        is_new = np.array([str(name) not in setup.points for name in found], bool)
-        lost = (is_new & ((count < 2) | (not cls.judges_new_points)))[inverse]
-        listed = ", ".join(sorted(set(map(str, names[lost])))[:_LISTED])
+        lost, listed = rows_of_new(table, setup, enough=2 if cls.judges_new_points else None)
         yield Excluded(lost, f"are of points that the calibration did not have ({listed})", "points of the calibration")
 
     @final
@@ -169,6 +162,23 @@ def names_of(table: Table) -> np.ndarray:
     names = table.point_names
     assert names is not None
     return names
+
+
+def poor_groups(names: np.ndarray, fewest: int, known: Collection[str] = ()) -> tuple[np.ndarray, str]:
+    """Return rows of things with too few of them, shape (N,), and their names; known things need none."""
+    found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
+    poor = (count < fewest) & np.array([str(name) not in known for name in found], bool)
+    listed = ", ".join(str(name) for name in found[poor][:_LISTED]) + (" ..." if poor.sum() > _LISTED else "")
+    return poor[inverse], listed
+
+
+def rows_of_new(table: Table, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
+    """Return rows of things that a calibration did not have, shape (N,), but for those with enough rows, and their names."""
+    names = names_of(table)
+    found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
+    is_new = np.array([str(name) not in setup.points for name in found], bool)
+    lost = (is_new & ((enough is None) | (count < (enough or 0))))[inverse]
+    return lost, ", ".join(sorted(set(map(str, names[lost])))[:_LISTED])
 
 
 def index_of(table: Table, points: NamedPoints, *, may_be_new: bool = False) -> np.ndarray:

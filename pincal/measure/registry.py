@@ -13,6 +13,8 @@ from pincal.measure.fields import CONDITIONS, SIGMA, Field
 from pincal.measure.sensor import Block, Foreseeable, Sensor
 from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
+from pincal.measure.sensors.fixed_camera import FixedCameraSensor
+from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
 from pincal.measure.sensors.pose import PoseSensor
 from pincal.measure.sensors.position import PositionSensor
 from pincal.measure.sensors.socket import ContactSensor
@@ -44,7 +46,8 @@ register_sensor = SENSORS.register
 """Add a sensor, as a decorator or by a call."""
 
 _DISTANCES = (DistanceSensor, AnchoredDistanceSensor)
-for _sensor in (PositionSensor, PoseSensor, *_DISTANCES, ContactSensor, CameraPointSensor, CameraPixelSensor):
+_CAMERAS = (CameraPointSensor, CameraPixelSensor, FixedCameraSensor)
+for _sensor in (PositionSensor, PoseSensor, *_DISTANCES, ContactSensor, *_CAMERAS, PlaneContactSensor, GaugeSensor):
     register_sensor(_sensor)
 
 
@@ -99,7 +102,9 @@ def check_fields(fields: Collection[str], *, source: str) -> None:
             raise MeasurementError(f"{source}: {given[0]} without {main}; add what is missing, or ignore {given[0]}")
         missing = [field for field in others if field.name not in fields]
         if main.name in fields and missing and sensor_class(fields) is None:
-            raise MeasurementError(f"{source}: {main} without {missing[0]}; add what is missing, or ignore {main}")
+            ways = [other.fields[1:] for other in sensors if other.fields[0] == main]
+            needed = " or ".join(dict.fromkeys(" ".join(str(f) for f in way if f.name not in fields) for way in ways))
+            raise MeasurementError(f"{source}: {main} without {needed}; add what is missing, or ignore {main}")
 
 
 def expected_columns() -> str:

@@ -100,7 +100,8 @@ class Sensor(ABC):
             its orientation, so that repeated poses have an accuracy and a repeatability as ISO 9283 defines them.
         pose_limit: where many rows can share a pose and yet tell no more than its six coordinates, completes the message
             "3 poses ...".
-        has_camera: whether a known camera, with lens and mount, can be given.
+        has_camera: whether a known camera can be given.
+        is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
     """
 
@@ -115,6 +116,7 @@ class Sensor(ABC):
     reads_pose: ClassVar[bool] = False
     pose_limit: ClassVar[str] = ""
     has_camera: ClassVar[bool] = False
+    is_on_tool: ClassVar[bool] = False
     deviation_end: ClassVar[str] = "measured"
 
     @classmethod

@@ -50,7 +50,7 @@ class Views:
             turn: shape (3, 3), camera to tip frame.
         """
         index, R, p = self.index, self.tips[:, :, :3], self.tips[:, :, 3]
-        sight = np.einsum("nab,nb->na", R, _rays(lens, self.pixel) @ turn.T)
+        sight = np.einsum("nab,nb->na", R, rays(lens, self.pixel) @ turn.T)
         across = np.eye(3) - sight[:, :, None] * sight[:, None, :]
         push = np.einsum("nab,nb->na", across, p)
         turned = across @ R
@@ -116,7 +116,7 @@ def _scaled(lens: Lens, log_factor: np.ndarray) -> Lens:
     return replace(lens, fx=lens.fx * factor, fy=lens.fy * factor)
 
 
-def _rays(lens: Lens, pixel: np.ndarray) -> np.ndarray:
+def rays(lens: Lens, pixel: np.ndarray) -> np.ndarray:
     """Return unit vectors in the camera's frame along the lines of sight, shape (N, 3)."""
     ideal = (pixel - (lens.u0, lens.v0)) / (lens.fx, lens.fy)
     slopes = ideal

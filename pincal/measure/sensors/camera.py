@@ -28,6 +28,7 @@ from pincal.measure.triangulation import Views, camera_starts
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import nearest_rotation, transform
 
+PIXEL = Field("pixel", ("u", "v"), "pixel")
 # Rows of the first search.
 _SAMPLE = 300
 
@@ -42,6 +43,7 @@ class CameraSensor(PointSensor):
     default_target: ClassVar[str] = "camera"
     pose_limit: ClassVar[str] = "of the camera; however many points are seen in one, it tells six coordinates"
     has_camera: ClassVar[bool] = True
+    is_on_tool: ClassVar[bool] = True
     thing: ClassVar[str] = "a point"
     fewest: ClassVar[int] = 2
     needs_all_rows: ClassVar[bool] = False
@@ -153,7 +155,7 @@ class CameraPixelSensor(CameraSensor, KnownParameters):
     """
 
     kind: ClassVar[str] = "camera_pixel"
-    fields: ClassVar[tuple[Field, ...]] = (Field("pixel", ("u", "v"), "pixel"), POINT)
+    fields: ClassVar[tuple[Field, ...]] = (PIXEL, POINT)
     blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
     per_row: ClassVar[tuple[str, ...]] = ("index", "pixel")
     has_scale: ClassVar[bool] = False
