@@ -100,6 +100,24 @@ def test_text_fits_a_hundred_columns(tmp_path, table, capsys):
     assert max(len(line) for line in lines if not line.startswith(("note: ", "written to "))) <= 100
 
 
+def test_ten_lines_come_first(tmp_path, table, capsys):
+    """Before, after, noise as the mean distance it makes, verdict and next step; the tables only with --verbose."""
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--noise", "0.05mm", "--quiet") == 0
+    text = capsys.readouterr().out
+    errors = json.loads((tmp_path / "out" / "result.json").read_text())["error"]
+    heads = [line.split(" ")[0] for line in text.splitlines() if not line.startswith(" ")]
+
+    expected = ["robot", "before", "after", "noise", "verdict", "next"]
+    assert [head for head in heads if head in expected] == expected and len(text.splitlines()) <= 16
+    for name, model in (("before", "nominal"), ("after", "calibrated")):
+        assert f"{name:8s} mean {errors[model]['test']['mean_mm']:.4f} mm" in text
+    # The mean of the chi distribution with three degrees of freedom, times the noise.
+    assert f"noise    mean {0.05 * np.sqrt(8.0 / np.pi):.4f} mm, 0.0500 mm per coordinate (declared)" in text
+    assert "Pose accuracy" not in text and "base_link to tool0 (--tip takes another link)" in text
+    assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--verbose", "--quiet") == 0
+    assert "Pose accuracy" in capsys.readouterr().out
+
+
 def test_max_error_is_a_gate(tmp_path, table):
     """Exit 5 where the held-out mean exceeds the limit; the files are written all the same."""
     assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--max-error", "1um", "--quiet") == 5
@@ -145,7 +163,7 @@ def test_export_equals_the_urdf_of_the_calibration(results, tmp_path):
 
 def test_check_says_what_can_be_told(table, capsys):
     """Coverage, rank, and the reason for what can't be identified, before any fit is trusted."""
-    assert run("check", URDF, table, *COM, "--quiet") == 0
+    assert run("check", URDF, table, *COM, "--verbose", "--quiet") == 0
     text = capsys.readouterr().out
     for words in ("rank", "Coverage", "parallel", "unidentifiable"):
         assert words in text

@@ -340,7 +340,7 @@ def test_check_prints_what_could_be_found(tmp_path: Path, case: Case, capsys: py
     write_table(tmp_path / "data.csv", _columns(case.rows))
     (tmp_path / "robot.urdf").write_bytes(case.robot.urdf)
     common = (tmp_path / "robot.urdf", tmp_path / "data.csv", "--noise", "0.05mm", "--tip", case.robot.tip)
-    assert _run("check", *common, "--quiet") == 0
+    assert _run("check", *common, "--verbose", "--quiet") == 0
     printed = capsys.readouterr().out
 
     assert "Smallest effects that would be found" in printed
@@ -358,7 +358,7 @@ def test_discover_shows_the_gap_shrink(tmp_path: Path, case: Case, capsys: pytes
     (tmp_path / "robot.urdf").write_bytes(case.robot.urdf)
     files = (tmp_path / "robot.urdf", tmp_path / "data.csv", "--out", tmp_path / "out", "--tip", case.robot.tip)
     options = ("--noise", "0.05mm", "--payload-com", *case.options.payload_centre, "--moment-frame", "after", "--quiet")
-    assert _run("discover", *files, *options) == 0
+    assert _run("discover", *files, *options, "--verbose") == 0
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     assert f"+ backlash of {case.hidden[0].joint}" in printed and "noise alone" in printed

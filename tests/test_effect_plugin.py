@@ -64,7 +64,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
 
 def test_an_effect_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
     """Its detectable size is told; it is found, named and reported; its model validates, predicts and is drawn."""
-    scene.run("check", "robot.urdf", "fit.csv", "--noise", "0.05mm")
+    scene.run("check", "robot.urdf", "fit.csv", "--noise", "0.05mm", "--verbose")
     assert "hose_pull" in capsys.readouterr().out
     scene.run("discover", "robot.urdf", "fit.csv", "--out", "out", "--noise", "0.05mm", "--view")
     (found,) = scene.read("out/discovery.json")["effects"]  # type: ignore[misc]

@@ -307,7 +307,7 @@ def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypa
     simulated = ["simulate", URDF, "--elastic", "0", "--cycles", "4", "--quiet", "--out"]
     assert run(*simulated, tmp_path / "data.csv", "--poses", "30", "--sensor", "pose") == 0
     assert run(*simulated, tmp_path / "new.csv", "--poses", "12", "--sensor", "pose", "--pose-seed", "1") == 0
-    chosen = ["--model", "geometric", "--quiet", "--out", tmp_path / "out"]
+    chosen = ["--model", "geometric", "--quiet", "--verbose", "--out", tmp_path / "out"]
     capsys.readouterr()
     assert run("calibrate", URDF, tmp_path / "data.csv", *chosen) == 0
     text = capsys.readouterr().out

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pincal.cli.arguments import group, verb
-from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions
+from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions, verbose_option
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
 
@@ -16,6 +16,7 @@ class CheckArguments:
 
     source: InputOptions = group("Input")
     chosen: CalibrationOptions = group("Model")
+    verbose: bool = verbose_option()
     general: GeneralOptions = group("General")
 
 
@@ -33,8 +34,16 @@ def check(arguments: CheckArguments) -> Exit:
     if arguments.general.as_json:
         print_json(found.to_dict())
     else:
+        from pincal.cli.brief import print_brief_check
         from pincal.cli.progress import console
         from pincal.cli.tables import print_precheck
 
-        print_precheck(found, console())
+        if arguments.verbose:
+            print_precheck(found, console())
+        else:
+            source = arguments.source
+            words = ["pincal calibrate", source.robot, *map(str, source.data), "--out results"]
+            words += [f"--xacro-arg {name}:={value}" for name, value in source.xacro_args]
+            words += [f"--tip {source.tip}"] if source.tip else []
+            print_brief_check(found, prepared.robot, console(), command=" ".join(words))
     return Exit.DONE

@@ -118,6 +118,7 @@ class Columns(click.ParamType[dict[str, str]]):
 LENGTH = Quantity(_LENGTHS, "0.05mm")
 ANGLE = Quantity(ANGLES, "0.1mrad")
 
+verbose_option = partial(option, "Print all tables and notes, not only what they come to.", False)
 max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH)
 tip_option = partial(option, "Last link of the arm.", metavar="LINK")
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")

@@ -19,6 +19,7 @@ from pincal.cli.common import (
     SplitOptions,
     load_plugins,
     max_error_option,
+    verbose_option,
 )
 from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.errors import Exit, IdentificationError
@@ -45,6 +46,7 @@ class FitArguments:
     source: InputOptions = group("Input")
     out: Path = option("Folder for the results.", MISSING, metavar="DIR")
     max_error: float | None = max_error_option()
+    verbose: bool = verbose_option()
     view: bool = option(f"Also write {VIEW}: the robot and its errors in 3D.", False)
     chosen: CalibrationOptions = group("Model")
     split: SplitOptions = group("Validation")
@@ -91,16 +93,19 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     if arguments.general.as_json:
         print_json(result.to_dict() if discovery is None else discovery.report)
     else:
+        from pincal.cli.brief import print_brief
         from pincal.cli.progress import console
         from pincal.cli.tables import print_discovery, print_left_out, print_notes, print_result
 
-        if discovery is None:
+        if not arguments.verbose:
+            print_brief(calibration, discovery, console(), folder=arguments.out, notes=notes)
+        elif discovery is None:
             print_result(result, console())
         else:
             print_left_out(result, console())
             print_discovery(discovery, console())
             print_notes(result.warnings, console())
-        for note in notes:
+        for note in notes if arguments.verbose else ():
             click.echo(f"note: {note}")
         click.echo(f"written to {arguments.out}: {written}")
     if not result.converged:
