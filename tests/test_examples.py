@@ -263,3 +263,14 @@ def test_a_robots_life_is_told_by_its_figures(tmp_path: Path) -> None:
     assert "before the collision: changed False" in text
     assert hit == pytest.approx(0.5, abs=0.04)
     assert missed > 10.0 * calibrated and max(mended, kept) < 1.3 * calibrated
+
+
+@pytest.mark.parametrize(("decimals", "most"), [(6, 1e-6), pytest.param(12, 1e-11, marks=pytest.mark.long)])
+def test_a_controller_gives_its_calibration_away(tmp_path: Path, decimals: int, most: float) -> None:
+    """What the controller reports, to the digits that it reports, is predicted to 1e-6 m at other poses."""
+    text = run("controller_truth.py", "--decimals", str(decimals), "--out", str(tmp_path), folder=tmp_path)
+    error, turn = numbers(text, "calibrated,                        max:")
+
+    assert error <= most and turn <= most
+    assert numbers(text, "by the URDF, base and tool fitted, max:")[0] > 1e-3
+    assert (tmp_path / "as_the_controller.urdf").is_file()
