@@ -26,7 +26,6 @@ class Search:
     Attributes:
         policy: what to go by.
         extra: effects of the user's own, which take part like those of the catalogue.
-        elastic: whether elasticity may be found; not for an arm without masses.
         first: the fit to start from, all rows of it.
         all_groups: shape (all rows,), blocks of its rows for cross-validation.
         groups: shape (N,), those of the rows from which effects are chosen.
@@ -35,7 +34,6 @@ class Search:
 
     policy: Policy
     extra: tuple[Effect, ...]
-    elastic: bool
     first: Fit
     all_groups: np.ndarray
     groups: np.ndarray
@@ -97,7 +95,7 @@ def _surcharge(effect: Effect, policy: Policy) -> float:
 def addable(fit: Fit, search: Search) -> list[Effect]:
     """Return what may be added by name: what the data can test and the model does not have yet."""
     present = {effect.identity for effect in fit.problem.effects}
-    has_loads = search.elastic and has_compliance(fit.problem.effects)
+    has_loads = has_compliance(fit.problem.effects)
     every = [*variants(fit), *_of_stations(fit), *search.extra]
     return [e for e in every if e.identity not in present and (has_loads or not e.is_of_loads)]
 

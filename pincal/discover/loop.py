@@ -32,7 +32,6 @@ def discover_effects(
     frames: Sequence[MomentFrame] = (),
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
-    elastic: bool = True,
 ) -> History:
     """Find the effects that a fit misses.
 
@@ -43,10 +42,9 @@ def discover_effects(
             another fits better beyond chance.
         extra: effects of the user's own, which take part like those of the catalogue.
         policy: thresholds and limits.
-        elastic: whether elasticity may be found; not for an arm without masses.
     """
     few, rows = sampled(fit, policy)
-    search = Search(policy, tuple(extra), elastic, fit, groups, groups[rows], tuple(frames) if elastic else ())
+    search = Search(policy, tuple(extra), fit, groups, groups[rows], tuple(frames))
     state = State(few)
     for step_on in PASSES:
         state = step_on(state, search)
@@ -97,7 +95,7 @@ def add_effects(state: State, search: Search) -> State:
 
 
 def _next_step(fit: Fit, search: Search) -> Step | None:
-    if search.elastic and not has_compliance(fit.problem.effects):
+    if not has_compliance(fit.problem.effects):
         block = elasticity(situation_of(fit))
         found = score_test_beside_masses(fit, block)
         score = found.score(range(len(block)), 1)
