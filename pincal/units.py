@@ -9,6 +9,21 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 
+def plain_number(text: str) -> float:
+    """Return the number that a text is in decimal digits; Python alone would also take ``1_0`` or Arabic digits for one.
+
+    Raises:
+        ValueError: for any other text.
+
+    Example:
+        >>> plain_number(" -1.5e3 ")
+        -1500.0
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{text!r} is not a number in plain digits")
+    return float(text)
+
+
 class Unit(NamedTuple):
     """A unit for display: the factor by which an SI value is multiplied, and its symbol."""
 

@@ -19,10 +19,12 @@ import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main as command
 from pincal.cli import pincal as verbs
-from pincal.errors import MeasurementError, PincalWarning
+from pincal.cli.common import LENGTH
+from pincal.errors import MeasurementError, PincalWarning, RobotFileError
 from pincal.measure.measurements import Measurements
 from pincal.measure.orientation import CONVENTIONS as KNOWN
 from pincal.measure.table import read_measurements, write_table
+from pincal.robot.robot import Robot
 
 JOINTS = ("joint_a1", "joint_a2", "joint_a3")
 RNG = np.random.default_rng(3)
@@ -383,6 +385,21 @@ def test_times_of_a_spreadsheet_are_seconds(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(found.time), 1.5, atol=1e-6)
 
 
+def test_dates_are_seconds(tmp_path: Path) -> None:
+    """Times as ISO 8601 are seconds since 1970; what only looks like a date is refused with its line."""
+    cells = ["2026-11-02T10:00:00Z", "2026-11-02 10:00:01.250", "2026-11-02T10:01:00"]
+    lines = [f"0,0,0,1,1,{i},{cell}" for i, cell in enumerate(cells)]
+    path = plain("log.csv", "\n".join(["joint_a1,joint_a2,joint_a3,x,y,z,Time", *lines, ""]))(tmp_path)
+    found = read(path)
+    start = datetime.datetime(2026, 11, 2, 10, tzinfo=datetime.UTC).timestamp()
+
+    assert found.time is not None
+    np.testing.assert_allclose(found.time, start + np.array([0.0, 1.25, 60.0]), rtol=0, atol=1e-6)
+    path.write_text(path.read_text().replace("11-02 10", "11-32 10"))
+    with pytest.raises(MeasurementError, match=r'line 3, column "Time"'):
+        read(path)
+
+
 def test_excel_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without openpyxl the error names the extra; old formats are named, too."""
     path = excel(columns())(tmp_path)
@@ -476,3 +493,15 @@ def test_a_controllers_log_calibrates_like_a_plain_table(tmp_path: Path, capsys:
     # Degrees are told from radians by the values, not guessed.
     assert run("calibrate", urdf, tmp_path / "log.xlsx", "--out", tmp_path / "no", *said) == 3
     assert "looks like degrees" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", ["1_0", "٣"])
+def test_the_same_numbers_are_refused_in_a_urdf_and_on_the_command_line(number: str, tmp_path: Path) -> None:
+    """What is no number in a table is none elsewhere."""
+    text = Path(kuka_urdf_path()).read_text(encoding="utf-8")
+    place = text.index('xyz="') + len('xyz="')
+    (tmp_path / "arm.urdf").write_text(text[:place] + number + text[text.index(" ", place) :], encoding="utf-8")
+    with pytest.raises(RobotFileError, match="expected three finite numbers"):
+        Robot.from_urdf(tmp_path / "arm.urdf")
+    with pytest.raises(click.BadParameter, match="expected a number with a unit"):
+        LENGTH.convert(f"{number}mm", None, None)

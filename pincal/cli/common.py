@@ -11,6 +11,7 @@ import click
 
 from pincal.cli.arguments import argument, group, option
 from pincal.measure.options import TableOptions
+from pincal.units import plain_number
 
 Vector = tuple[float, float, float]
 
@@ -39,7 +40,7 @@ class Quantity(click.ParamType[float]):
         for unit in (*sorted(self._units, key=len, reverse=True), ""):
             if text.endswith(unit):
                 try:
-                    number = float(text.removesuffix(unit))
+                    number = plain_number(text.removesuffix(unit))
                 except ValueError:
                     break
                 if self._zero and number == 0.0:
@@ -78,7 +79,7 @@ class Masses(click.ParamType[tuple[float, ...]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         """Return the masses [kg]."""
         try:
-            loads = tuple(float(part.strip().removesuffix("kg")) for part in str(value).split(","))
+            loads = tuple(plain_number(part.strip().removesuffix("kg")) for part in str(value).split(","))
         except ValueError:
             loads = ()
         if not loads or not all(0.0 <= load < float("inf") for load in loads):

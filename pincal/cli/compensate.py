@@ -14,6 +14,7 @@ from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import ANGLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
 from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
 from pincal.errors import Exit
+from pincal.units import plain_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -134,7 +135,7 @@ def _seed(robot: Robot, table: Targets, text: str | None) -> np.ndarray | None:
     words = re.split(r"[\s,;]+", text.strip())
     in_degrees = words[-1] == "deg"
     try:
-        seed = np.array([float(word) for word in words[: -1 if in_degrees else None]])
+        seed = np.array([plain_number(word) for word in words[: -1 if in_degrees else None]])
     except ValueError:
         raise click.UsageError(f"--seed-joints {text!r}: expected {robot.n_joints} numbers, in rad (m) or deg") from None
     if len(seed) != robot.n_joints or not np.isfinite(seed).all():

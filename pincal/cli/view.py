@@ -14,6 +14,7 @@ from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import GeneralOptions, TableArguments, model_argument, station_option
 from pincal.cli.outputs import print_json
 from pincal.errors import BadInputError, Exit
+from pincal.units import plain_number
 
 if TYPE_CHECKING:
     from pincal.measure.measurements import Measurements
@@ -121,7 +122,7 @@ def _pose(text: str | None, table: Measurements | None) -> np.ndarray | None:
         return None
     words = text.replace(",", " ").split()
     try:
-        values = np.array([float(word) for word in words])
+        values = np.array([plain_number(word) for word in words])
     except ValueError:
         values = np.zeros(0)
     if not len(values):

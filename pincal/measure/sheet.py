@@ -18,6 +18,8 @@ from pincal.errors import MeasurementError
 if TYPE_CHECKING:
     import polars as pl
 
+# A date and a time of day as in ISO 8601.
+_DATE = r"^\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}"
 # Cells that show whether a column holds numbers or words.
 _SHOWN = 50
 
@@ -163,7 +165,18 @@ def _clean(series: pl.Series, column: Column, *, decimal_comma: bool) -> pl.Seri
         return text.replace([""], [None])
     if decimal_comma:
         text = text.str.replace(",", ".", literal=True)
+    if column.quantity == "time" and text.str.contains(_DATE).all():
+        return _seconds(text)
     return text.cast(pl.Float64, strict=False)
+
+
+def _seconds(text: pl.Series) -> pl.Series:
+    """Return dates with times of day as seconds since 1970, null where a text is none."""
+    import polars as pl
+
+    shape = "%Y-%m-%dT%H:%M:%S%.f"
+    plain = text.str.replace(" ", "T", literal=True).str.strip_suffix("Z")
+    return plain.str.to_datetime(shape, time_unit="us", strict=False).dt.epoch("us").cast(pl.Float64) * 1e-6
 
 
 def _check_cells(

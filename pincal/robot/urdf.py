@@ -14,6 +14,7 @@ from lxml import etree
 from pincal.errors import RobotFileError
 from pincal.robot.tree import MOVING_TYPES, OPEN_LOOPS, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
 from pincal.robot.xacro_file import expand_xacro, is_xacro
+from pincal.units import plain_number
 
 _UNSUPPORTED_TYPES = ("planar", "floating")
 # Lengths of an axis that can be meant; others lose all digits when they are normalised.
@@ -183,7 +184,7 @@ def _attribute(element: Any, key: str, source: str) -> str:
 
 def _number(text: str) -> float | None:
     try:
-        return float(text)
+        return plain_number(text)
     except ValueError:
         return None
 
