@@ -7,7 +7,7 @@ the new station's base and target projected out; found from two noise-free table
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,9 @@ class _Scene:
         return measurements_from_arrays(self.machine.names, self.q, position=positions, **self.conditions)
 
 
-def draw_case(seed: int, kind: str = "null", *, strength: float = 80.0, temperature: bool = False) -> Case | None:
+def draw_case(
+    seed: int, kind: str = "null", *, strength: float = 80.0, temperature: bool = False, missed: int = 0
+) -> Case | None:
     """Draw a robot, calibrate it and measure it again; None if no change of the kind has the strength.
 
     Args:
@@ -101,10 +103,12 @@ def draw_case(seed: int, kind: str = "null", *, strength: float = 80.0, temperat
         kind: "null" or one of ``KINDS``.
         strength: lambda of the change.
         temperature: whether its links grow, at one temperature when it was calibrated and at another later, both recorded.
+        missed: number of strong effects that it always had and that the calibrated model lacks.
     """
     rng = np.random.default_rng([seed, 14])
     light = ARMS[seed % 3] != "heavy"
     machine, robot = _machine(rng, ARMS[seed % 3])
+    machine = machine.with_effects(*_missed(machine, missed, light=light, rng=np.random.default_rng([seed, 15])))
     warm: tuple[float | None, float | None] = (None, None)
     if temperature:
         machine = machine.with_effects(sim.ThermalExpansion(size=float(rng.uniform(1e-5, 2.4e-5))))
@@ -113,7 +117,8 @@ def draw_case(seed: int, kind: str = "null", *, strength: float = 80.0, temperat
     old = _scene(machine, REFERENCE_ROWS, rng, light=light, temperature=warm[0])
     table = old.table(old.positions() + SIGMA * rng.standard_normal((REFERENCE_ROWS, 3)))
     options = Options(effects=ELASTIC, payload_centre=old.com, moment_frame="after")
-    model = calibrate(robot, table, options).to_model()
+    fit = calibrate(robot, table, options)
+    model = replace(fit.to_model(), left=fit.left)
     few = kind in ("null", "offset", "bent", "tilt")
     new = _scene(machine, int(rng.integers(12 if few else 30, 61)), rng, light=light, temperature=warm[1])
     later, truth, got = machine, None, 0.0
@@ -126,6 +131,20 @@ def draw_case(seed: int, kind: str = "null", *, strength: float = 80.0, temperat
     noise = SIGMA * rng.standard_normal((len(new.q), 3))
     there = replace(_scene(machine, 100, rng, light=light, temperature=warm[1]), hall=new.hall, tool=new.tool)
     return Case(model, new.table(new.positions(later) + noise), truth, got, there.table(there.positions(later)))
+
+
+def _missed(
+    machine: sim.TrueMachine, n: int, *, light: bool, rng: np.random.Generator
+) -> Iterator[sim.GearEccentricity | sim.Backlash]:
+    """Yield strong effects on different joints: gears and play of 0.07 to 0.3 mrad."""
+    for i in rng.choice(len(machine.names) - 1, n, replace=False):
+        joint, size = machine.names[i], float(rng.uniform(0.7, 1.5)) * (2e-4 if light else 1e-4)
+        if rng.random() < 1.0 / 3.0:
+            yield sim.Backlash(joint=joint, size=size)
+        else:
+            yield sim.GearEccentricity(
+                joint=joint, size=size, order=int(rng.integers(1, 3)), phase=float(rng.uniform(-3.0, 3.0))
+            )
 
 
 def _machine(rng: np.random.Generator, arm: str) -> tuple[sim.TrueMachine, Robot]:

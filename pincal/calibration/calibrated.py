@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from pincal.atomic import write_whole
 from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, outside_curves, turned_curves
+from pincal.calibration.left import Left
 from pincal.calibration.tables import estimate_table
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.identify.fingerprints import fingerprints
@@ -68,6 +69,11 @@ class Calibrated(ABC):
     def robot_model(self) -> CalibratedModel:
         """Return a calibrated model of the robot itself, whatever it was measured with."""
         return self.to_model()
+
+    @property
+    @abstractmethod
+    def left(self) -> Left | None:
+        """Effects that the rows of the calibration showed and the model does not have, as far as that is known."""
 
     @property
     @abstractmethod
@@ -177,6 +183,7 @@ class CalibratedModel(Calibrated):
         nominal_values: shape (P,), the values with only base and tool fitted; None where nobody knows them.
         rows: fingerprints of the training rows; empty where nobody knows them.
         is_noise_declared: whether the noise was declared, not estimated.
+        left: effects that the rows showed and the model does not have; None where there were none, or nobody looked.
 
     Example:
         >>> from pincal.model.chain import Chain
@@ -202,6 +209,7 @@ class CalibratedModel(Calibrated):
     nominal_values: np.ndarray | None = None
     rows: str = ""
     is_noise_declared: bool = False
+    left: Left | None = None
 
     @classmethod
     def of(cls, fit: Fit, provenance: dict[str, Any] | None = None, *, station: str | None = None) -> CalibratedModel:
@@ -256,6 +264,7 @@ class CalibratedModel(Calibrated):
             nominal_values=nominal_values,
             rows=entry.rows,
             is_noise_declared=entry.is_noise_declared,
+            left=None if entry.left is None else Left(*entry.left.parts()),
         )
 
     def __repr__(self) -> str:

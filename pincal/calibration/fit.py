@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.left import Left, left_by
 from pincal.calibration.parameters import parameter_rows
 from pincal.calibration.stations import CalibratedStations, save_stations
 from pincal.calibration.tables import estimate_table, parameter_table
@@ -44,6 +45,11 @@ class Fit(identified.Fit, Calibrated):
     def _calibrated(self) -> CalibratedModel:
         return CalibratedModel.of(self)
 
+    @cached_property
+    def left(self) -> Left | None:
+        """Effects that the rows show and the model does not have; a diagnosis has to know of them."""
+        return left_by(self)
+
     def to_model(self) -> CalibratedModel:
         """Return the calibrated model, all that a prediction needs."""
         return self._calibrated
@@ -68,9 +74,9 @@ class Fit(identified.Fit, Calibrated):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``model.json``, with all stations if there are several; see :func:`pincal.load_model`."""
         if len(self.problem.stations) > 1:
-            save_stations(path, self.to_stations())
+            save_stations(path, self.to_stations().knowing(self.left))
         else:
-            self.to_model().save(path)
+            replace(self.to_model(), left=self.left).save(path)
 
     @property
     def models(self) -> Mapping[str, CalibratedModel]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel, estimate_at, model_of_file
+from pincal.calibration.left import Left, left_by
 from pincal.errors import BadInputError
 from pincal.identify.fingerprints import together
 from pincal.identify.fit import Fit
@@ -58,6 +59,16 @@ class CalibratedStations:
         return cls(models, replace(fit.estimate, prior=prior), fit.nominal.values, dict(provenance or {}))
 
     @property
+    def left(self) -> Left | None:
+        """Effects that the rows showed and the model does not have."""
+        return next(iter(self.models.values())).left
+
+    def knowing(self, left: Left | None) -> CalibratedStations:
+        """Return the same with what the model left of the robot, which the first station keeps."""
+        (name, first), *others = self.models.items()
+        return replace(self, models={name: replace(first, left=left), **dict(others)})
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the stations."""
         return tuple(self.models)
@@ -95,9 +106,9 @@ def save_fit(path: str | os.PathLike[str], fit: Fit, provenance: dict[str, Any])
         OutputError: if the place can't be written to, or a number is not finite.
     """
     if len(fit.problem.stations) > 1:
-        save_stations(path, CalibratedStations.of(fit, provenance))
+        save_stations(path, CalibratedStations.of(fit, provenance).knowing(left_by(fit)))
     else:
-        CalibratedModel.of(fit, provenance).save(path)
+        replace(CalibratedModel.of(fit, provenance), left=left_by(fit)).save(path)
 
 
 def save_stations(path: str | os.PathLike[str], calibrated: CalibratedStations) -> None:

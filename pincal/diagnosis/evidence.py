@@ -23,9 +23,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.left import Left
 from pincal.discover.nuisance import MassError
 from pincal.identify.normal import belief_rows, block_rows
 from pincal.identify.station import Station
+from pincal.model.effect import Effect
 from pincal.parameters import root_of
 
 # Part of a column's square that must be left after projection for the data to see it.
@@ -46,6 +48,7 @@ class Known:
         root: shape (K, n), of their covariance.
         masses: masses as an effect; None for a rigid model.
         taken_up: shape (K, m), what the calibration made of a unit of each mass parameter.
+        left: effects that the model left; their parameters are the last ones of the K.
     """
 
     names: tuple[str, ...]
@@ -53,17 +56,36 @@ class Known:
     root: np.ndarray
     masses: MassError | None
     taken_up: np.ndarray
+    left: tuple[Effect, ...] = ()
 
     @classmethod
     def of(cls, calibrated: CalibratedModel) -> Known:
-        """Return what a calibrated model knows of its robot."""
+        """Return what a calibrated model knows of its robot, the effects that it left among it."""
         chain = calibrated.model.chain
         effects = (effect for effect in calibrated.model.effects if effect.scope == "robot")
         names = tuple(parameter.name for effect in effects for parameter in effect.parameters(chain))
         estimate = calibrated.estimate.take(names)
         masses = MassError.of(calibrated.model, calibrated.model_values)
         taken_up = np.zeros((len(names), 0)) if masses is None else _taken_up(calibrated, names, masses)
-        return cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
+        known = cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
+        return known if calibrated.left is None else known._beside(calibrated.left)
+
+    def _beside(self, left: Left) -> Known:
+        """Return the same with what a model left, which its parameters have taken up as far as they could."""
+        index = {name: i for i, name in enumerate(self.names)}
+        taken = np.zeros((len(self.names), len(left.values)))
+        for name, row in zip(left.names, left.taken_up, strict=True):
+            taken[index[name]] = row
+        root = root_of(left.covariance)
+        E = len(root)
+        return replace(
+            self,
+            names=(*self.names, *left.parameter_names),
+            values=np.concatenate([self.values - taken @ left.values, left.values]),
+            root=np.block([[self.root, -taken @ root], [np.zeros((E, self.root.shape[1])), root]]),
+            taken_up=np.vstack([self.taken_up, np.zeros((E, self.taken_up.shape[1]))]),
+            left=left.effects,
+        )
 
 
 def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassError) -> np.ndarray:

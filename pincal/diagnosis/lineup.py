@@ -54,8 +54,8 @@ class Lineup:
         changes, others = changes_of(model, situation), beside_changes(model, situation)
         added = [change.effect for change in changes if change.effect is not None]
         masses = [] if known.masses is None else [known.masses]
-        wide = model.with_effects([*model.effects, *masses, *others, *added])
-        n = len(model.effects) + len(masses)
+        wide = model.with_effects([*model.effects, *masses, *known.left, *others, *added])
+        n = len(model.effects) + len(masses) + len(known.left)
         beside = np.concatenate([np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])])
         spans = iter(wide.spans[n + len(others) :])
         places = [_places(change, model.names) if change.effect is None else _span(next(spans)) for change in changes]
@@ -63,6 +63,7 @@ class Lineup:
         own = np.append(own, wide.n_parameters + np.flatnonzero(~station.sensor.fixed))
         nothing = np.zeros(wide.n_parameters - model.n_parameters)
         start = np.concatenate([of_model, nothing, of_sensor])
+        start[[wide.index(name) for name in known.names]] = known.values
         return cls(robot, known, station.with_model(wide), changes, tuple(places), own, beside, start)
 
     def without(self, row: int) -> Lineup:
@@ -80,21 +81,27 @@ class Lineup:
 
     def mend(self, happened: Sequence[int], start: np.ndarray) -> Posterior:
         """Return the same with the rest of the robot moved as far as its uncertainty lets it."""
-        names = self.robot.model.names
-        known = np.array([names.index(name) for name in self.known.names], int)
-        return self._posterior(happened, start, known, self.known.root)
+        return self._posterior(happened, start, self._known, self.known.root)
+
+    @cached_property
+    def _known(self) -> np.ndarray:
+        """Where the parameters stand that are known, shape (K,)."""
+        model = self.station.model
+        return np.array([model.index(name) for name in self.known.names], int)
 
     def mended(self, happened: Sequence[int], found: Posterior) -> CalibratedModel:
         """Return the robot that was found at the new station, with what changed and nothing else of the wide model."""
-        model = self.robot.model
-        added = [(effect, self.places[i]) for i in happened if (effect := self.changes[i].effect) is not None]
+        model, n = self.robot.model, len(self.robot.model.effects) + (self.known.masses is not None)
+        spans = self.station.model.spans[n : n + len(self.known.left)]
+        added = [(effect, _span(span)) for effect, span in zip(self.known.left, spans, strict=True)]
+        added += [(effect, self.places[i]) for i in happened if (effect := self.changes[i].effect) is not None]
         own = np.arange(self.station.model.n_parameters, len(found.values))
         places = np.concatenate([np.arange(model.n_parameters), *(at for _, at in added), own])
         whole = np.zeros((len(found.values),) * 2)
         whole[np.ix_(found.places, found.places)] = found.covariance
         station = self.station.with_model(model.with_effects([*model.effects, *(effect for effect, _ in added)]))
         estimate = estimate_of(station.parameters, found.values[places], whole[np.ix_(places, places)])
-        return replace(self.robot, model=station.model, estimate=estimate)
+        return replace(self.robot, model=station.model, estimate=estimate, left=None)
 
     def _posterior(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Posterior:
         free = self.free(happened)

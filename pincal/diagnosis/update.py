@@ -39,7 +39,7 @@ def update(
         ChangedRobotError: if the robot has changed since: old and new rows don't belong together.
         BadInputError: as :func:`diagnose`.
     """
-    model = calibrated.robot_model()
+    model = replace(calibrated.robot_model(), left=calibrated.left)
     placed = placed_anew(model, measurements)
     verdict = verdict_of(model, placed, alpha)
     if verdict.changed:

@@ -35,6 +35,30 @@ FORMAT_VERSION, STATIONS_VERSION = 1, 2
 MOST_STATIONS = 500
 
 
+class LeftEntry(Record, frozen=True, kw_only=True):
+    """Effects that a model left, which a diagnosis has to know of.
+
+    Attributes:
+        effects: the effects.
+        parameter_names: of their E parameters.
+        values: shape (E,).
+        covariance: shape (E, E).
+        names: the K parameters of the robot.
+        taken_up: shape (K, E), what the calibration made of a unit of each.
+    """
+
+    effects: Effects
+    parameter_names: Annotated[tuple[str, ...], Shape("left")]
+    values: Annotated[Numbers, Shape("left")]
+    covariance: Annotated[Matrix, Shape("left", "left")]
+    names: Annotated[tuple[str, ...], Shape("robot")]
+    taken_up: Annotated[Matrix, Shape("robot", "left")]
+
+    def parts(self) -> tuple[Any, ...]:
+        """Return its parts, in the order of :class:`pincal.calibration.left.Left`."""
+        return self.effects, self.parameter_names, self.values, self.covariance, self.names, self.taken_up
+
+
 class MeasuredEntry(Record, frozen=True, kw_only=True):
     """What a station was measured with and what its rows cover.
 
@@ -47,6 +71,7 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
         setup: named points and the camera.
         rows: fingerprints of the training rows; not in files of version 0.1.0.
         is_noise_declared: whether the noise was declared, not estimated.
+        left: effects that the rows showed and the model does not have; none where nobody looked.
     """
 
     sensor_kind: str
@@ -57,6 +82,7 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
     sensor_module: str | None = None
     rows: str = ""
     is_noise_declared: bool = False
+    left: LeftEntry | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -79,6 +105,7 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
             sensor_module=None if module.split(".")[0] == "pincal" else module,
             covered=CoveredEntry.of(found.covered),
             setup=SetupEntry.of_setup(found.setup),
+            left=None if found.left is None else LeftEntry.of(found.left),
             **others,
         )
 
