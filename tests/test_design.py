@@ -292,7 +292,10 @@ def test_an_arm_without_masses_can_be_designed_for():
     robot = Robot.from_urdf(planar_arm().replace('<mass value="10"/>', '<mass value="0"/>').encode())
 
     assert robot.massless == ("upper",)
-    assert len(design_poses(robot, 5, limits=Limits(floor=None), **SMALL).q) == 5
+    found = design_poses(robot, 5, limits=Limits(floor=None), **SMALL)
+    assert len(found.q) == 5 and any("no masses" in note for note in found.notes)
+    rigid = design_poses(robot, 5, Options(effects=GEOMETRIC), limits=Limits(floor=None), **SMALL)
+    assert not any("masses" in note for note in rigid.notes)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from pincal.design.study import CurvePoint, Quality, Study, total
 from pincal.errors import BadInputError, PincalWarning
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
+from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
 
@@ -240,7 +241,7 @@ def _design(request: DesignRequest, reach: Reach, options: Options, *, refine: b
         rank=study.rank(n),
         path_length=ordered,
         path_length_unordered=unordered,
-        notes=(*reach.robot.notes, *reach.bodies.notes, *_messages(caught)),
+        notes=(*reach.robot.notes, *reach.bodies.notes, *notes_on_masses(reach.robot, options.effects), *_messages(caught)),
         seconds=time.perf_counter() - begun,
     )
 

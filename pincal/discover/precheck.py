@@ -17,6 +17,7 @@ from pincal.identify.options import Options
 from pincal.identify.reasons import Reason, Status
 from pincal.measure.admit import admit, unobservable_notes
 from pincal.model.catalogue import candidates, untestable
+from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.effects import ELASTIC
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
@@ -123,6 +124,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     check_agreement(robot, tables.values(), fit)
     unseen = [list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()]
     notes = [*admitted.notes, *admitted.idle, *(n for n in unseen[0] if all(n in other for other in unseen))]
+    notes += notes_on_masses(robot, options.effects)
     posterior = fit.solution.posterior
     unit = f"sigma_{fit.problem.blocks[0].unit}"
     nominal = (pose_error_sizes(station, fit.nominal.values[places]) for station, places, _ in fit.stations)

@@ -87,3 +87,13 @@ def with_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
         return tuple(effects)
     joints = robot.unweighed
     return (*effects, LinkMass(None if len(joints) == robot.n_joints else joints))
+
+
+def notes_on_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Return what to say of masses before anything is measured: that they are guesses, where they matter."""
+    if not robot.massless or not any(effect.uses_moments for effect in effects):
+        return ()
+    return (
+        f"the robot's description has no masses that could be trusted of {len(robot.massless)} links: moments are those of "
+        f"its shape, {robot.masses.sum():.3g} kg in all; a calibration finds them with the compliances",
+    )
