@@ -13,6 +13,7 @@ pytestmark = [pytest.mark.long, pytest.mark.filterwarnings("ignore::pincal.error
 
 PUBLISHED = {
     "abb/abb_irb2400_support/urdf/irb2400.urdf": (),
+    "abb/abb_irb2400_support/urdf/irb2400_12_155.xacro": (),
     "abb/abb_irb5400_support/urdf/irb5400.urdf": (),
     "kuka/kuka_kr16_support/urdf/kr16_2.urdf": (),
     "kuka/kuka_kr10_support/urdf/kr10r1420.xacro": (),
@@ -27,10 +28,11 @@ GOOD, POSES_A_JOINT = 1.15, 50
 
 
 def calibrated(robot: object, options: tuple[str, ...], folder: Path, *, joints: int = 6) -> dict:
-    """Simulate poses of a robot, at least 300, calibrate with defaults, and return the result."""
+    """Simulate poses of a robot, at least 300, check and calibrate them with defaults, and return the result."""
     table, noise = folder / "table.csv", ("--noise", "0.05mm")
     poses = max(300, POSES_A_JOINT * joints)
     assert run("simulate", robot, "--poses", poses, "--no-floor", *noise, "--out", table, *options) == 0
+    assert run("check", robot, table, *noise, "--quiet", *options) == 0
     assert run("calibrate", robot, table, *noise, "--out", folder / "found", "--quiet", *options) == 0
     return json.loads((folder / "found" / "result.json").read_text(encoding="utf-8"))
 

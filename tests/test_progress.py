@@ -3,6 +3,7 @@
 import io
 import logging
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from rich.console import Console
 
 from pincal.calibration.parameters import ParameterRow
 from pincal.calibration.tables import parameter_table
-from pincal.cli import progress, show_progress
+from pincal.cli import main, progress, show_progress
 from pincal.cli.progress import console
 from pincal.identify.reasons import Cause, Reason, Status
 from pincal.tables import one_line
@@ -81,6 +82,39 @@ def test_a_terminal_has_one_line_that_goes_away(monkeypatch: pytest.MonkeyPatch)
     progress.end_progress()
     text = screen.getvalue()
     assert "pincal: found [bold]something" in text and text.endswith("\x1b[2K")
+
+
+def test_every_verb_tells_what_it_does(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """From reading to writing there is a line; it is gone before the result is printed."""
+    files = [str(tmp_path / name) for name in ("data.csv", "out", "poses.csv", "joints.csv")]
+    model = str(tmp_path / "out" / "model.json")
+    for words, steps in (
+        (["simulate", "ur10", "--poses", "60", "--elastic", "0", "--out", files[0]], ("planning poses", "measuring them")),
+        (["check", "ur10", files[0], "--model", "geometric"], ("reading robot", "looking at what these poses")),
+        (
+            ["calibrate", "ur10", files[0], "--model", "geometric", "--out", files[1]],
+            ("judging the fit", "drawing the report"),
+        ),
+        (["predict", model, files[0], "--out", files[2]], ("predicting 60 poses",)),
+        (["compensate", model, files[0], "--out", files[3]], ("finding the joints of 60 rows",)),
+    ):
+        screen = Terminal()
+        caplog.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stderr", screen)
+            with pytest.raises(SystemExit) as ended:
+                main(words)
+        assert ended.value.code == 0
+        told = [record.getMessage() for record in caplog.records]
+        assert all(any(step in line for line in told) for step in steps), told
+        _, erased, after = screen.getvalue().rpartition("\x1b[2K")
+        assert erased and (after == "" or after.startswith("pincal: note:"))
+    assert "written to" in capsys.readouterr().out
 
 
 def test_tables_fit_a_page_whatever_names_say(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import logging
 import time
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.robot.robot import Robot
 from pincal.validate.agreement import check_agreement
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, repr=False)
@@ -149,6 +152,7 @@ def run_calibration(
     chosen, first = fit.options.moment_frame, options.first_frame
     if chosen != first:
         notes.append(f"moments bend the arm as with --moment-frame {chosen}: it fits better than {first}")
+    log.info("judging the fit")
     left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
     result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes), left_out=tuple(left_out))
     return Calibration(robot, rows, fit, result, tuple(notes))

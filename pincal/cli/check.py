@@ -27,9 +27,11 @@ def check(arguments: CheckArguments) -> Exit:
     Units, ranges and coverage are checked, and the reason is given for what cannot be identified.
     """
     from pincal.cli.inputs import prepare
+    from pincal.cli.progress import tell_step
     from pincal.discover.precheck import precheck
 
     prepared = prepare(arguments.source, arguments.chosen)
+    tell_step("looking at what these poses can identify")
     found = precheck(prepared.robot, prepared.tables, prepared.options)
     if arguments.general.as_json:
         print_json(found.to_dict())

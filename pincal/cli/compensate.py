@@ -95,6 +95,7 @@ def compensate(arguments: CompensateArguments) -> Exit:
     Of all that bring the real robot there, the closest to those given are chosen.
     """
     from pincal.cli.places import find_place, tell_doubt
+    from pincal.cli.progress import end_progress
     from pincal.compensate.targets import read_targets, run_compensation
     from pincal.measure.table import write_table
 
@@ -117,6 +118,7 @@ def compensate(arguments: CompensateArguments) -> Exit:
     write_table(arguments.out, _columns(calibrated, done, arguments))
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
     result = _result(robot, done, beyond, max_change=arguments.max_change) | place.contents | {"out": str(arguments.out)}
+    end_progress()
     if arguments.general.as_json:
         print_json(result)
     else:

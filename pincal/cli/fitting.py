@@ -77,6 +77,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     """
     from pincal.calibration.run import Calibration
     from pincal.cli.inputs import load_stations, prepare
+    from pincal.cli.progress import tell_step
 
     split, source = arguments.split, arguments.source
     with output_folder(arguments.out) as draft:
@@ -86,6 +87,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
         choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
         found = run(prepared.robot, prepared.tables, prepared.options, **choice)
         calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)
+        tell_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
         notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))

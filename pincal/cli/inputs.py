@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
+from pincal.cli.progress import tell_step
 from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
@@ -65,6 +66,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     Raises:
         BadInputError: for a file or an option that is invalid.
     """
+    tell_step("reading robot and tables")
     robot = load_robot(source)
     tables = load_stations(robot, source.data, options=source.table.options)
     setup = chosen.setup

@@ -41,6 +41,7 @@ def predict(arguments: PredictArguments) -> Exit:
     """
     from pincal.cli.inputs import load_table
     from pincal.cli.places import find_place, tell_doubt
+    from pincal.cli.progress import end_progress, tell_step
     from pincal.measure.table import write_table
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
@@ -52,6 +53,7 @@ def predict(arguments: PredictArguments) -> Exit:
     place = place.over(table)
     calibrated = place.model
     conditions = calibrated.conditions(table)
+    tell_step(f"predicting {len(table)} poses and their uncertainty")
     found = calibrated.predict(conditions)
     columns: dict[str, np.ndarray] = dict(zip(table.joint_names, table.q.T, strict=True))
     if len(chain.targets) > 1:
@@ -60,6 +62,7 @@ def predict(arguments: PredictArguments) -> Exit:
     columns |= zip(("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True)
     write_table(arguments.out, columns)
     beyond, notes = extrapolation(calibrated, conditions, table.rows)
+    end_progress()
     if arguments.general.as_json:
         print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:

@@ -17,13 +17,14 @@ from rich.text import Text
 
 # Loggers of steps too small to stay on the screen.
 _FITS = "pincal.identify"
-_TRANSIENT = (_FITS, "pincal.report.html")
+_TRANSIENT = (_FITS, "pincal.report.html", "pincal.calibration", "pincal.compensate", "pincal.cli")
 # Commands that consist of fits; for others a fit is one step of many.
 _OF_FITS = ("calibrate",)
 _LONG = 1.0  # [s]
 # Columns of results that are not printed on a terminal.
 _WIDTH = 100
 
+log = logging.getLogger(__name__)
 _handler: logging.Handler | None = None
 
 
@@ -42,6 +43,11 @@ def show_progress(quiet: bool) -> None:
     logger = logging.getLogger("pincal")
     logger.handlers = [_handler]
     logger.setLevel(logging.INFO)
+
+
+def tell_step(step: str) -> None:
+    """Show what a command does now, on the line that is overwritten; elsewhere nothing."""
+    log.info(step)
 
 
 def end_progress() -> None:

@@ -52,6 +52,7 @@ def _catalogue() -> str:
 @verb(SimulateArguments, examples=_EXAMPLES, ending=_catalogue)
 def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
+    from pincal.cli.progress import end_progress, tell_step
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
     from pincal.simulate.request import Stream
@@ -60,7 +61,9 @@ def simulate(arguments: SimulateArguments) -> Exit:
     given = arguments.machine
     robot = Robot.from_urdf(arguments.robot, tip=given.tip, base=given.base, xacro_args=dict(given.xacro_args))
     machine = _machine(robot, arguments)
+    tell_step("planning poses")
     campaign = _campaign(robot, machine, arguments)
+    tell_step("measuring them")
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
@@ -73,6 +76,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
         "--camera-out": (beside.camera_out, lambda path: _write_json(path, contents=found["camera"])),
     })  # fmt: skip
     rows = len(table[machine.names[0]])
+    end_progress()
     if arguments.general.as_json:
         print_json({"rows": rows, "columns": list(table), "out": str(arguments.out)} | found)
     else:

@@ -6,6 +6,7 @@ reach the poses that were meant.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -19,6 +20,8 @@ from pincal.errors import BadInputError
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose
+
+log = logging.getLogger(__name__)
 
 Orientation = Literal["keep", "free"]
 # Rows worked on at once: some 100 MB, and enough for the few rows that need more steps to share their cost.
@@ -136,6 +139,7 @@ def compensate_poses(
     q, status = np.empty_like(seeds), np.empty(len(conditions), dtype="<U12")
     for start in range(0, len(problem), _PIECE):
         rows = slice(start, start + _PIECE)
+        log.info("finding the joints of %d rows", len(problem), extra={"done": start, "of": len(problem)})
         q[rows], status[rows] = solve_ik(problem.select(rows), seeds[rows], limits=bounds)
     error, turn = problem.distances(problem.residuals(q))
     seed_error, _ = problem.distances(problem.residuals(seeds))
