@@ -14,13 +14,17 @@ from pincal.identify.moments import found_moments
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.validate.accuracy import pose_errors
+from pincal.validate.agreement import implausible
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.misfit import MISFIT
+from pincal.validate.rows_apart import in_common, step_in
 
 # A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
 _FAR = 10.0
 # Lines that a note lists.
 _LISTED = 8
+# Part of the rows from which on outliers are no exceptions; of real tables some percent are left out.
+_MANY = 0.25
 
 
 class Kind(Enum):
@@ -40,6 +44,18 @@ class Kind(Enum):
         "the robot's description has no masses that could be trusted of {links} links: they were found with the "
         "compliances, {mass:.3g} kg in all, known to {percent:.0f} %; no prediction depends on the factor that they share"
     )
+    IMPLAUSIBLE = (
+        "{how}: no calibrated arm leaves so much, so this is not the model of this robot; check table, URDF and tip. "
+        "If the instrument is so noisy, declare it (--noise)"
+    )
+    MANY_OUTLIERS = (
+        "{count} of {rows} rows do not fit the others, which is no calibration: {common}; find out what "
+        "they are before using the model. Lines {lines}"
+    )
+    STEP = (
+        "from line {line} on readings are shifted by {size:.3g} mm: was the instrument or the target touched? "
+        "If so, make the rows before and after two stations (column station)"
+    )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
     NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
@@ -52,6 +68,10 @@ class Kind(Enum):
         "replicates scatter as much as the residuals do ({test}): the declared noise is too small or the robot repeats "
         "poorly; the model is not at fault"
     )
+
+
+DOUBTS = (Kind.IMPLAUSIBLE, Kind.MANY_OUTLIERS)
+"""What makes a calibration none, though it converged."""
 
 
 @dataclass(frozen=True)
@@ -106,9 +126,32 @@ def notes_on_fit(fit: Fit, p_value: float | None) -> list[Note]:
     return found
 
 
-def notes_on_outliers(outliers: Sequence[int], *, station: str) -> list[Note]:
-    """Return which rows of a station were rejected, by their lines."""
-    return [Note(Kind.OUTLIERS, {"count": len(outliers), "lines": _listed(outliers)}, station)] if outliers else []
+def notes_on_plausibility(fit: Fit) -> list[Note]:
+    """Return at which stations the fit leaves what no real arm does."""
+    return [Note(Kind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit)]
+
+
+def notes_on_outliers(
+    station: Station, values: np.ndarray, free: np.ndarray, *, table: Measurements, rejected: np.ndarray
+) -> list[Note]:
+    """Return which rows of a station were rejected, by their lines, and where the instrument was moved between rows.
+
+    Args:
+        station: the calibrated model over the fitted rows.
+        values: shape (P,), of its parameters.
+        free: shape (P,), which of them were fitted.
+        table: the fitted rows.
+        rejected: shape (N,), which of them were rejected.
+    """
+    lines = table.rows[rejected].tolist()
+    figures = {"count": len(lines), "rows": len(table), "lines": _listed(lines)}
+    found = [Note(Kind.OUTLIERS, figures, station.name)] if lines else []
+    if rejected.mean() >= _MANY:
+        common = in_common(station, values, table, rejected) or "they have nothing in common that could be found"
+        found = [Note(Kind.MANY_OUTLIERS, figures | {"common": common}, station.name)]
+    if step := step_in(station, values, free, table.rows):
+        found.append(Note(Kind.STEP, {"line": step.line, "size": 1e3 * step.size}, station.name))
+    return found
 
 
 def notes_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Note]:

@@ -12,7 +12,16 @@ from scipy.special import chdtrc
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.moves import Move, moves_of, spent_at
-from pincal.calibration.notes import Kind, Note, notes_on_fit, notes_on_held_out, notes_on_outliers, notes_on_replicates
+from pincal.calibration.notes import (
+    DOUBTS,
+    Kind,
+    Note,
+    notes_on_fit,
+    notes_on_held_out,
+    notes_on_outliers,
+    notes_on_plausibility,
+    notes_on_replicates,
+)
 from pincal.calibration.parameters import ParameterRow, parameter_rows
 from pincal.calibration.placing import moved
 from pincal.calibration.rows import LeftOut, StationRows
@@ -34,6 +43,8 @@ class Result(Outcome):
     """All that ``result.json`` says, as one object."""
 
     parameters: tuple[ParameterRow, ...]
+    doubt: str = ""
+    """Why this is no calibration though the fit converged; empty if it is one."""
 
     @property
     def left_out_mm(self) -> tuple[float, float] | None:
@@ -49,7 +60,7 @@ class Result(Outcome):
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
         absent = {name for name in ("iso9283", "lack_of_fit", "stations") if getattr(self, name) in (None, UNSET)}
-        contents = {name: value for name, value in asdict(self).items() if name not in absent}
+        contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt"}}
         return contents | {"parameters": [row.to_dict() for row in self.parameters]}
 
 
@@ -79,7 +90,7 @@ def result_of(
     on_replicates = (
         n for part, (_, lack) in zip(seen, again, strict=True) for n in _notes_on_replicates(part, lack, p_value)
     )
-    found = [*notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *on_replicates]
+    found = [*notes_on_plausibility(fit), *notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *on_replicates]
     error, held = _errors(seen), sum(len(part.rows.test) for part in seen)
     alone = [one for one in left_out if one.sizes]
     if alone:
@@ -103,6 +114,7 @@ def result_of(
         stages=fit.stages,
         error=error,
         warnings=(*notes, *map(str, found)),
+        doubt=next((str(note) for note in found if note.kind in DOUBTS), ""),
         iso9283=iso,
         lack_of_fit=lack,
         stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
@@ -120,6 +132,7 @@ class _Seen:
         values: its parameters with base and tool fitted alone ("nominal"), and "calibrated".
         blocks: where its blocks of readings stand among all.
         weights: robust weights of the fitted rows.
+        free: shape (P,), which of the station's parameters were fitted.
     """
 
     rows: StationRows
@@ -128,13 +141,15 @@ class _Seen:
     values: dict[str, np.ndarray]
     blocks: slice
     weights: np.ndarray
+    free: np.ndarray
 
     @classmethod
     def of(cls, fit: Fit, k: int, rows: StationRows) -> _Seen:
         problem = fit.problem
         values = {"nominal": fit.nominal.values[problem.places[k]], "calibrated": fit.values[problem.places[k]]}
         weights = fit.solution.weights[problem.rows[k]]
-        return cls(rows, problem.stations[k], rows.held(fit), values, problem.block_spans[k], weights)
+        free = fit.solution.free[problem.places[k]]
+        return cls(rows, problem.stations[k], rows.held(fit), values, problem.block_spans[k], weights, free)
 
     @property
     def parts(self) -> dict[str, Station]:
@@ -149,7 +164,8 @@ class _Seen:
     @property
     def notes(self) -> list[Note]:
         """What to say of them."""
-        return notes_on_outliers(self.outliers, station=self.rows.name)
+        values, rejected = self.values["calibrated"], self.weights == 0.0
+        return notes_on_outliers(self.train, values, self.free, table=self.rows.train, rejected=rejected)
 
 
 def _errors(seen: Sequence[_Seen]) -> Errors:

@@ -143,7 +143,7 @@ def run_calibration(
         StationRows(station.name, train, test)
         for station, (train, test) in zip(fit.problem.stations, parts.values(), strict=True)
     )
-    check_agreement(robot, [part.train for part in rows], fit)
+    check_agreement(robot, admitted.tables.values(), fit)
     notes = [*robot.notes, *dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
     # What one station's sensor can't see another's may.
     unseen = [list(unobservable_notes(train, setup_of(name))) for name, (train, _) in parts.items()]

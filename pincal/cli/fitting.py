@@ -112,6 +112,8 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
         click.echo(f"written to {arguments.out}: {written}")
     if not result.converged:
         raise IdentificationError("the fit did not converge; the files hold its last state")
+    if result.doubt:
+        raise IdentificationError(f"not to be used: {result.doubt}")
     part = "test" if "test" in result.error["calibrated"] else "train"
     rows = {"test": "held-out", "train": "fitted"}[part]
     require_accuracy(result.error["calibrated"][part]["mean_mm"], arguments.max_error, rows=rows)

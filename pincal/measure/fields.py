@@ -35,6 +35,7 @@ class Field:
             "temperature", "number" or "name".
         rule: which values are valid; names always are.
         is_unit: whether the components are those of a unit vector, to be normalised.
+        mistakes: how its columns get mixed up: in words, and what the right values are then.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Field:
     quantity: str
     rule: Rule = FINITE
     is_unit: bool = False
+    mistakes: tuple[tuple[str, Callable[[np.ndarray], np.ndarray]], ...] = ()
 
     @property
     def is_name(self) -> bool:

@@ -43,6 +43,8 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
     """Return whether the model explains the data down to their noise, after a search for what is missing or without."""
     if not result.converged:
         return Verdict(Judgement.NOT_CONVERGED, "The fit did not converge; do not use its numbers.")
+    if result.doubt:
+        return Verdict(Judgement.NOT_ADEQUATE, f"Do not use it: {result.doubt}.")
     if discovery is not None:
         return verdict_of_search(discovery.findings)
     if result.chi2_p_value is not None:
@@ -85,6 +87,8 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
     judgement = verdict_of(result, discovery).judgement
     if judgement is Judgement.NOT_CONVERGED:
         steps.append("Check units, joint order, and rows that do not belong to this robot; pincal check helps.")
+    if result.doubt:
+        return [f"Find out what is wrong before anything else: {result.doubt}."]
     if discovery is not None:
         steps += _after_discovery(discovery)
     elif judgement in (Judgement.NOT_ADEQUATE, Judgement.NOT_JUDGED):

@@ -1,15 +1,16 @@
-"""Detect swapped or sign-flipped joint columns, and tables of another robot, from the fit of base and tool alone."""
+"""Whether what a fit leaves can be of this robot: compared with what real arms leave; what is wrong is found by trying."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
-from itertools import combinations
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from pincal.errors import MeasurementError
+from pincal.errors import BadInputError, IdentificationError, MeasurementError
 from pincal.identify.beliefs import bounds_of, frames_of, released_of
+from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
 from pincal.identify.initial import place
 from pincal.identify.noise import Noise
@@ -19,55 +20,86 @@ from pincal.identify.solve import Priors, most_probable
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
+from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
+from pincal.validate.cures import Cure, cures, scaled
 
 # Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
 _SUSPICIOUS = 0.01
 # Nominal error, relative to the reach, beyond which no geometric error explains the table.
 _HOPELESS = 0.2
-# Factor by which undoing a mix-up has to reduce the error before it is named.
+# What no real arm leaves when it is calibrated: relative to the reach, and at least [m]; and in orientation [rad]. Real arms
+# leave a tenth of that, an elastic one with the rigid model less than half.
+_IMPLAUSIBLE, _IMPLAUSIBLE_M, _IMPLAUSIBLE_RAD = 0.002, 0.0015, 0.02
+# Unless the instrument is declared to be as bad: so many times its noise.
+_NOISY = 5.0
+# Factor by which undoing a mistake has to reduce the error before it is named.
 _CURED = 4.0
 # A correction by the calibration that is smaller than so many times what is left of it anyway tells no robots apart.
 _TELLING = 2.0
-# Rows that are looked at; every trial of a mix-up is a fit.
-_ROWS = 300
+# Rows that are looked at; every trial is a fit. How many of the best are fitted in full.
+_ROWS, _FITTED = 200, 3
+# Of the rows these are looked at: neighbours matter, and all of a long table would add nothing.
+_MOST_ROWS = 20_000
+# Scales of lengths, as logarithms: factors beyond show at the door, smaller ones are no mistake but an instrument's error.
+_SCALED, _SCALE_STEP = 0.5, 2e-4
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What a robot may leave: position [m], orientation [rad]."""
+
+    position: float
+    orientation: float
+
+    def exceeded(self, left: tuple[float, float]) -> float:
+        """Return how many times the limits something that is left is."""
+        return max(left[0] / self.position, left[1] / self.orientation)
 
 
 def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: Fit) -> None:
-    """Refuse a table whose joint columns are mixed up, or that is not of this robot.
+    """Refuse a table that is not of this robot, or whose columns are mixed up, if what is wrong can be told.
 
     Args:
         robot: the arm.
-        tables: the training rows of each station.
+        tables: the rows of each station, in the order in which they were measured.
         fit: their calibration.
 
     Raises:
-        MeasurementError: naming the columns that seem swapped or turned round.
+        MeasurementError: naming what, undone, makes the table fit.
     """
-    for station, places, table in zip(fit.problem.stations, fit.problem.places, tables, strict=True):
-        error = _typical(station, fit.nominal.values[places])
-        if error >= _SUSPICIOUS * robot.reach:
-            _refuse(robot, table, station, error, options=fit.options.at(station.name))
+    for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
+        error, left = (_left(station, values[places]) for values in (fit.nominal.values, fit.values))
+        limits = _limits(fit, k)
+        if error[0] < _SUSPICIOUS * robot.reach and limits.exceeded(left) < 1.0:
+            continue
+        options = fit.options.at(station.name)
+        got = f"base and tool alone leave {error[0] * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
+        for cure, after in _cured(robot, table, error=limits.exceeded(error), limits=limits, options=options):
+            now = _calibrated(cure, options)
+            if now is not None and limits.exceeded(now) < min(1.0, limits.exceeded(left) / _CURED):
+                raise MeasurementError(
+                    f"{table.source}: {cure.words}: {got}, with this undone {after[0] * 1e3:.1f} mm; {cure.advice}"
+                )
+        if error[0] > _HOPELESS * robot.reach:
+            raise MeasurementError(
+                f"{table.source}: {got}; expected some mm. "
+                f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
+            )
 
 
-def _refuse(robot: Robot, measurements: Measurements, station: Station, error: float, *, options: Options) -> None:
-    """Refuse a table that base and tool alone leave with a suspicious error [m], if it can't be this robot's."""
-    best, words = _best_exchange(robot, measurements, station, options)
-    got = f"base and tool alone leave {error * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
-    if best * _CURED < error:
-        raise MeasurementError(
-            f"{measurements.source}: {words}: {got}, with this undone {best * 1e3:.1f} mm; "
-            "correct the header of the table and run again"
-        )
-    if error > _HOPELESS * robot.reach:
-        raise MeasurementError(
-            f"{measurements.source}: {got}; expected some mm. "
-            f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
-        )
+def implausible(fit: Fit) -> Iterator[tuple[str, str]]:
+    """Yield the stations at which a calibration leaves what no real arm does, and how much, in words."""
+    for k, (station, places) in enumerate(zip(fit.problem.stations, fit.problem.places, strict=True)):
+        left, limits = _left(station, fit.values[places]), _limits(fit, k)
+        if limits.exceeded(left) >= 1.0:
+            found = f"{left[0] * 1e3:.2g} mm" + (f" and {left[1] * 1e3:.2g} mrad" if left[1] else "")
+            expected = f"{limits.position * 1e3:.2g} mm" + (f" and {limits.orientation * 1e3:.2g} mrad" if left[1] else "")
+            yield station.name, f"typical rows are still off by {found}, more than {expected}"
 
 
 def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, options: Options) -> str:
-    """Return which joint columns of a table seem swapped or turned round, in words; empty if none do.
+    """Return what seems wrong with a table, in words; empty if nothing is known that would make it fit.
 
     Args:
         measurements: the table.
@@ -75,35 +107,77 @@ def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, 
         values: shape (P,), of the station's parameters.
         options: how the nominal robot is placed.
     """
-    robot, error = station.model.chain.robot, _typical(station, values)
-    if error < _SUSPICIOUS * robot.reach:
+    robot, left = station.model.chain.robot, _left(station, values)
+    if left[0] < _SUSPICIOUS * robot.reach:
         return ""
-    best, words = _best_exchange(robot, measurements, station, options)
-    return words if best * _CURED < error else ""
+    limits = _Limits(max(_IMPLAUSIBLE * robot.reach, _IMPLAUSIBLE_M), _IMPLAUSIBLE_RAD)
+    found = _cured(robot, measurements, error=limits.exceeded(left), limits=limits, options=options)
+    return found[0][0].words if found else ""
 
 
-def _best_exchange(robot: Robot, measurements: Measurements, station: Station, options: Options) -> tuple[float, str]:
-    """Return what base and tool alone leave [m] with the two columns swapped, or the one turned round, that do best."""
-    rows = some_rows(len(measurements), _ROWS, station.sensor.groups)
-    sample = measurements.select(rows)
-    n = robot.n_joints
-    names = robot.joint_names
-    trials = []
-    for i, j in combinations(range(n), 2):
-        q = sample.q.copy()
-        q[:, [i, j]] = q[:, [j, i]]
-        trials.append((f"the columns {names[i]!r} and {names[j]!r} look swapped", q))
-    for i in range(n):
-        q = sample.q.copy()
-        q[:, i] *= -1.0
-        trials.append((f"the column {names[i]!r} looks turned round in sign", q))
-    found = [(_nominal_error(robot, replace(sample, q=q), options), words) for words, q in trials]
-    return min(found, default=(np.inf, ""))
+def _limits(fit: Fit, k: int) -> _Limits:
+    """Return what the k-th station may leave."""
+    station, places = fit.problem.stations[k], fit.problem.places[k]
+    reach, declared = fit.problem.chain.robot.reach, fit.noise.declared[fit.problem.block_spans[k]]
+    length, angle = max(_IMPLAUSIBLE * reach, _IMPLAUSIBLE_M), _IMPLAUSIBLE_RAD
+    for block, sigma in zip(station.sensor.blocks, declared, strict=True):
+        if sigma is None:
+            continue
+        if block.unit == "rad":
+            angle = max(angle, _NOISY * float(np.median(sigma)))
+        else:
+            length = max(length, _NOISY * float(np.median(sigma)) * station.metres_per_reading(fit.values[places]))
+    return _Limits(length, angle)
 
 
-def _typical(station: Station, values: np.ndarray) -> float:
-    """Return the robust size of the errors of position [m]: outliers have no say."""
-    return float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
+def _cured(
+    robot: Robot, table: Measurements, *, error: float, limits: _Limits, options: Options
+) -> list[tuple[Cure, tuple[float, float]]]:
+    """Return the cures that make most of an error go away, the best first, and what base and tool alone leave with them."""
+    table = table.select(slice(0, _MOST_ROWS))
+    names = table.point_names
+    rows = some_rows(len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1])
+
+    def tried(cure: Cure) -> tuple[Cure, tuple[float, float]]:
+        few = replace(cure, table=cure.table.select(rows[rows < len(cure.table)]))
+        try:
+            return few, _left(*_nominal_placement(few.robot, few.table, options))
+        except (BadInputError, IdentificationError, np.linalg.LinAlgError):
+            return few, (np.inf, np.inf)
+
+    found = [tried(cure) for cure in cures(robot, table)]
+    if scaled(robot, table, 1.0) is not None:
+
+        def left_by(scale: float) -> float:
+            cure = scaled(robot, table, float(np.exp(scale)))
+            assert cure is not None
+            return limits.exceeded(tried(cure)[1])
+
+        best = minimize_scalar(left_by, bounds=(-_SCALED, _SCALED), method="bounded", options={"xatol": _SCALE_STEP})
+        found += [tried(cure) for cure in [scaled(robot, table, float(np.exp(best.x)))] if cure is not None]
+    # Of cures that do the same, such as one mirror or another, the first.
+    found.sort(key=lambda one: float(f"{limits.exceeded(one[1]):.2g}"))
+    return [one for one in found if limits.exceeded(one[1]) * _CURED < error][:_FITTED]
+
+
+def _calibrated(cure: Cure, options: Options) -> tuple[float, float] | None:
+    """Return what a calibration of the geometry leaves with a mistake undone; None if there is none."""
+    try:
+        fit = calibrate(cure.robot, cure.table, replace(options, effects=GEOMETRIC, earlier=None, moment_frame="paper"))
+    except (BadInputError, IdentificationError, np.linalg.LinAlgError):
+        return None
+    return _left(fit.station, fit.values)
+
+
+def _left(station: Station, values: np.ndarray) -> tuple[float, float]:
+    """Return the robust size of the errors of position [m] and orientation [rad]: outliers have no say."""
+    position = float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
+    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
+    turned = [slice(a, a + b.size) for a, b in zip(ends, station.sensor.blocks, strict=False) if b.unit == "rad"]
+    if not turned:
+        return position, 0.0
+    residuals = station.residuals(values)
+    return position, max(float(np.median(np.linalg.norm(residuals[part], axis=0))) for part in turned)
 
 
 def is_anothers(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:
@@ -125,10 +199,6 @@ def nominal_displacements(robot: Robot, measurements: Measurements, options: Opt
     """Return which way and how far rows are off the nominal robot, instrument and targets placed, shape (N, 3) [m]."""
     station, values = _nominal_placement(robot, measurements, options)
     return station.displacements(values)
-
-
-def _nominal_error(robot: Robot, measurements: Measurements, options: Options) -> float:
-    return _typical(*_nominal_placement(robot, measurements, options))
 
 
 def _nominal_placement(robot: Robot, measurements: Measurements, options: Options) -> tuple[Station, np.ndarray]:

@@ -28,6 +28,14 @@ QUATERNION = Field(
     "number",
     Rule(f"norm 1 within {_TOLERANCE:.0%}", lambda value: np.abs(np.linalg.norm(value, axis=1) - 1) <= _TOLERANCE),
     is_unit=True,
+    mistakes=(
+        ("the quaternion looks written with w first", lambda value: value[:, [1, 2, 3, 0]]),
+        ("the quaternion looks that of the inverse rotation", lambda value: value * [-1.0, -1.0, -1.0, 1.0]),
+        (
+            "the quaternion looks written with w first, and that of the inverse rotation",
+            lambda value: value[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0],
+        ),
+    ),
 )
 
 

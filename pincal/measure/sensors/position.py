@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self, final
 
 import numpy as np
@@ -22,7 +23,27 @@ from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, nearest_rotation, transform
 
-POSITION = Field("position", ("x", "y", "z"), "length")
+# Pairs of axes.
+_PAIRS = ((0, 1), (1, 2), (0, 2))
+
+
+def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
+    """Return positions with two axes swapped, or one turned round."""
+    found = positions.copy()
+    found[:, axes] = positions[:, axes[::-1]] if len(axes) == 2 else -positions[:, axes]
+    return found
+
+
+# Positions alone can't tell which of these mirrors happened; with orientations they can.
+_OR = "or the frame is left-handed"
+_SWAPS = ((f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} look swapped, {_OR}", (i, j)) for i, j in _PAIRS)
+_TURNS = ((f"the column {axis!r} looks turned round in sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
+POSITION = Field(
+    "position",
+    ("x", "y", "z"),
+    "length",
+    mistakes=tuple((words, partial(_mirrored, axes=axes)) for words, axes in (*_SWAPS, *_TURNS)),
+)
 
 # Joints whose median range [rad, m] exceeds this move the target visibly.
 _MOVED = 0.5

@@ -1,0 +1,218 @@
+"""A table that is not what it seems is refused with what is wrong with it, found by trying; sound tables are not."""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import kuka as true_kuka
+from placed_arms import FIRST, NOISE, TOOL, measured, run, written
+
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.fit import Fit, calibrate
+from pincal.calibration.run import run_calibration
+from pincal.errors import MeasurementError
+from pincal.identify.options import Options
+from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.table import read_measurements
+from pincal.model.effects import GEOMETRIC
+from pincal.robot.robot import Robot, find_file
+from pincal.validate.agreement import implausible
+from pincal.validate.rows_apart import in_common, step_in
+
+SHARED = next((folder / "shared" for folder in Path(__file__).resolve().parents if (folder / "shared/data").is_dir()), None)
+Change = Callable[[Measurements], Measurements]
+
+
+def moved(q: np.ndarray, column: int, rows: int) -> np.ndarray:
+    """Return joint positions of which one column is that of some rows before."""
+    found = q.copy()
+    found[:, column] = np.roll(found[:, column], rows)
+    return found
+
+
+def placed(table: Measurements, change: Callable[[np.ndarray], np.ndarray]) -> Measurements:
+    """Return a table with other positions."""
+    return table.with_readings(position=change(table.readings["position"]))
+
+
+def turned(table: Measurements, change: Callable[[np.ndarray], np.ndarray]) -> Measurements:
+    """Return a table with other orientations."""
+    return table.with_readings(quaternion=change(table.readings["quaternion"]))
+
+
+WRONG: dict[str, tuple[Change, str]] = {
+    "a column late": (lambda t: replace(t, q=moved(t.q, 1, 1)), "'joint_2' looks 1 row late"),
+    "a column early": (lambda t: replace(t, q=moved(t.q, 3, -1)), "'joint_4' looks 1 row early"),
+    "all joints late": (lambda t: replace(t, q=np.roll(t.q, 1, axis=0)), "all joint columns look 1 row late"),
+    "lengths short": (lambda t: placed(t, lambda p: 0.9 * p), "the measured lengths look 0.9"),
+    "axes swapped": (
+        lambda t: placed(t, lambda p: p[:, [1, 0, 2]]),
+        "'x' and 'y' look swapped, or the frame is left-handed",
+    ),
+    "a joint's sign": (lambda t: replace(t, q=t.q * [1, 1, 1, -1, 1, 1]), "'joint_4' looks turned round in sign"),
+    "joints swapped": (lambda t: replace(t, q=t.q[:, [0, 2, 1, 3, 4, 5]]), "'joint_2' and 'joint_3' look swapped"),
+}
+TURNED: dict[str, tuple[Change, str]] = {
+    "axis turned": (lambda t: placed(t, lambda p: p * [1, -1, 1]), "'y' looks turned round in sign"),
+    "w first": (lambda t: turned(t, lambda v: v[:, [3, 0, 1, 2]]), "written with w first: "),
+    "inverse": (lambda t: turned(t, lambda v: v * [-1, -1, -1, 1]), "looks that of the inverse rotation"),
+}
+
+
+@pytest.fixture(scope="module")
+def machine() -> sim.TrueMachine:
+    """Return a machine with errors of a millimetre and a milliradian."""
+    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
+
+
+@pytest.fixture(scope="module")
+def table(machine: sim.TrueMachine, kuka: Robot) -> Measurements:
+    """Return what a tracker reads of it."""
+    return measured(machine, kuka, poses=160)
+
+
+@pytest.fixture(scope="module")
+def poses(machine: sim.TrueMachine, kuka: Robot) -> Measurements:
+    """Return what a tracker with orientations reads of it."""
+    rng = np.random.default_rng(2)
+    instrument = sim.Instrument(reads="pose", pose=FIRST, targets=TOOL, sigma=NOISE, sigma_angle=1e-4)
+    q = kuka.random_configurations(120, rng)
+    read = instrument.measure(machine, q, rng=rng)
+    position, quaternion = (np.column_stack([read[c] for c in names.split()]) for names in ("x y z", "qx qy qz qw"))
+    return measurements_from_arrays(kuka.joint_names, q, position=position, quaternion=quaternion)
+
+
+def fitted(robot: Robot, table: Measurements) -> Fit:
+    """Return a calibration of the geometry."""
+    return calibrate(robot, table, Options(effects=GEOMETRIC))
+
+
+@pytest.mark.parametrize("what", ["axes swapped"])
+def test_what_is_wrong_with_a_table_is_named(kuka: Robot, table: Measurements, what: str) -> None:
+    """The one thing that, undone, makes the table fit."""
+    change, words = WRONG[what]
+    with pytest.raises(MeasurementError, match=words):
+        run_calibration(kuka, change(table), Options(effects=GEOMETRIC))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", [name for name in WRONG if name != "axes swapped"])
+def test_all_that_may_be_wrong_is_named(kuka: Robot, table: Measurements, what: str) -> None:
+    """Each of the mistakes that people make."""
+    change, words = WRONG[what]
+    with pytest.raises(MeasurementError, match=words):
+        run_calibration(kuka, change(table), Options(effects=GEOMETRIC))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", TURNED)
+def test_wrong_orientations_are_named(kuka: Robot, poses: Measurements, what: str) -> None:
+    """With orientations it is told which axis is wrong; the positions alone would fit."""
+    change, words = TURNED[what]
+    assert not list(implausible(fitted(kuka, poses)))
+    with pytest.raises(MeasurementError, match=words):
+        run_calibration(kuka, change(poses), Options(effects=GEOMETRIC))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("mine", "true"), [("ur5", "ur10"), ("ur10", "ur5")])
+def test_the_table_of_another_robot_is_told(mine: str, true: str) -> None:
+    """A UR10 is told from a UR5 whose joints have the same names."""
+    robot = Robot.from_urdf(mine, tip="tool0")
+    machine = sim.TrueMachine.from_urdf(find_file(true), tip="tool0")
+    with pytest.raises(MeasurementError, match=f"looks like that of a {true}: .*give the URDF of that robot"):
+        run_calibration(robot, measured(machine, robot, poses=120), Options(effects=GEOMETRIC))
+
+
+@pytest.mark.long
+def test_what_nothing_cures_is_not_to_be_used(
+    tmp_path: Path, table: Measurements, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Readings that scatter by a centimetre: exit 4, the reason in words; declared as noise they are what they are."""
+    rough = placed(table, lambda p: p + np.random.default_rng(0).normal(size=p.shape) * 0.01)
+    file = written(tmp_path / "rough.csv", rough)
+    command = ("calibrate", kuka_urdf_path(), file, "--model", "geometric", "--quiet", "--out", tmp_path / "out")
+    assert run(*command) == 4
+    told = capsys.readouterr().err
+    assert "not to be used" in told and "no calibrated arm leaves so much" in told and "--noise" in told
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Use it" not in page and "no calibrated arm leaves so much" in page
+    assert run(*command, "--noise", "10mm") == 0
+
+
+@pytest.mark.parametrize("size", [3e-4, 2e-3])
+def test_a_touched_instrument_is_noticed(kuka: Robot, table: Measurements, size: float) -> None:
+    """From the hundredth row on all readings are shifted: the row and the size are told."""
+    shift = np.where(np.arange(len(table))[:, None] < 100, 0.0, np.array([0.6, -0.8, 0.0]) * size)
+    fit = fitted(kuka, placed(table, lambda p: p + shift))
+    found = step_in(fit.station, fit.values, fit.solution.free, table.rows)
+
+    assert found is not None
+    assert abs(found.line - table.rows[100]) <= (3 if size < 1e-3 else 0)
+    assert found.size == pytest.approx(size, rel=0.25)
+
+
+def test_an_untouched_instrument_is_not_suspected(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """In eight tables, in random order and along the joints, no step is seen."""
+    for seed in range(8):
+        table = measured(machine, kuka, poses=100, seed=seed)
+        if seed % 2:
+            table = table.select(np.lexsort(np.round(table.q[:, :2], 0).T))
+            table = replace(table, rows=np.sort(table.rows))
+        fit = fitted(kuka, table)
+        assert step_in(fit.station, fit.values, fit.solution.free, table.rows) is None
+
+
+def test_what_outliers_have_in_common_is_told(kuka: Robot, table: Measurements) -> None:
+    """A part of the rows, a region, a joint that was read wrong; nothing where they are any."""
+    fit, rng, n = fitted(kuka, table), np.random.default_rng(0), len(table)
+    first, some = np.arange(n) < 50, rng.permutation(n) < 50
+    region = table.q[:, 1] > np.quantile(table.q[:, 1], 0.7)
+    q = table.q.copy()
+    q[some, 2] += 5e-3
+    station = replace(fit.station, conditions=replace(fit.station.conditions, q=q))
+
+    assert in_common(fit.station, fit.values, table, first) == f"nearly all of them have line at most {table.rows[49]}"
+    assert "joint_2 at least" in in_common(fit.station, fit.values, table, region)
+    assert in_common(station, fit.values, table, some) == "joint_3 looks read 5 mrad wrong in them"
+    assert in_common(fit.station, fit.values, table, some) == ""
+
+
+def test_a_third_of_the_rows_is_no_exception(kuka: Robot, table: Measurements) -> None:
+    """Rows that were left out say where they are, and the result that it is no calibration."""
+    wrong = np.arange(len(table)) % 3 == 0
+    off = np.random.default_rng(1).normal(size=(len(table), 3)) * 0.02 * wrong[:, None]
+    result = run_calibration(kuka, placed(table, lambda p: p + off), Options(effects=GEOMETRIC)).result
+
+    assert len(result.outliers) > 30
+    assert "rows do not fit the others, which is no calibration" in result.doubt
+    assert any(result.doubt == warning for warning in result.warnings)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(SHARED is None, reason="needs the data sets that are shared beside the repository")
+@pytest.mark.parametrize(
+    ("mine", "file", "words"),
+    [
+        ("ur10", "ur5_tracker/grid.csv", "looks like that of a ur5"),
+        ("ur5", "ur10_tmac/series_B.csv", "looks like that of a ur10"),
+        ("ur5", "ur5_tracker/grid.csv", ""),
+        ("ur10", "ur10_tmac/series_B.csv", ""),
+        ("panda", "panda_sockets/panda_3.csv", ""),
+    ],
+)
+def test_real_tables(mine: str, file: str, words: str) -> None:
+    """Real arms pass, and are told from each other."""
+    assert SHARED is not None
+    robot = Robot.from_urdf(mine)
+    table = read_measurements(os.fspath(SHARED / "data" / file), robot.joint_names)
+    if words:
+        with pytest.raises(MeasurementError, match=words):
+            run_calibration(robot, table, Options(effects=GEOMETRIC))
+        return
+    found = run_calibration(robot, table, Options(effects=GEOMETRIC)).result
+    assert found.doubt == "" and not any("shifted" in warning for warning in found.warnings)
