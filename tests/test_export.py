@@ -20,6 +20,7 @@ from pincal.calibration.calibrated import CalibratedModel, estimate_of
 from pincal.calibration.covered import Covered
 from pincal.errors import BadInputError
 from pincal.export import FORMATS, export_model
+from pincal.model.at_station import AtStation
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Locus, Term
@@ -387,3 +388,54 @@ def test_formats_and_options_are_checked(kuka: Robot) -> None:
     with pytest.raises(BadInputError, match=r"format 'urdf'.*colour"):
         export_model(calibrated, "urdf", colour="red")
     assert all(cls.name == name and cls.meaning for name, cls in FORMATS.known().items())
+
+
+# --- arms of other kinds ------------------------------------------------------------------------------------------
+
+# A carriage, a wrist whose third joint is driven by the second, and three more joints.
+GANTRY = b"""<robot name="gantry 2/b">
+  <link name="rail"/>
+  <joint name="carriage" type="prismatic"><parent link="rail"/><child link="l1"/><origin xyz="0 0 1" rpy="0.1 0 0"/>
+    <axis xyz="1 0 0"/><limit lower="-1" upper="2" effort="1" velocity="1"/></joint>
+  %s
+  <link name="tip"/>
+  <joint name="mount" type="fixed"><parent link="l7"/><child link="tip"/><origin xyz="0.1 0 0.1" rpy="0 0.3 0"/></joint>
+</robot>""" % b"".join(
+    b"""<link name="l%d"><inertial><mass value="%d"/><origin xyz="0.1 0.02 0"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    % (i, 9 - i)
+    + (
+        b"""<joint name="j%d" type="revolute"><parent link="l%d"/><child link="l%d"/><origin xyz="0.3 0 0.1"/>
+    <axis xyz="%s"/><limit lower="-2" upper="2" effort="1" velocity="1"/>%s</joint>"""
+        % (i + 1, i, i + 1, axis, b'<mimic joint="j2" multiplier="-0.5" offset="0.1"/>' if i == 2 else b"")
+        if axis
+        else b""
+    )
+    for i, axis in zip(range(1, 8), (b"0 0 1", b"0 1 0", b"0 1 0.1", b"1 0 0", b"0 0 1", b"0 1 0", b""), strict=True)
+)
+
+
+def test_carriages_and_joints_that_follow_others_are_exported(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A prismatic joint, and one that mimics another: inputs are the joints of their own, in C and in NumPy."""
+    robot = Robot.from_urdf(GANTRY)
+    calibrated = drawn(EFFECTS["backlash"](robot.joint_names), robot, frame="after")
+    own, at = robot.own_joints, poses_of(calibrated, 200, rng)
+    at = replace(at, approach=np.where(np.arange(7) == 2, -at.approach[:, [1]], at.approach))
+    inputs = replace(at, q=at.q[:, own], approach=at.approach[:, own])
+    true, seed = calibrated.predict(at), replace(inputs, q=inputs.q + rng.normal(0.0, 1e-3, inputs.q.shape))
+    compiled = Compiled.of(calibrated, tmp_path)
+    q, status, _ = compiled.compensate(true, seed)
+    source = loaded(export_model(calibrated, "python").text)
+
+    assert robot.joint_types[0] == "prismatic" and list(own) == [0, 1, 3, 4, 5, 6]
+    np.testing.assert_allclose(compiled.forward(inputs)[0], true, rtol=0.0, atol=EXACT)
+    np.testing.assert_allclose(source["forward"](inputs.q, **columns_of(inputs)), true, rtol=0.0, atol=EXACT)
+    assert (status == 0).mean() > 0.95
+    arrived = calibrated.predict(replace(at, q=robot.spread(q)))
+    np.testing.assert_allclose(arrived[status == 0], true[status == 0], rtol=0.0, atol=2e-10)
+
+
+def test_what_one_station_has_of_its_own_is_exported(kuka: Robot, rng: np.random.Generator) -> None:
+    """An effect of a single station is in the formulas of that station's model."""
+    effect = AtStation(EFFECTS["gear_ratio"](kuka.joint_names), "monday")
+    check_python(drawn(effect, kuka), rng)

@@ -14,7 +14,7 @@ from conftest import SHARED
 from scipy.spatial.transform import Rotation
 from test_catalogue import chain_of, conditions_of, units_of
 from test_cli import run
-from test_export import calibrated_of
+from test_export import GANTRY, calibrated_of
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
@@ -30,7 +30,7 @@ from pincal.robot.robot import Robot
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 XACRO = SHARED / "robots" / "ur_description" / "urdf" / "ur.urdf.xacro"
 GEOMETRY = 1e-9
-ARMS = ("ur10", "panda", "kuka")
+ARMS = ("ur10", "panda", "kuka", "gantry")
 
 
 def calibrated(robot: Robot, *, moment_frame: MomentFrame = "after", equilibrium: bool = False) -> CalibratedModel:
@@ -53,8 +53,9 @@ def tips(found: CalibratedModel, q: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(params=ARMS)
 def arm(request: pytest.FixtureRequest, kuka: Robot) -> Robot:
-    """Return arms with parallel axes, seven joints, and industrial ones."""
-    return kuka if request.param == "kuka" else Robot.from_urdf(request.param)
+    """Return arms with parallel axes, with seven joints, an industrial one, and one with a carriage and a coupled joint."""
+    arms = {"kuka": lambda: kuka, "gantry": lambda: Robot.from_urdf(GANTRY)}
+    return arms.get(request.param, lambda: Robot.from_urdf(request.param))()
 
 
 def test_yourdfpy_reads_the_calibrated_urdf(arm: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
@@ -67,7 +68,7 @@ def test_yourdfpy_reads_the_calibrated_urdf(arm: Robot, rng: np.random.Generator
     read = yourdfpy.URDF.load(tmp_path / "arm.urdf", load_meshes=False, build_scene_graph=True)
     places = []
     for row in q:
-        read.update_cfg(dict(zip(arm.joint_names, row, strict=True)))
+        read.update_cfg({arm.joint_names[i]: row[i] for i in arm.own_joints})
         places.append(read.get_transform(text.tip, arm.base))
     error = np.abs(np.array(places) - tips(found, q)).max()
     print(f"yourdfpy: {error:.1e} m")
@@ -224,7 +225,8 @@ def test_dh_tables_are_the_calibrated_arm(arm: Robot, convention: str, rng: np.r
     print(f"DH, {convention}: {error:.1e} m")
 
     assert error < GEOMETRY and exported.max_error_m < GEOMETRY
-    assert any(note.startswith("beta (Hayati)") for note in exported.notes) == (arm.name != "panda")
+    assert any(note.startswith("beta (Hayati)") for note in exported.notes) == (arm.name in ("ur10", "kuka_kr125_2"))
+    assert any("j3 follows j2: -0.5 times" in note for note in exported.notes) == (arm.name == "gantry 2/b")
 
 
 def test_a_dh_table_of_a_drawing_has_no_beta() -> None:

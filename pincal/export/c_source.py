@@ -55,12 +55,13 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
         header="\n".join(f" * {line}".rstrip() for line in header(formulas, frame=frame)),
         name=name,
         NAME=name.upper(),
-        joints=", ".join(map(plain, chain.robot.joint_names)),
+        joints=", ".join(plain(chain.robot.joint_names[i]) for i in formulas.joints),
         targets=", ".join(map(plain, chain.targets)),
         n_targets=str(len(chain.targets)),
-        lower=_numbers(chain.robot.lower),
-        upper=_numbers(chain.robot.upper),
+        lower=_numbers(chain.robot.lower[formulas.joints]),
+        upper=_numbers(chain.robot.upper[formulas.joints]),
         frame=frame,
+        n_moments=str(3 * chain.robot.n_joints),
         needs="".join(f", {name}" for name in formulas.inputs),
         curves=curves,
         evaluate=functions,
@@ -74,7 +75,7 @@ def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
     if formulas.moments:
         lines, results = writer.statements(formulas.moments)
         returned = [f"    taken[{i}] = {text};" for i, text in enumerate(results)]
-        arguments = f"const {name}_state *state, const double moments[3 * N], double taken[3 * N]"
+        arguments = f"const {name}_state *state, const double moments[MOMENTS], double taken[MOMENTS]"
         written.append("\n".join([f"static void moments_of({arguments})", "{", *lines, *returned, "}", ""]))
         taken = _TAKEN
     entries: tuple[Number, ...] = (*formulas.pose, *formulas.columns)
@@ -100,16 +101,16 @@ _EVALUATE = """/*
  * The pose, and unless columns is null how each joint moves and turns the target, row by row, six rows.
  * Static moments that are taken on the bent arm start from moments, and are left there.
  */
-static void evaluate(const {name}_state *state, double moments[3 * N], double pose[12], double columns[6 * N])
+static void evaluate(const {name}_state *state, double moments[MOMENTS], double pose[12], double columns[6 * N])
 {{{taken}"""
 
 _TAKEN = """
-    double taken[3 * N];
+    double taken[MOMENTS];
     int round, i;
     for (round = 0; round < 20; ++round) {
         double change = 0.0, largest = 0.0;
         moments_of(state, moments, taken);
-        for (i = 0; i < 3 * N; ++i) {
+        for (i = 0; i < MOMENTS; ++i) {
             change = fmax(change, fabs(taken[i] - moments[i]));
             largest = fmax(largest, fabs(taken[i]));
             moments[i] = taken[i];

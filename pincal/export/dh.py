@@ -61,6 +61,10 @@ class DhTable(Format):
         if not worst <= _TOLERANCE:
             raise BadInputError(f"{robot.name}: its parameters would be off by up to {worst:.2g} m; use another format")
         notes = rigid_notes(model, what="table of DH parameters")
+        notes += tuple(
+            f"{mimic.joint} follows {mimic.source}: {mimic.multiplier!r} times its position plus {mimic.offset!r}"
+            for mimic in robot.mimics
+        )
         if np.any(rows[:, 4]):
             flat = _tips("standard", rows * [1.0, 1.0, 1.0, 1.0, 0.0], frames, q=q, slides=slides)
             off = 1e3 * float(np.linalg.norm(flat - true, axis=1).max())

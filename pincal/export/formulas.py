@@ -15,6 +15,7 @@ from pincal.model.conditions import COLUMN_UNITS, Conditions
 from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.model.symbols import Symbol, either_way, multiply, symbols
+from pincal.robot.robot import Robot
 
 Number = float | Symbol
 # Inputs that each joint has one of.
@@ -30,13 +31,18 @@ class Formulas:
         moments: the static moments as functions of the inputs and of themselves, where they are taken on the bent arm;
             empty where they are not.
         pose: the target's rotation and translation in the instrument's frame, row by row, 12 entries.
-        columns: how each joint moves (3) and turns (3) the target, row by row, 6 n entries.
+        columns: how each of the m joints that mimic none moves (3) and turns (3) the target, row by row, 6 m entries.
     """
 
     calibrated: CalibratedModel
     moments: tuple[Number, ...]
     pose: tuple[Number, ...]
     columns: tuple[Number, ...]
+
+    @property
+    def joints(self) -> np.ndarray:
+        """Indices of the m joints whose positions are inputs: those that mimic none."""
+        return self.calibrated.model.chain.robot.own_joints
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -74,15 +80,27 @@ def formulas_of(calibrated: CalibratedModel) -> Formulas:
             moments = tuple(walk.static_moments(layout, x, at.payload[0], at.payload_centre))
     tool = _by_target(chain.tool_rotations, at.target[0])
     pose, columns = walk.tip_pose(layout, x, tool, [int(k) for k in chain.drives])
-    return Formulas(calibrated, moments, tuple(pose.ravel()), tuple(columns.ravel()))
+    return Formulas(calibrated, moments, tuple(pose.ravel()), tuple(chain.robot.gathered(columns).ravel()))
 
 
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
-    n = chain.robot.n_joints
-    columns = {name: symbols(*(f"{name}[{i}]" for i in range(n)))[None] for name in _PER_JOINT}
+    robot = chain.robot
+    columns = {}
+    for name in _PER_JOINT:
+        columns[name] = np.zeros((1, robot.n_joints), object)
+        columns[name][0, robot.own_joints] = symbols(*(f"{name}[{i}]" for i in range(len(robot.own_joints))))
+    columns = {"q": robot.following(columns["q"]), "approach": sides_following(robot, columns["approach"])}
     columns |= {name: symbols(name) for name in ("payload", "temperature", "time")}
     target = symbols("target") if len(chain.targets) > 1 else np.zeros(1, int)
     return Conditions(**columns, target=target, payload_centre=np.asarray(payload_centre, float))
+
+
+def sides_following(robot: Robot, sides: np.ndarray) -> np.ndarray:
+    """Return directions of approach, shape (N, n), with those of joints that mimic another as that one's are."""
+    out, index = sides.copy(), robot.joint_names.index
+    for mimic in robot.mimics:
+        out[:, index(mimic.joint)] = out[:, index(mimic.source)] * np.sign(mimic.multiplier)
+    return out
 
 
 def _coordinates(model: Model, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None) -> list[Number]:

@@ -71,6 +71,16 @@ class MujocoModel(Format):
             for attributes in _joints(model, values, springs, i=i):
                 _add(parent, "joint", **attributes)
         _add(parent, "site", name=robot.tip, **_pose(tip))
+        for mimic in robot.mimics:
+            equality = root.find("equality")
+            follows = _numbers(np.array([mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]))
+            _add(
+                _add(root, "equality") if equality is None else equality,
+                "joint",
+                joint1=mimic.joint,
+                joint2=mimic.source,
+                polycoef=follows,
+            )
         ET.indent(root)
         notes = _notes(calibrated, springs)
         comment = "\n".join(f"  {note}".replace("--", "- -") for note in notes)

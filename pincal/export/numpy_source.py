@@ -67,10 +67,10 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         "model.py.in",
         formulas,
         header='"""' + "\n".join(lines) + '\n"""',
-        joints=repr(chain.robot.joint_names),
+        joints=repr(tuple(chain.robot.joint_names[i] for i in formulas.joints)),
         targets=repr(chain.targets),
-        lower=_numbers(chain.robot.lower),
-        upper=_numbers(chain.robot.upper),
+        lower=_numbers(chain.robot.lower[formulas.joints]),
+        upper=_numbers(chain.robot.upper[formulas.joints]),
         frame=frame,
         needs=", ".join(("q", *formulas.inputs)),
         needed=repr(tuple(name for name in formulas.inputs if name not in ("payload", "target"))),
@@ -104,25 +104,28 @@ def _error(calibrated: CalibratedModel, text: str) -> float:
     exec(compile(text, "<export>", "exec"), names)
     forward: Callable[..., np.ndarray] = names["forward"]
     at = checked_poses(calibrated)
-    columns = {name: getattr(at, name) for name in ("payload", "temperature", "time", "approach", "target")}
-    return float(np.abs(forward(at.q, **columns) - calibrated.predict(at)).max())
+    own = calibrated.model.chain.robot.own_joints
+    columns = {name: getattr(at, name) for name in ("payload", "temperature", "time", "target")}
+    assert at.approach is not None
+    columns["approach"] = at.approach[:, own]
+    return float(np.abs(forward(at.q[:, own], **columns) - calibrated.predict(at)).max())
 
 
 def _functions(formulas: Formulas) -> tuple[str, str]:
     """Return the functions that evaluate the formulas, and the tables that they need."""
-    written, taken, n = [], "", formulas.calibrated.model.chain.robot.n_joints
+    written, taken, m = [], "", 3 * formulas.calibrated.model.chain.robot.n_joints
     writer = Writer.of(_NUMPY, formulas.moments)
     if formulas.moments:
         lines, results = writer.statements(formulas.moments)
-        returned = f"    return _stacked([{', '.join(results)}], ({3 * n},), len(q)).T"
+        returned = f"    return _stacked([{', '.join(results)}], ({m},), len(q)).T"
         written.append("\n".join([f"def _moments({_ARGUMENTS}, moments):", *lines, returned, ""]))
-        taken = _TAKEN.format(n=3 * n, arguments=_ARGUMENTS)
+        taken = _TAKEN.format(n=m, arguments=_ARGUMENTS)
     entries: tuple[Number, ...] = (*formulas.pose, *formulas.columns)
     last = Writer.of(_NUMPY, entries)
     last.curves = writer.curves
     lines, results = last.statements(entries)
     pose, columns = (", ".join(part) for part in (results[:12], results[12:]))
-    returned = f"    return _stacked([{pose}], (3, 4), len(q)), _stacked([{columns}], (6, {n}), len(q))"
+    returned = f"    return _stacked([{pose}], (3, 4), len(q)), _stacked([{columns}], (6, {len(formulas.joints)}), len(q))"
     written.append("\n".join([f"def _evaluate({_ARGUMENTS}):{taken}", *lines, returned]))
     tables = [f"_CURVE_{i} = np.array({list(map(list, curve.pieces))})" for i, curve in enumerate(last.curves)]
     return "\n\n".join(written), "\n".join(tables)

@@ -13,7 +13,7 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.frames import in_base_frame
 from pincal.errors import BadInputError
-from pincal.export.formulas import Formulas
+from pincal.export.formulas import Formulas, sides_following
 from pincal.model.conditions import Conditions
 
 # Weight of a rotation against a translation in compensation, over the robot's reach; see pincal.compensate.ik_problem.
@@ -42,7 +42,7 @@ def filled(template: str, formulas: Formulas, **words: str) -> str:
     """Return a template with the words that every language has, and others."""
     robot = formulas.calibrated.model.chain.robot
     common = {
-        "n": str(robot.n_joints),
+        "n": str(len(formulas.joints)),
         "length": repr(max(_LEVER * robot.reach, 1e-3)),
         "payload_centre": "({:g}, {:g}, {:g})".format(*formulas.calibrated.payload_centre),
     }
@@ -86,5 +86,5 @@ def checked_poses(calibrated: CalibratedModel) -> Conditions:
         payload=rng.uniform(0.0, _PAYLOAD, n),
         temperature=rng.uniform(*_WARM, n),
         time=rng.uniform(0.0, _LONG, n),
-        approach=rng.integers(-1, 2, found.q.shape),
+        approach=sides_following(robot, rng.integers(-1, 2, found.q.shape)),
     )

@@ -92,31 +92,50 @@ def tip_pose(
 def static_moments(layout: Layout, x: Sequence[Number], payload: Number, payload_centre: np.ndarray) -> list[Any]:
     """Return the static moments, components x, y, z of each joint in turn [N m].
 
+    Gravity goes out along the arm, from frame to frame; mass and first moment of mass come back, each in the axes and about
+    the origin of the frame that they have reached.
+
     Args:
         layout: the chain.
         x: its K coordinates.
         payload: mass beyond the last link [kg].
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
     """
-    n, frame, g = len(layout.masses), _Frame(), layout.gravity.astype(object)
-    bodies, axes = [], []
-    for j in range(n):
-        first = FRAME + j * BLOCK
-        seen = _walk(layout, x, frame, first=first, last=first + BLOCK)
-        y, z = seen[layout.moment_y[j]][0], seen[layout.moment_z[j]][0]
-        axes.append((seen[first][1], (_cross(y, z), y, z)))
-        own = float(layout.masses[j])
-        bodies.append((own, (frame.p + frame.R @ layout.centres[j].astype(object)) * own))
-    flange = layout.fixed[layout.fixed_before[FRAME + n * BLOCK]]
-    frame.apply(flange[:, :3], flange[:, 3])
-    mass: Number = payload
-    first_moment = (frame.p + frame.R @ payload_centre.astype(object)) * payload
+    n, gravity, g = len(layout.masses), {}, layout.gravity.astype(object)
+    for k in range(FRAME, FRAME + n * BLOCK):
+        if layout.fixed_before[k] >= 0:
+            g = layout.fixed[layout.fixed_before[k]][:, :3].T.astype(object) @ g
+        gravity[k] = g
+        g = _turned(g, int(layout.kind[k]), x[k], back=True) if layout.kind[k] < 3 else g
+    flange = layout.fixed[layout.fixed_before[FRAME + n * BLOCK]].astype(object)
+    mass, first_moment = payload, (flange[:, :3] @ payload_centre.astype(object) + flange[:, 3]) * payload
+    # Of the two coordinates whose axes a moment is about, the second turns about the axis of the first.
+    at = np.maximum(layout.moment_y, layout.moment_z)
     moments: list[Any] = []
-    for (own, place), (origin, frame_axes) in zip(bodies[::-1], axes[::-1], strict=True):
-        mass, first_moment = mass + own, first_moment + place
-        turning = _cross(first_moment - origin * mass, g)
-        moments = [*(axis @ turning for axis in frame_axes), *moments]
+    for j in reversed(range(n)):
+        own = float(layout.masses[j])
+        mass, first_moment = mass + own, first_moment + layout.centres[j].astype(object) * own
+        for k in reversed(range(FRAME + j * BLOCK, FRAME + (j + 1) * BLOCK)):
+            first_moment = _turned(first_moment, int(layout.kind[k]), x[k], mass=mass)
+            if k == at[j]:
+                moments = [*_cross(first_moment, gravity[k]), *moments]
     return moments
+
+
+def _turned(vector: np.ndarray, kind: int, x: Number, *, mass: Number = 0.0, back: bool = False) -> np.ndarray:
+    """Return a vector of the frame behind a coordinate in the axes before it, or ``back`` in those behind it.
+
+    A first moment of mass, whose ``mass`` is given, is then about the origin before the coordinate.
+    """
+    i, j, k = kind % 3, (kind + 1) % 3, (kind + 2) % 3
+    out = vector.copy()
+    if kind >= 3:
+        out[i] = vector[i] + mass * x
+    elif isinstance(x, Symbol) or x:
+        c, s = apply("cos", x), apply("sin", x)
+        j, k = (k, j) if back else (j, k)
+        out[j], out[k] = vector[j] * c - vector[k] * s, vector[j] * s + vector[k] * c
+    return out
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -145,7 +145,7 @@ class Robot:
         """Return joint positions, shape (N, n), with each joint that mimics another where that one puts it."""
         if not self.mimics:
             return q
-        out, index = np.array(q, float), self.joint_names.index
+        out, index = np.array(q, np.result_type(q, float)), self.joint_names.index
         for mimic in self.mimics:
             out[:, index(mimic.joint)] = mimic.multiplier * out[:, index(mimic.source)] + mimic.offset
         return out
