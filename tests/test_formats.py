@@ -329,6 +329,17 @@ def test_what_may_be_mistaken_is_not_guessed(tmp_path: Path, names: tuple[str, .
         assert part in str(caught.value)
 
 
+@pytest.mark.parametrize("cell", ["1", "hot"])
+def test_a_header_without_end_has_a_short_answer(tmp_path: Path, cell: str) -> None:
+    """Twenty thousand columns that nobody knows are refused in less than two thousand letters, and can be ignored."""
+    names = [*JOINTS, "x", "y", "z", *(f"a column with a name of its own and number {i}" for i in range(20000))]
+    path = plain("log.csv", ",".join(names) + "\n" + ",".join([*"000111", *([cell] * 20000)]) + "\n")(tmp_path)
+    with pytest.raises(MeasurementError, match="unknown column") as caught:
+        read(path)
+    assert len(str(caught.value)) < 2000
+    assert len(read(path, {"ignore": ("*",)})) == 1
+
+
 def test_text_that_may_be_meant_is_not_left_out(tmp_path: Path) -> None:
     """A column of names whose own name is nearly a known one is a mistake, not a comment."""
     path = plain("log.csv", "joint_a1,joint_a2,joint_a3,x,y,z,tagret\n0,0,0,1,1,1,left\n")(tmp_path)

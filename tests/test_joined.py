@@ -11,6 +11,7 @@ from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.measurements import Measurements
 from pincal.measure.still import held_poses
 from pincal.measure.table import read_measurements, write_table
+from pincal.robot.tree import Mimic
 
 JOINTS = ("a", "b", "c")
 K = 8
@@ -162,3 +163,13 @@ def test_only_poses_that_are_held_count() -> None:
     found = held_poses(time, jump)
     assert len(found) == 2 and found.at(time, np.array([4.9, 5.1])).tolist() == [0, 1]
     assert len(held_poses(time[::200], stop[::200])) == 0
+
+
+def test_a_joint_that_follows_another_needs_no_column(tmp_path: Path) -> None:
+    """A joint that mimics another one is missing in the log, and not counted where joints are numbered."""
+    mimics = (Mimic("b", "a", -2.0, 0.1),)
+    log = {"J1": Q[:, 0], "J2": Q[:, 2]}
+    with pytest.warns(PincalWarning, match=r"J1=a, J2=c"):
+        found = joined(tmp_path, readings(), log, mimics=mimics)
+
+    np.testing.assert_allclose(found.q, np.column_stack([Q[:, 0], 0.1 - 2.0 * Q[:, 0], Q[:, 2]]), rtol=0, atol=1e-12)

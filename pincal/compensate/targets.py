@@ -16,8 +16,9 @@ from pincal.measure.checks import check_joint_values
 from pincal.measure.fields import CONDITIONS
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.options import TableOptions
-from pincal.measure.reader import Schema, read_table
+from pincal.measure.reader import read_table
 from pincal.measure.registry import known_fields
+from pincal.measure.schema import Schema
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose, inverse, rotation_matrices

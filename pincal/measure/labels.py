@@ -71,9 +71,9 @@ def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, o
     return found
 
 
-def listed(labels: Sequence[str], most: int = 30) -> str:
+def listed(labels: Sequence[str], most: int = 20) -> str:
     """Return what a table has, for messages."""
-    shown = ", ".join(f'"{text[:40]}"' for text in labels[:most])
+    shown = ", ".join(f'"{text[:30]}"' for text in labels[:most])
     return f"the table has {shown}{', ...' if len(labels) > most else ''}"
 
 

@@ -18,8 +18,9 @@ from pincal.errors import MeasurementError, OutputError
 from pincal.measure.fields import CONDITIONS
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
 from pincal.measure.options import TableOptions
-from pincal.measure.reader import Schema, joint_columns, read_columns, read_table
+from pincal.measure.reader import joint_columns, read_columns, read_table
 from pincal.measure.registry import expected_columns, known_fields
+from pincal.measure.schema import Schema
 from pincal.robot.tree import Mimic
 
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]

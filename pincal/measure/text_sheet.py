@@ -12,6 +12,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 # The header stands within the first part of a file, after at most a page of comments.
 _HEAD_BYTES = 1 << 20
 _CHUNK_BYTES = 1 << 22
+# Rows that show what columns hold.
+_FIRST_ROWS = 50
 _BLANKS = re.compile(rb"[ \t]+")
 
 
@@ -49,11 +52,14 @@ class TextSheet(Sheet):
 
     def first_cells(self, index: int, count: int) -> list[str]:
         """Return the first cells."""
+        return [row[index] if index < len(row) else "" for row in self._first_rows[:count]]
+
+    @cached_property
+    def _first_rows(self) -> list[list[str]]:
         with self.open() as file:
             head = file.read(_HEAD_BYTES)
-        lines = head.decode("utf-8", "replace").splitlines()[self.header_line :]
-        rows = csv.reader([line for line in lines[: 10 * count] if _has_cells(line.encode())], delimiter=self.separator)
-        return [row[index] if index < len(row) else "" for row in rows][:count]
+        lines = [line for line in head.splitlines()[self.header_line :] if _has_cells(line)][:_FIRST_ROWS]
+        return list(csv.reader([line.decode("utf-8", "replace") for line in lines], delimiter=self.separator))
 
     def open(self) -> BinaryIO:
         """Return the text as a file."""

@@ -1,0 +1,48 @@
+"""What a table may hold, and what the user says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pincal.errors import MeasurementError
+from pincal.measure.fields import Field
+from pincal.measure.options import TableOptions
+from pincal.robot.tree import Mimic
+
+
+@dataclass(frozen=True)
+class Schema:
+    """What a table may hold.
+
+    Attributes:
+        fields: the quantities that are understood.
+        joint_names: the joints, each with a column of its own and perhaps one for the direction of approach.
+        joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
+        mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
+        may_lack_joints: whether a table without any joint is allowed.
+        options: what the user says of it.
+    """
+
+    fields: tuple[Field, ...]
+    joint_names: tuple[str, ...] = ()
+    joint_types: tuple[str, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
+    may_lack_joints: bool = False
+    options: TableOptions = field(default_factory=TableOptions)
+
+    @property
+    def own_joints(self) -> tuple[str, ...]:
+        """The joints that follow none, whose columns are needed."""
+        driven = {mimic.joint for mimic in self.mimics}
+        return tuple(name for name in self.joint_names if name not in driven)
+
+    def quantities(self, *, source: str) -> dict[str, str]:
+        """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""
+        known = {column: field.quantity for field in self.fields for column in field.columns}
+        clash = [name for name in self.joint_names if name in known]
+        if clash:
+            raise MeasurementError(f'{source}: joint "{clash[0]}" has the name of a column; rename it in the URDF')
+        types = self.joint_types or ("revolute",) * len(self.joint_names)
+        pairs = zip(self.joint_names, types, strict=True)
+        joints = {name: "length" if kind == "prismatic" else "angle" for name, kind in pairs}
+        return joints | known | {f"approach_{name}": "number" for name in self.joint_names}
