@@ -204,7 +204,7 @@ class InputOptions:
         "the file unless they have a column station.",
     )
     tip: str | None = tip_option(words="from the joint columns")
-    base: str | None = base_option()
+    base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
     table: TableArguments = group("Tables")

@@ -134,7 +134,7 @@ class DesignArguments:
     )
     seed: int = option("Random seed.", 0, type=click.IntRange(min=0))
     degrees: bool = option("Write joint positions in degrees.", False)
-    tip: str | None = tip_option(words="end of the longest chain")
+    tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     health: CheckOptions = group("Health check")

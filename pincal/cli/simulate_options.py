@@ -93,7 +93,7 @@ _Recorded = Literal["temperature", "time", "approach"]
 class MachineArguments:
     """The machine that is measured."""
 
-    tip: str | None = tip_option(words="end of the longest chain")
+    tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
