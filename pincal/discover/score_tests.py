@@ -208,14 +208,15 @@ def score_test(
     """
     problem, known = fit.problem.extended([*nuisance, *candidates])
     groups = np.zeros(len(problem), int) if groups is None else groups
-    added = [problem.places_at(effect) for effect in (*nuisance, *candidates)]
-    sizes = priors_of(problem, fit.options).sizes
     # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
-    for places in added[: len(nuisance)]:
-        sizes[places] = [problem.parameters[i].size for i in places]
+    sizes = np.array([parameter.size for parameter in problem.parameters])
+    sizes[known] = fit.priors.sizes
+    alone = fit.problem.with_effects(candidates)
+    found, tested = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
+    for effect, places in zip(candidates, tested, strict=True):
+        sizes[places] = found[alone.places_at(effect)]
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, fit.solution.free
-    tested = added[len(nuisance) :]
     blocks_S, blocks_b, squares, kept = _gram(fit, problem, values, free, tested, groups)
     ends = np.cumsum([0, *map(len, tested)])
     n_model = len(kept) - int(ends[-1])
