@@ -335,3 +335,16 @@ def test_placements_of_a_pair_of_sockets_are_stations(shared_data: Path, tmp_pat
     for station, place in zip(of(tmp_path / "out")["stations"], places, strict=True):
         assert (station["name"], station["kind"]) == (place, "socket")
         assert station["left_out"]["mean_mm"] < 0.15 * station["error"]["nominal"]["train"]["mean_mm"]
+
+
+def test_a_robot_of_several_stations_is_exported_as_one(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is of the robot alone needs no station; poses in an instrument's frame do."""
+    model, source = results / "model.json", tmp_path / "arm.py"
+    assert run("export", model, "--urdf", tmp_path / "arm.urdf", "--dh", tmp_path / "arm.csv", "--quiet") == 0
+    assert (tmp_path / "arm.urdf").read_bytes() == (results / "calibrated.urdf").read_bytes()
+    assert run("export", model, "--python", source, "--quiet") == 3
+    assert "--station NAME for one of them" in capsys.readouterr().err
+    assert run("export", model, "--python", source, "--station", "tracker", "--quiet") == 0
+    assert "in the instrument frame" in source.read_text()

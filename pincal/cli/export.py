@@ -57,8 +57,8 @@ def export(arguments: ExportArguments) -> Exit:
     places = {name: getattr(arguments, name.replace("-", "_")) for name in FORMATS.registered()}
     places = {name: place for name, place in places.items() if place is not None}
     if not places:
-        names = ", ".join(f"--{name}" for name in FORMATS.registered())
-        raise click.UsageError(f"nothing to export; give at least one of {names}")
+        known = ", ".join(f"--{name} ({cls.meaning})" for name, cls in FORMATS.registered().items())
+        raise click.UsageError(f"nothing to export; give at least one of {known}")
     if all(FORMATS.registered()[name].of_robot for name in places) and not arguments.place.placement:
         calibrated = load_stations(arguments.model).robot_model()
     else:

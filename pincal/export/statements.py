@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pincal.model.symbols import Cubic, Symbol
+from pincal.model.cubic import Cubic
+from pincal.model.symbols import Symbol
 
 Number = float | Symbol
 # How tightly an operation binds: what stands in another one that binds more tightly gets brackets.

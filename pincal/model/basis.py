@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pincal.model.symbols import Cubic, are_symbols, cubic
+from pincal.model.cubic import Cubic
+from pincal.model.symbols import are_symbols, cubic
 
 _DEGREE = 3
 FEWEST_SPLINES = _DEGREE + 1
