@@ -93,6 +93,15 @@ def test_rows_are_joined_by_order_where_counts_agree(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.q, Q, rtol=0, atol=2e-5)
 
 
+def test_order_tells_nothing_of_a_log_that_several_tables_share(tmp_path: Path) -> None:
+    """Two tables of equal length are not both given the joints of the same rows; by a common column they may be."""
+    write_table(tmp_path / "tracker.csv", readings())
+    with pytest.raises(MeasurementError, match="several tables share it"):
+        joined(tmp_path, readings(), joints(Q), shares_log=True)
+    with pytest.warns(PincalWarning, match="by the column"):
+        joined(tmp_path, readings(pose=np.arange(K)), joints(Q, pose=np.arange(K)), shares_log=True)
+
+
 def test_names_and_units_of_the_log_are_understood(tmp_path: Path) -> None:
     """The log may number its joints in degrees, and the user may name columns of either file."""
     log = {f"J{i + 1} (deg)": np.degrees(Q[:, i]) for i in range(3)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,7 +83,8 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     with output_folder(arguments.out) as draft:
         prepared = prepare(source, arguments.chosen)
         held = split.holdout
-        holdout = None if held is None else load_stations(prepared.robot, [held], options=source.table.options)
+        shared = replace(source.table.options, shares_log=True)
+        holdout = None if held is None else load_stations(prepared.robot, [held], options=shared)
         choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
         found = run(prepared.robot, prepared.tables, prepared.options, **choice)
         calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)

@@ -107,7 +107,10 @@ def load_stations(robot: Robot, paths: Iterable[Path], *, options: TableOptions 
     Raises:
         BadInputError: for a file that is invalid, or two stations of one name.
     """
-    return stations_of([(path.stem, load_table(robot, path, options=options)) for path in paths])
+    files = tuple(paths)
+    if options is not None and len(files) > 1:
+        options = replace(options, shares_log=True)
+    return stations_of([(path.stem, load_table(robot, path, options=options)) for path in files])
 
 
 def load_table(robot: Robot, path: Path, *, options: TableOptions | None = None, joints_only: bool = False) -> Measurements:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +67,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
 
 def _placed(model: CalibratedModel, path: Path, reading: TableOptions) -> Place:
     robot = model.model.chain.robot
-    table = load_table(robot, path, options=reading)
+    table = load_table(robot, path, options=replace(reading, shares_log=True))
     check_table(robot, table, minimum=1)
     table = usable_rows(table, model.setup.over(table))
     found = place_station(model, table)

@@ -35,11 +35,13 @@ class Log:
         sheet: the file.
         values: its known columns in SI units by name, shape (T,) each.
         joints: those that are joints.
+        is_shared: whether it belongs to several tables.
     """
 
     sheet: Sheet
     values: Mapping[str, np.ndarray]
     joints: tuple[str, ...]
+    is_shared: bool = False
 
     @property
     def q(self) -> np.ndarray:
@@ -81,7 +83,7 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
     frame, lines = table.read(columns)
     keys = _common(table, log.sheet, known)
     pairs = _agreed(_by_columns(table, frame, log, lines=lines, keys=keys), _by_time(log, time), table=table, log=log)
-    pairs = pairs or _by_order(log, frame.height)
+    pairs = pairs or (None if log.is_shared else _by_order(log, frame.height))
     if pairs is None:
         raise MeasurementError(_advice(table, log, frame.height, has_times=time is not None))
     left = frame.height - len(pairs.rows)
@@ -235,8 +237,8 @@ def _advice(table: Sheet, log: Log, count: int, *, has_times: bool) -> str:
     if time is not None and has_times:
         poses = held_poses(time, log.q) if (np.diff(time) > 0).all() else ()
         what += f" ({len(poses)} poses held still, at most times of the table none; do the clocks differ?)"
+    order = " (several tables share it)" if log.is_shared else ", or a sample for each row in the same order"
     return (
         f"{source}: nothing says which joints of {other} belong to which row: {what}; expected a column that both "
-        "files have and that numbers the poses, times of one clock in both (column time), or a sample for each row in "
-        "the same order"
+        f"files have and that numbers the poses, or times of one clock in both (column time){order}"
     )

@@ -18,9 +18,11 @@ class TableOptions:
         orientation: convention of the orientation's columns, one of
             :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
         joints: a file of its own with the joint positions, see :mod:`pincal.measure.joined`.
+        shares_log: whether other tables have theirs from the same file, so that the order of its rows tells nothing.
     """
 
     ignore: tuple[str, ...] = ()
     columns: Mapping[str, str] = field(default_factory=dict)
     orientation: str | None = None
     joints: str | os.PathLike[str] | None = None
+    shares_log: bool = False

@@ -159,7 +159,7 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     if "time" in found:
         time = _in_si(read_cells(sheet, (found["time"],))[0]["time"], found["time"])
     known = {*quantities, *options.ignore}
-    whole = join(sheet, Log(log, values, schema.own_joints), time, known=known, has=found)
+    whole = join(sheet, Log(log, values, schema.own_joints, is_shared=options.shares_log), time, known=known, has=found)
     here = {name: meaning for name, meaning in options.columns.items() if _names_one(name, whole.labels)}
     return whole, replace(schema, options=replace(options, joints=None, columns=here))
 

@@ -35,6 +35,7 @@ def read_measurements(
     columns: Mapping[str, str] | None = None,
     orientation: str | None = None,
     joints: str | os.PathLike[str] | None = None,
+    shares_log: bool = False,
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
     mimics: Sequence[Mimic] = (),
@@ -52,6 +53,7 @@ def read_measurements(
             as the header says.
         joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
             while the pose is held still, or by order; a `PincalWarning` says by which.
+        shares_log: whether other tables have their joints from the same file, so that the order of its rows tells nothing.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
         joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
@@ -75,6 +77,7 @@ def read_measurements(
             columns=dict(columns or {}),
             orientation=orientation,
             joints=joints,
+            shares_log=shares_log,
         ),
     )
     cells = read_table(path, schema)
