@@ -128,7 +128,7 @@ def _closing_joints(root: Any, links: tuple[str, ...], source: str) -> Iterator[
     for element in root.iterfind("gazebo/joint"):
         ends = [(element.findtext(role) or "").strip().split("::")[-1] for role in ("parent", "child")]
         if all(end in links for end in ends):
-            yield UrdfJoint(element.get("name", "unnamed"), element.get("type", ""), ends[0], ends[1], None)
+            yield UrdfJoint(element.get("name", "?"), element.get("type", ""), ends[0], ends[1], None)
 
 
 def _fault(element: Any, source: str, text: str) -> RobotFileError:
