@@ -151,6 +151,9 @@ def test_sockets_are_asked_for_and_only_of_a_check() -> None:
             design_check(robot, request, options=Options(effects=GEOMETRIC), rig=rig)
     with pytest.raises(BadInputError, match="--check"):
         pincal.design_poses(robot, 20, rig=HELD)
+    far = replace(HELD, held_at=((9.0, 0.0, 1.0), (8.0, 0.0, 1.0)))
+    with pytest.raises(BadInputError, match=r"too few poses .* bringing the target there"):
+        design_check(robot, request, options=Options(effects=GEOMETRIC), rig=far)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from pincal import Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.moves import moves_of, said_at, spent_at
-from pincal.calibration.tables import moved_table, repeated_table
+from pincal.calibration.tables import moved_table, moved_words, repeated_table
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
 from pincal.model.at_station import AtStation
@@ -67,6 +67,8 @@ def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> Non
     for record, truth in zip(records[1:], (0.0, jump, jump), strict=True):
         entry = record["parameters"][0]
         assert abs(entry["change"] - truth) < 3.0 * entry["sigma"] < 1e-3
+    words = moved_words(records)
+    assert words.startswith("joint_3.theta at wednesday by 0.") and "mrad +- 0.0" in words and "thursday" not in words
     table = moved_table(records)
     assert table is not None and [row[2] for row in table.rows] == list(DAYS[1:])
 

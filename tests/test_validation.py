@@ -13,6 +13,7 @@ from pincal import simulate as sim
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.fit import calibrate
 from pincal.calibration.validation import validate_rows
+from pincal.diagnosis.run import diagnose
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
@@ -74,6 +75,14 @@ def test_a_moved_instrument_is_told(machine: sim.TrueMachine, kuka: Robot, model
     assert found.placed == "refitted" and found.doubt == ""
     assert found.moved.instrument == pytest.approx(way, abs=2e-4)
     assert found.misfit.ratio < 1.2 and found.misfit.p_value > 1e-3
+
+
+def test_many_changes_at_once_may_be_another_robot(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel) -> None:
+    """A diagnosis of another robot's rows asks whose they are."""
+    found = diagnose(model, measured(drawn(5), kuka, poses=40)).found
+
+    assert found.changed and len(found.changes) >= 4
+    assert any("of this very robot" in note for note in found.notes)
 
 
 def altered(table: Measurements, change: str) -> Measurements:

@@ -11,7 +11,7 @@ from pincal.calibration.parameters import ParameterRow
 from pincal.io.result_file import StationRecord
 from pincal.parameters import Estimate, Parameter
 from pincal.tables import Cell, Column, Kind, Table, Tone
-from pincal.units import Quantity, fixed, show_sigma, show_unit, show_value
+from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit, show_value
 from pincal.validate.replicates import ANGLE_WORDS
 
 PARTS = {"train": "fitted", "test": "held out"}
@@ -22,6 +22,8 @@ INTERVAL = 1.96
 
 # More rows of parameters that moved than this are left out where they did not.
 _MOST_MOVED = 40
+# Moves that a line names.
+_MOST_NAMED = 3
 # More coordinates of named points than this are left out of a table for people: they are in result.json.
 _MOST_POINTS = 24
 _STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
@@ -96,6 +98,17 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
     hidden = len(found) - len(rows)
     notes = (f"{hidden} rows in which nothing moved are left out here; result.json has them.",) if hidden else ()
     return Table("Parameters that moved between stations", columns, tuple(rows), notes) if rows else None
+
+
+def moved_words(stations: Sequence[StationRecord]) -> str:
+    """Return in words what moved from station to station; empty if nothing did."""
+    moved = [(station["name"], entry) for station in stations for entry in station.get("parameters", ()) if entry["moved"]]
+    words = [
+        f"{entry['name']} at {name} by {format_readable(entry['change'], entry['unit'])} +- "
+        f"{format_readable(INTERVAL * entry['sigma'], entry['unit'], '.2g')} (95 %)"
+        for name, entry in moved[:_MOST_NAMED]
+    ]
+    return "; ".join(words) + (f"; and {len(moved) - _MOST_NAMED} more" if len(moved) > _MOST_NAMED else "")
 
 
 def repeated_table(stations: Sequence[StationRecord]) -> Table | None:

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import UNSET
 from rich.console import Console
 
 from pincal.calibration.run import Calibration
-from pincal.cli.tables import print_left_out
+from pincal.calibration.tables import moved_words
+from pincal.cli.tables import held_out_words, print_left_out
 from pincal.discover.precheck import DataReport
 from pincal.discover.run import Discovery
 from pincal.measure.registry import blocks_of
@@ -33,11 +35,13 @@ def print_brief(
     """Print what a calibration, or a discovery, comes to; ``notes`` are on the files in the folder."""
     result = calibration.result
     print_left_out(result, out)
-    rows = f"{result.rows['train']} rows fitted, {result.rows['test']} held out"
+    rows = f"{result.rows['train']} rows fitted, {held_out_words(result)}"
     _line(out, "robot", f"{_arm(calibration.robot)}; {rows}")
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         _line(out, name, _errors(result.error[model], name))
     _line(out, "noise", f"{noise_of(result.noise, calibration.stations[0].train.kind)} ({result.noise['source']})")
+    if result.stations is not UNSET and (moved := moved_words(result.stations)):
+        _line(out, "moved", moved)
     if discovery is not None:
         _line(out, "found", _found(discovery))
     verdict = verdict_of(result, discovery)

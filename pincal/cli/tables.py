@@ -71,13 +71,13 @@ def _summary(result: Result) -> str:
     chi2 = "" if p_value is None else f", reduced chi-square {result.chi2_reduced:.3f} (p {p_value:.2g})"
     free = sum(row.status != "fixed" for row in result.parameters)
     return (
-        f"{result.rows['train']} rows fitted, {_held_out(result)}; {result.iterations} iterations, "
+        f"{result.rows['train']} rows fitted, {held_out_words(result)}; {result.iterations} iterations, "
         f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} ({result.noise['source']}){chi2}\n"
         f"identifiable rank {result.rank} of {free} parameters, condition number {result.condition:.2g}"
     )
 
 
-def _held_out(result: Result) -> str:
+def held_out_words(result: Result) -> str:
     """Return in words which rows judge the model."""
     turns = 0 if result.stations is UNSET else sum("left_out" in station for station in result.stations)
     return f"{turns} stations held out in turn" if turns else f"{result.rows['test']} held out"

@@ -285,7 +285,10 @@ def design_check(
 
 def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, rng: np.random.Generator) -> CalibratedModel:
     """Return what a calibration from random poses would know of a robot that is as its URDF says."""
-    q = reach.draw(_CALIBRATED_FROM, rng).q
+    drawn = reach.draw(_CALIBRATED_FROM, rng)
+    q = drawn.q
+    if len(q) < _FEWEST:
+        raise BadInputError(f"the constraints leave too few poses for a calibration: {drawn.in_words()}")
     loads = np.resize(np.array(request.payloads or (0.0,), float), len(q))
     centre = np.array(options.payload_centre, float)
     conditions = Conditions(q, np.zeros(len(q), int), loads, centre)

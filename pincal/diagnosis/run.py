@@ -32,6 +32,8 @@ ALPHA = 0.01
 _HOPELESS, _STRANGE = 0.01, 0.1
 # Degrees of freedom by which a calibration is taken to know its noise, where nobody knows how many rows it had.
 _DEGREES = 200.0
+# Changes from which on another robot of the same type is likelier than one to which so much has happened.
+_MANY = 4
 # Rows with the fingerprint of another that is met by chance.
 _SAME_BY_CHANCE = 1
 
@@ -240,6 +242,11 @@ def _notes(verdict: Verdict, measurements: Measurements) -> Iterator[str]:
         yield (
             f"{change.name}{where} is in these rows, but by its size it was there when the robot was calibrated and the "
             "model left it, so that it is no change; discover finds what a model misses"
+        )
+    if len(verdict.steps) >= _MANY:
+        yield (
+            f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this very robot, not of another "
+            "one of its type; if they are, calibrate it anew"
         )
     if verdict.wrong_rows:
         lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)
