@@ -14,7 +14,7 @@ from pincal.simulate.arm import Arm
 from pincal.simulate.calibration_object import CalibrationObject
 from pincal.simulate.lens import Lens
 from pincal.simulate.planning import collect_poses, is_clear, plan_poses, reach
-from pincal.simulate.setup import Machine, Reading, SensorSetup, draw_noise, refuse_scale
+from pincal.simulate.setup import Machine, Reading, SensorSetup, draw_noise, refuse_scale, tips_of
 from pincal.simulate.state import Poses
 from pincal.simulate.surroundings import as_read
 
@@ -170,7 +170,7 @@ class EyeInHand(SensorSetup):
         """Return a row for every pose and point in the image that faces the camera."""
         if not self.in_metres:
             refuse_scale(machine, "an image has none")
-        camera = machine.equilibrium(poses).tip @ self.camera_pose
+        camera = tips_of(machine, poses) @ self.camera_pose
         seen = in_camera(camera, self._places).reshape(-1, 3)
         visible = self._faces(camera, seen) & (self.lens is None or self.lens.sees(seen))
         if not visible.any():

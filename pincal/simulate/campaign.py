@@ -11,7 +11,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.effect import HiddenEffect
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.setup import Machine, SensorSetup, Table, draw_scatter
+from pincal.simulate.setup import Machine, SensorSetup, Table, draw_scatter, tips_of
 from pincal.simulate.state import Conditions
 from pincal.simulate.surroundings import as_read
 
@@ -58,7 +58,7 @@ class Campaign:
     def _line_of_sight(self, machine: TrueMachine) -> np.ndarray:
         """Return what the set-up looks at as it reads it without noise [m], shape (N, 3)."""
         scatter = draw_scatter(machine, self.q, np.random.default_rng(0))
-        tip = machine.tip(self.q, scatter=scatter, **self.conditions)
+        tip = tips_of(machine, machine.poses(self.q, scatter=scatter, **self.conditions))
         return as_read(machine.effects, self.setup.line_of_sight(tip))
 
     def truth(self, machine: TrueMachine, *, tip: str) -> dict[str, Any]:

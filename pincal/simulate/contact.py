@@ -20,7 +20,7 @@ from pincal.simulate.planning import (
     position_jacobian,
     reach,
 )
-from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_noise, refuse_scale, transformed
+from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_noise, refuse_scale, tips_of, transformed
 from pincal.simulate.state import Poses
 from pincal.simulate.surroundings import as_read
 
@@ -152,7 +152,7 @@ def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, rad
         BadInputError: If the true arm can't be held there, as with backlash of unknown direction.
     """
     for _ in range(_STEPS):
-        tip = machine.equilibrium(poses).tip
+        tip = tips_of(machine, poses)
         point = point_at(tip, tool)
         missing = places - point
         if radius:

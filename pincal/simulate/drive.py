@@ -154,6 +154,7 @@ class Backlash(DriveEffect):
     effect: ClassVar[str] = "backlash"
     typical_size: ClassVar[float] = 2e-4
     column: ClassVar[str | None] = "approach"
+    needs_order: ClassVar[bool] = True
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         q, half = poses.q[:, joint], 0.5 * self.size

@@ -8,6 +8,7 @@ linear basis functions of the fit.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, ClassVar
@@ -56,6 +57,7 @@ class HiddenEffect(ABC):
         scope: What the effect acts on.
         column: Column of the table without which the effect is not identifiable; None: no such column.
         typical_size: A size that is typical whatever the arm, in ``unit``.
+        needs_order: Whether what it does in a pose follows from the poses before it, unless the approach was recorded.
         joint: Joint on which it acts, None for an effect of the whole arm.
         size: Its size in ``unit``.
     """
@@ -65,6 +67,7 @@ class HiddenEffect(ABC):
     scope: ClassVar[Scope] = Scope.JOINT
     column: ClassVar[str | None] = None
     typical_size: ClassVar[float] = 0.0
+    needs_order: ClassVar[bool] = False
     joint: str | None = None
     size: float = 0.0
 
@@ -72,6 +75,11 @@ class HiddenEffect(ABC):
     def typical_joints(cls, arm: Arm) -> list[str]:
         """Return the joints at which the effect is typical: all, unless the class says otherwise."""
         return list(arm.names)
+
+
+def needs_order(effects: Iterable[HiddenEffect], poses: Poses) -> bool:
+    """Return whether what effects do in a pose follows from the poses before it."""
+    return poses.approach is None and any(effect.needs_order for effect in effects)
 
 
 class SizedByLoad(ABC):

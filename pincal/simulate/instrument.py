@@ -11,7 +11,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, transform
 from pincal.simulate.planning import plan_poses
-from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, transformed
+from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, tips_of, transformed
 from pincal.simulate.state import Poses
 from pincal.simulate.surroundings import as_read
 
@@ -75,7 +75,7 @@ class Instrument(SensorSetup):
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
         """Return a row for every pose, target and anchor."""
         offsets = np.array([*self.targets.values()])
-        seen = ((self.pose @ machine.equilibrium(poses).tip)[:, None] @ offsets).reshape(-1, 4, 4)
+        seen = ((self.pose @ tips_of(machine, poses))[:, None] @ offsets).reshape(-1, 4, 4)
         rows, columns = np.repeat(np.arange(len(poses.q)), len(offsets)), Table()
         if len(offsets) > 1:
             columns["target"] = np.tile(np.array(list(self.targets)), len(poses.q))

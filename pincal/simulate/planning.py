@@ -19,6 +19,8 @@ _STEP, _DAMPING = 0.3, 1e-4
 _REACHED, _REACHING = 1e-9, 60
 # Part of the joint range that is used: the true arm needs a little more or less than the nominal one.
 _SPAN = 0.95
+# Poses whose frames are held at once.
+_PIECE = 5_000
 
 
 def plan_poses(
@@ -75,8 +77,12 @@ def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
     """
     if min_height is None:
         return np.ones(len(q), bool)
-    heights = frames(arm, q)[:, 1:, 2, 3]
-    return np.asarray(heights[:, min(2, heights.shape[1] - 1) :].min(axis=1) > min_height)
+    clear = np.empty(len(q), bool)
+    for start in range(0, len(q), _PIECE):
+        piece = slice(start, start + _PIECE)
+        heights = frames(arm, q[piece])[:, 1:, 2, 3]
+        clear[piece] = heights[:, min(2, heights.shape[1] - 1) :].min(axis=1) > min_height
+    return clear
 
 
 def frames(arm: Arm, q: np.ndarray) -> np.ndarray:

@@ -11,12 +11,16 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import HiddenEffect
+from pincal.simulate.effect import HiddenEffect, needs_order
 from pincal.simulate.state import Conditions, Equilibrium, Poses
 from pincal.simulate.surroundings import MeasurementScale
 
 Table = dict[str, np.ndarray]
 """Columns of a table of measurements, by name."""
+
+
+# Poses in which an arm comes to rest at once; each takes about 10 kB.
+_PIECE = 5_000
 
 
 class Machine(Protocol):
@@ -35,6 +39,17 @@ class Machine(Protocol):
 
     def equilibrium(self, poses: Poses) -> Equilibrium:
         """Return the arm at rest in every pose."""
+
+
+def tips_of(machine: Machine, poses: Poses) -> np.ndarray:
+    """Return the tips of the arm at rest, shape (N, 4, 4), worked out piece by piece as far as poses don't hang together."""
+    if not len(poses.q) or needs_order(machine.effects, poses):
+        return machine.equilibrium(poses).tip
+    tips, start = np.empty((len(poses.q), 4, 4)), 0
+    for part in poses.pieces(_PIECE):
+        tips[start : start + len(part.q)] = machine.equilibrium(part).tip
+        start += len(part.q)
+    return tips
 
 
 class Reading(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypedDict, Unpack
 
@@ -33,6 +33,13 @@ class Poses:
     time: np.ndarray
     approach: np.ndarray | None
     scatter: np.ndarray
+
+    def pieces(self, size: int) -> Iterator[Poses]:
+        """Yield the poses piece by piece, at most ``size`` at a time."""
+        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        for start in range(0, len(self.q), size):
+            part: dict[str, Any] = {name: None if of is None else of[start : start + size] for name, of in columns.items()}
+            yield Poses(**part)
 
 
 class Conditions(TypedDict, total=False):
