@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.run import Calibration
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.model import Model
 from pincal.units import readable_unit
 
 
@@ -87,7 +90,7 @@ def _of_station(calibration: Calibration, k: int) -> Iterator[Evidence]:
     outlier[: lengths[0]] = fit.solution.weights[fit.problem.rows[k]] == 0.0
     gravity = station.model.chain.gravity
     up = np.array([0.0, 0.0, 1.0]) if not np.any(gravity) else -gravity / np.linalg.norm(gravity)
-    place = robot.forward_kinematics(q)[:, :3, 3]
+    place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q))[:, :, 3]
     ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
     times = [time for problem in problems if (time := problem.conditions.time) is not None]
     for b, block in enumerate(station.sensor.blocks, blocks.start):
