@@ -270,6 +270,7 @@ def time_processes() -> Iterator[Line]:
     with tempfile.TemporaryDirectory() as folder:
         command = ("-m", "pincal", "calibrate", "ur5", str(GRID), "--out", str(Path(folder) / "ur5"), "--quiet")
         yield line("pincal calibrate ur5 (1000 rows), best of 5", _process(*command), 3.0, "{:.2f} s")
+        yield line("    the first on a machine, which compiles", _cold(*command), None, "{:.2f} s")
 
 
 def _process(*arguments: str, times: int = 5) -> float:
@@ -281,6 +282,15 @@ def _process(*arguments: str, times: int = 5) -> float:
         subprocess.run([sys.executable, *arguments], env=environment, check=True, capture_output=True)
 
     return float(seconds(run, times + 1)[1:].min())
+
+
+def _cold(*arguments: str) -> float:
+    """Return how long Python runs with nothing compiled [s]."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": cache}
+        run = partial(subprocess.run, [sys.executable, *arguments], env=environment, check=True, capture_output=True)
+        return float(seconds(run, 1)[0])
 
 
 def main() -> None:

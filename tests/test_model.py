@@ -9,10 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from numba import njit
+from numba.core import event
+from numba.core.event import EventStatus
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.model import effects as catalogue
+from pincal.model import kernels
 from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
@@ -716,3 +720,13 @@ def test_an_unknown_moment_frame_is_refused() -> None:
     """A moment frame that does not exist is answered with those that do."""
     with pytest.raises(ValueError, match="'middle'; expected one of paper, before, after"):
         Chain.of(ARMS["kuka"](), moment_frame="middle")  # type: ignore[arg-type]
+
+
+def test_compiling_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Whoever waits for the loops to be compiled reads why, and only once; what others compile is not our business."""
+    told, other = kernels._Announcement(), event.Event("numba:compile", EventStatus.START, {"dispatcher": njit(lambda: 0)})
+    ours = event.Event("numba:compile", EventStatus.START, {"dispatcher": kernels.tip_poses})
+    with caplog.at_level("INFO"):
+        for each in (other, ours, ours):
+            told.notify(each)
+    assert [record.getMessage()[:14] for record in caplog.records] == ["compiling once"]

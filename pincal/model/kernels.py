@@ -19,11 +19,15 @@ inner loop is one that the compiler turns into vector instructions (measured: 5 
 
 from __future__ import annotations
 
+import logging
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.core import event
+
+log = logging.getLogger(__name__)
 
 # Coordinates a joint, a frame (base or tool).
 BLOCK = 9
@@ -134,10 +138,58 @@ class Payload(NamedTuple):
     centre: np.ndarray
 
 
-_COMPILE = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+class _Announcement(event.Listener):
+    """Says once that the loops are being compiled, which keeps the first command on a machine waiting."""
+
+    def __init__(self) -> None:
+        self._is_due = True
+
+    def on_start(self, event: event.Event) -> None:
+        """Say so at the first of the loops."""
+        if self._is_due and event.data["dispatcher"].py_func.__module__ == __name__:
+            self._is_due = False
+            log.info("compiling once for this machine, about 20 s")
+
+    def on_end(self, event: event.Event) -> None:
+        """Say nothing more."""
 
 
-@njit(**_COMPILE)
+event.register("numba:compile", _Announcement())
+
+_COMPILE = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+# What Python never calls needs nothing to be called by.
+_INNER = _COMPILE | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+@njit(**_INNER)
+def _set(out, value):
+    """Out = value, for an array of one axis."""
+    for i in range(len(out)):
+        out[i] = value
+
+
+@njit(**_INNER)
+def _copy(values, out):
+    """Out = values, each of one axis. An assignment would bring its check of shapes, which takes seconds to compile."""
+    for i in range(len(out)):
+        out[i] = values[i]
+
+
+@njit(**_INNER)
+def _copy_rows(values, out):
+    """Out = values, each of two axes."""
+    for r in range(len(out)):
+        _copy(values[r], out[r])
+
+
+@njit(**_INNER)
+def _add(values, out):
+    """Out += values, each of one axis."""
+    for i in range(len(out)):
+        out[i] += values[i]
+
+
+@njit(**_INNER)
 def _load(layout, values, start, m, x, c, s, whole):
     """Put the coordinates of poses start .. start + m into x, their cosines and sines into c and s.
 
@@ -153,20 +205,20 @@ def _load(layout, values, start, m, x, c, s, whole):
                     c[k, i] = math.cos(x[k, i])
                     s[k, i] = math.sin(x[k, i])
         elif whole:
-            x[k] = values.constant[k]
-            c[k] = math.cos(values.constant[k])
-            s[k] = math.sin(values.constant[k])
+            _set(x[k], values.constant[k])
+            _set(c[k], math.cos(values.constant[k]))
+            _set(s[k], math.sin(values.constant[k]))
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _identity(R, p):
-    R[:] = 0.0
-    p[:] = 0.0
     for r in range(3):
-        R[r, r] = 1.0
+        _set(p[r], 0.0)
+        for j in range(3):
+            _set(R[r, j], 1.0 if j == r else 0.0)
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _apply(R, p, F):
     """Multiply the frames (R, p) by a fixed transform from the right."""
     for r in range(3):
@@ -178,7 +230,7 @@ def _apply(R, p, F):
             R[r, 2, i] = a * F[0, 2] + b * F[1, 2] + d * F[2, 2]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _turn(rotations, index, start, m, R):
     """Turn each frame by the reference orientation that holds at its pose."""
     if len(rotations) == 1:
@@ -198,7 +250,7 @@ def _turn(rotations, index, start, m, R):
                 R[r, j, i] = a * A[0, j] + b * A[1, j] + d * A[2, j]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _walk(layout, first, last, x, c, s, R, p, W, O):
     """Move the frames (R, p) over the coordinates first .. last - 1; note each one's axis and origin in W, O."""
     for k in range(first, last):
@@ -221,19 +273,23 @@ def _walk(layout, first, last, x, c, s, R, p, W, O):
                     R[r, l, i] = c[k, i] * b - s[k, i] * a
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _walk_arm(layout, places, start, m, x, c, s, R, p, W, O):
     """Walk the whole chain from instrument to target; reference orientations stand before the angles of base and tool."""
     K = len(x)
     _identity(R, p)
-    _walk(layout, 0, 3, x, c, s, R, p, W, O)
-    _turn(layout.base_rotation, places.base, start, m, R)
-    _walk(layout, 3, K - 3, x, c, s, R, p, W, O)
-    _turn(layout.tool_rotation, places.tool, start, m, R)
-    _walk(layout, K - 3, K, x, c, s, R, p, W, O)
+    # One call of _walk, with one type of bounds: each is compiled into what calls it.
+    for part in range(3):
+        first = 3 * part if part < 2 else K - 3
+        last = K - 3 if part == 1 else first + 3
+        _walk(layout, first, last, x, c, s, R, p, W, O)
+        if part == 0:
+            _turn(layout.base_rotation, places.base, start, m, R)
+        elif part == 1:
+            _turn(layout.tool_rotation, places.tool, start, m, R)
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _add_body(R, p, mass, centre, B):
     """Add mass times the place of its centre to B."""
     for r in range(3):
@@ -242,7 +298,7 @@ def _add_body(R, p, mass, centre, B):
             B[r, i] += mass[i] * place
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F):
     """Walk the arm from its base; M[j] is the mass beyond joint j, B[j] the sum of mass times centre there.
 
@@ -250,28 +306,31 @@ def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F):
     """
     n = len(layout.masses)
     _identity(R, p)
-    B[:] = 0.0
     for j in range(n):
         first = FRAME + j * BLOCK
         _walk(layout, first, first + BLOCK, x, c, s, R, p, W, O)
         if len(F) > 0:
-            F[j, :3] = R
-            F[j, 3] = p
-        mass[:] = layout.masses[j]
-        M[j] = mass
+            for r in range(3):
+                _copy_rows(R[r], F[j, r])
+            _copy_rows(p, F[j, 3])
+        _set(mass, layout.masses[j])
+        _set(M[j], layout.masses[j])
+        for r in range(3):
+            _set(B[j, r], 0.0)
         _add_body(R, p, mass, layout.centres[j], B[j])
     _apply(R, p, layout.fixed[layout.fixed_before[FRAME + n * BLOCK]])
-    mass[:] = 0.0
+    _set(mass, 0.0)
     for i in range(m):
         mass[i] = payload.mass[start + i]
-    M[n - 1] += mass
+    _add(mass, M[n - 1])
     _add_body(R, p, mass, payload.centre, B[n - 1])
     for j in range(n - 2, -1, -1):
-        M[j] += M[j + 1]
-        B[j] += B[j + 1]
+        _add(M[j + 1], M[j])
+        for r in range(3):
+            _add(B[j + 1, r], B[j, r])
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _cross(a, b, out):
     """Out = a x b, each of shape (3, lanes)."""
     for i in range(a.shape[1]):
@@ -280,7 +339,7 @@ def _cross(a, b, out):
         out[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _turned_gravity(g, w, out):
     """Out = g x w."""
     for i in range(w.shape[1]):
@@ -289,7 +348,7 @@ def _turned_gravity(g, w, out):
         out[2, i] = g[0] * w[1, i] - g[1] * w[0, i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _lever(B, M, o, D):
     """D = B - M o: first moment of mass of what is beyond, about the point o."""
     for r in range(3):
@@ -297,19 +356,19 @@ def _lever(B, M, o, D):
             D[r, i] = B[r, i] - M[i] * o[r, i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _moment_levers(layout, W, O, M, B, A, H, D):
     """A[l], H[l]: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
     for j in range(len(layout.masses)):
         _lever(B[j], M[j], O[FRAME + j * BLOCK], D)
-        A[3 * j + 1] = W[layout.moment_y[j]]
-        A[3 * j + 2] = W[layout.moment_z[j]]
+        _copy_rows(W[layout.moment_y[j]], A[3 * j + 1])
+        _copy_rows(W[layout.moment_z[j]], A[3 * j + 2])
         _cross(A[3 * j + 1], A[3 * j + 2], A[3 * j])
         for q in range(3):
             _cross(A[3 * j + q], D, H[3 * j + q])
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _add_scaled(a, v, out):
     """Out += a v, with a a number a lane and v of shape (3, lanes)."""
     for r in range(3):
@@ -317,13 +376,14 @@ def _add_scaled(a, v, out):
             out[r, i] += a[i] * v[r, i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
     """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two running sums over the chain (module docstring)."""
     rows, n = len(a), len(layout.masses)
-    ahead[:] = 0.0
-    behind[:] = 0.0
     for r in range(rows):
+        for q in range(3):
+            _set(ahead[r, q], 0.0)
+            _set(behind[r, q], 0.0)
         for l in range(3 * n):
             _add_scaled(a[r, l], H[l], ahead[r])
     for j in range(n):
@@ -346,11 +406,13 @@ def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
                 for l in range(3 * j, 3 * j + 3):
                     _turned_gravity(layout.gravity, A[l], u)
                     for r in range(rows):
-                        _add_scaled(a[r, l], u, behind[r])
-                        _add_scaled(-a[r, l], H[l], ahead[r])
+                        for q in range(3):
+                            for i in range(h.shape[1]):
+                                behind[r, q, i] += a[r, l, i] * u[q, i]
+                                ahead[r, q, i] -= a[r, l, i] * H[l, q, i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _pull_back(compliances, start, m, J, a):
     """a[r, l] += sum over the coordinates k that follow moment l of J[r, k] d x_k / d n_l."""
     constant = compliances.rate.shape[1] == 1
@@ -365,16 +427,16 @@ def _pull_back(compliances, start, m, J, a):
                     a[r, l, i] += J[r, k, i] * compliances.rate[e, start + i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _kinematic_columns(layout, W, O, p, J):
     """J[:, k]: the motion of the tip (and its turning, where J has six rows) by coordinate k."""
     rows = len(J)
     for k in range(J.shape[1]):
         if layout.kind[k] >= 3:
             for r in range(3):
-                J[r, k] = W[k, r]
+                _copy(W[k, r], J[r, k])
             for r in range(3, rows):
-                J[r, k] = 0.0
+                _set(J[r, k], 0.0)
             continue
         for i in range(p.shape[1]):
             dx, dy, dz = p[0, i] - O[k, 0, i], p[1, i] - O[k, 1, i], p[2, i] - O[k, 2, i]
@@ -382,10 +444,10 @@ def _kinematic_columns(layout, W, O, p, J):
             J[1, k, i] = W[k, 2, i] * dx - W[k, 0, i] * dz
             J[2, k, i] = W[k, 0, i] * dy - W[k, 1, i] * dx
         for r in range(3, rows):
-            J[r, k] = W[k, r - 3]
+            _copy(W[k, r - 3], J[r, k])
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _parameter_columns(terms, start, m, J, V, through, loop, out):
     """Add each term's share to its parameter's column; rigid terms also act through the moments."""
     for e in range(len(terms.coordinate)):
@@ -406,7 +468,7 @@ def _parameter_columns(terms, start, m, J, V, through, loop, out):
                     out[q, r, start + i] += terms.basis[j, start + i] * V[r, k, i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
     """Set the columns of what masses depend on: they act through the moments alone.
 
@@ -414,8 +476,9 @@ def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
     joint up to j; weighed with a_l these are sums over l of g x w_l, in U, and of o_l . (g x w_l), in S.
     """
     for r in range(len(a)):
-        U[:] = 0.0
-        S[:] = 0.0
+        for q in range(3):
+            _set(U[q], 0.0)
+        _set(S, 0.0)
         for j in range(len(layout.masses)):
             o = O[FRAME + j * BLOCK]
             for l in range(3 * j, 3 * j + 3):
@@ -435,14 +498,23 @@ def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
                     column[start + i] -= mass * S[i]
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
 def _buffers(K):
     """Return room for x, c, s (see _load) and R, p, W, O (see _walk) of one group of poses."""
     x, c, s = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
     return x, c, s, np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
 
 
-@njit(**_COMPILE)
+@njit(**_INNER)
+def _note_poses(R, p, start, m, out):
+    """Put the frames of poses start .. start + m into out, shape (3, 4, N)."""
+    for r in range(3):
+        for i in range(m):
+            out[r, 0, start + i], out[r, 1, start + i], out[r, 2, start + i] = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            out[r, 3, start + i] = p[r, i]
+
+
+@njit(cache=True, **_COMPILE)
 def static_moments(layout, values, payload):
     """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
     N, K, n = len(payload.mass), len(values.constant), len(layout.masses)
@@ -462,7 +534,7 @@ def static_moments(layout, values, payload):
     return out
 
 
-@njit(**_COMPILE)
+@njit(cache=True, **_COMPILE)
 def tip_poses(layout, values, places):
     """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
     N, K = len(places.tool), len(values.constant)
@@ -472,12 +544,11 @@ def tip_poses(layout, values, places):
         m = min(LANES, N - start)
         _load(layout, values, start, m, x, c, s, start == 0)
         _walk_arm(layout, places, start, m, x, c, s, R, p, W, O)
-        out[:, :3, start : start + m] = R[:, :, :m]
-        out[:, 3, start : start + m] = p[:, :m]
+        _note_poses(R, p, start, m, out)
     return out
 
 
-@njit(**_COMPILE)
+@njit(cache=True, **_COMPILE)
 def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, bodies, n_parameters, rows, sweeps):
     """Return the target's poses and the derivative of its motion by every parameter.
 
@@ -514,19 +585,22 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, bod
         m = min(LANES, N - start)
         _load(layout, values, start, m, x, c, s, start == 0)
         _walk_arm(layout, places, start, m, x, c, s, R, p, W, O)
-        poses[:, :3, start : start + m] = R[:, :, :m]
-        poses[:, 3, start : start + m] = p[:, :m]
+        _note_poses(R, p, start, m, poses)
         _kinematic_columns(layout, W, O, p, J)
         if through:
             _load(layout, rigid, start, m, y, cy, sy, start == 0)
             _walk_bodies(layout, payload, start, m, y, cy, sy, Rb, q, Wb, Ob, M, B, mass, F)
             _moment_levers(layout, Wb, Ob, M, B, A, H, u)
-            a0[:] = 0.0
+            for r in range(rows):
+                for l in range(3 * n):
+                    _set(a0[r, l], 0.0)
             _pull_back(compliances, start, m, J, a0)
-            a[:] = a0
+            for r in range(rows):
+                _copy_rows(a0[r], a[r])
             _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
             for _ in range(sweeps):
-                a[:] = a0
+                for r in range(rows):
+                    _copy_rows(a0[r], a[r])
                 _pull_back(compliances, start, m, V, a)
                 _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
             if weighs:
