@@ -148,7 +148,11 @@ def built(content: bytes, wanted: type[T], kind: FileKind, *, file: str, hook: H
             return msgspec.convert(_loaded(content), wanted, dec_hook=hook)
         return msgspec.json.decode(content, type=wanted, dec_hook=hook)
     except msgspec.ValidationError as error:
-        place, problem, expected = explained(error, lambda: _loaded(content), wanted)
+        try:
+            place, problem, expected = explained(error, lambda: _loaded(content), wanted)
+        except ValueError as other:
+            # The decoder stops at the first fault; what comes after it is no JSON.
+            place, problem, expected = "", f"cut off or no JSON ({other})", kind.name
         raise kind.fault(file, place, problem, expected) from None
     except ValueError as error:
         raise kind.fault(file, "", f"cut off or no JSON ({error})", kind.name) from None

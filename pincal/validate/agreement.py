@@ -39,6 +39,8 @@ _CURED = 4.0
 _TELLING = 2.0
 # Rows that are looked at; every trial is a fit. How many of the best are fitted in full.
 _ROWS, _FITTED = 200, 3
+# Rows from which a typical error is told.
+_TYPICAL = 1000
 # Of the rows these are looked at: neighbours matter, and all of a long table would add nothing.
 _MOST_ROWS = 20_000
 # Scales of lengths, as logarithms: factors beyond show at the door, smaller ones are no mistake but an instrument's error.
@@ -171,6 +173,7 @@ def _calibrated(cure: Cure, options: Options) -> tuple[float, float] | None:
 
 def _left(station: Station, values: np.ndarray) -> tuple[float, float]:
     """Return the robust size of the errors of position [m] and orientation [rad]: outliers have no say."""
+    station = station.sample(_TYPICAL)
     position = float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
     ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
     turned = [slice(a, a + b.size) for a, b in zip(ends, station.sensor.blocks, strict=False) if b.unit == "rad"]

@@ -23,10 +23,10 @@ _NO_DRIFT = 1.15
 _EXPLAINED = 0.8
 # Rows that a region may tell wrongly, as a part of those that are apart.
 _MISTOLD = 0.3
-# More rows add nothing but time.
-_MOST = 4000
+# Rows that show whether there is a step, and those that show where; more add nothing but time.
+_FEW, _MOST = 400, 4000
 # Directions of the fitted parameters that are weaker than this part of the strongest are none.
-_RANK = 1e-6
+_RANK = 1e-5
 # Difference [rad or m] by which joints are moved for a derivative.
 _MOVED = 1e-5
 
@@ -57,15 +57,27 @@ def step_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.nd
         free: shape (P,), which of them were fitted.
         lines: shape (N,), line of each row.
     """
-    taken = np.argsort(lines, kind="stable")[some_rows(len(lines), _MOST)]
-    n = len(taken)
-    if not station.sensor.reads_pose or n < 4 * _EACH:
+    order = np.argsort(lines, kind="stable")
+    if not station.sensor.reads_pose or len(order) < 4 * _EACH:
         return None
-    station = station.select(taken)
+    found = None
+    for most in (_FEW, _MOST):
+        taken = order[some_rows(len(order), most)]
+        found = _step(station.select(taken), values, free, lines[taken])
+        if found is None or len(taken) == len(order):
+            break
+    return found
+
+
+def _step(station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray) -> Step | None:
+    """Return the step in rows that stand in order."""
+    n = len(lines)
     # Components of a row next to each other, shape (3 N, free).
     J = np.concatenate([part[:, :3].transpose(2, 1, 0) for _, _, part in station.linearise(values, free)]).reshape(3 * n, -1)
-    axes, sizes, _ = np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-300), full_matrices=False)
-    Q = axes[:, sizes > _RANK * sizes[0]]
+    J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    sizes, axes = np.linalg.eigh(J.T @ J)
+    kept = sizes > _RANK**2 * sizes[-1]
+    Q = J @ (axes[:, kept] / np.sqrt(sizes[kept]))
     off = station.displacements(values)
     long = np.linalg.norm(off, axis=1, keepdims=True)
     off = (off * np.minimum(1.0, _CLIPPED * np.median(long) / np.maximum(long, 1e-300))).ravel()
@@ -85,7 +97,7 @@ def step_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.nd
     variance = max(width * float(np.mean(means**2)), float(np.mean(left**2)))
     if gains[at] < _STEP * variance or gains[at] < _NO_DRIFT * drift:
         return None
-    return Step(int(lines[taken][at]), float(np.linalg.norm(moves[at])))
+    return Step(int(lines[at]), float(np.linalg.norm(moves[at])))
 
 
 def _gains(sums: np.ndarray, parts: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
