@@ -270,3 +270,10 @@ def test_hostile_models_cost_little(tmp_path: Path, model: bytes) -> None:
         begun = time.process_time()
         assert accepted(lambda file=file: load_model(file)) is None
         assert time.process_time() - begun < 1.5, name
+
+
+@pytest.mark.parametrize("content", [b"a" * 200_000 + b",x\n1,2\n", b"x,y\n" + b"1" * 200_000 + b',"2\n', b'"x\n' * 50_000])
+def test_cells_without_end_are_refused(tmp_path: Path, kuka: Robot, content: bytes) -> None:
+    """A cell of a hundred thousand characters is no name and no number."""
+    (tmp_path / "long.csv").write_bytes(content)
+    assert accepted(lambda: read_measurements(tmp_path / "long.csv", kuka.joint_names)) is None

@@ -59,7 +59,7 @@ class TextSheet(Sheet):
         with self.open() as file:
             head = file.read(_HEAD_BYTES)
         lines = [line for line in head.splitlines()[self.header_line :] if _has_cells(line)][:_FIRST_ROWS]
-        return list(csv.reader([line.decode("utf-8", "replace") for line in lines], delimiter=self.separator))
+        return _split([line.decode("utf-8", "replace") for line in lines], self.separator, self.path.name)
 
     def open(self) -> BinaryIO:
         """Return the text as a file."""
@@ -85,6 +85,20 @@ def open_text(path: Path) -> Sheet:
     raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
 
 
+def _split(lines: list[str], separator: str, name: str) -> list[list[str]]:
+    """Return the cells of lines.
+
+    Raises:
+        MeasurementError: for what no table holds, such as a cell of a hundred thousand characters.
+    """
+    try:
+        return list(csv.reader(lines, delimiter=separator))
+    except csv.Error as error:
+        raise MeasurementError(
+            f"{name}: can't be divided into cells ({error}); expected a table of names and numbers"
+        ) from None
+
+
 def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | None) -> TextSheet:
     try:
         header = line.decode("utf-8")
@@ -95,7 +109,7 @@ def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | N
     if separator not in header and len(header.split()) > 1:
         content = _with_tabs(path.read_bytes() if content is None else content)
         header, separator = re.sub(r"\s+", "\t", re.sub(r"\s+(?=[\[(])", "", header.strip())), "\t"
-    labels = tuple(cell.strip() for cell in next(csv.reader([header], delimiter=separator)))
+    labels = tuple(cell.strip() for cell in _split([header], separator, path.name)[0])
     if all(re.fullmatch(r"[-+.,\deE]+", label) for label in labels):
         raise MeasurementError(f"{path.name}, line {number}: numbers; expected the names of the columns, without a #")
     return TextSheet(path, labels, separator != ",", separator, number, content)
@@ -219,7 +233,7 @@ def _check_lines(sheet: TextSheet, kept: list[bytes], rows: np.ndarray) -> None:
     for line, row in zip(kept, rows, strict=True):
         count = line.count(separator) + 1
         if count != expected and b'"' in line:
-            count = len(next(csv.reader([line.decode("utf-8", "replace")], delimiter=sheet.separator)))
+            count = len(_split([line.decode("utf-8", "replace")], sheet.separator, sheet.path.name)[0])
         if count != expected:
             hint = "; decimal commas need ; or tab between the cells" if sheet.separator == "," else ""
             raise MeasurementError(
