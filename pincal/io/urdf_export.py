@@ -155,7 +155,7 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
         what: the format of the file.
     """
     names = [effect.name for effect in model.effects]
-    elastic = [effect.name for effect in model.effects if effect.uses_moments]
+    elastic = [effect.name for effect in model.effects if effect.uses_moments or effect.bodies(model.chain)]
     others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic)]
     notes = []
     if elastic:
