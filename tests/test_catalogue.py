@@ -36,6 +36,7 @@ from pincal.model.catalogue import (
     LoadBacklash,
     MeasurementScale,
     NonlinearElasticity,
+    ObliqueBearing,
     PayloadError,
     ThermalExpansion,
     ThermalOffset,
@@ -67,6 +68,7 @@ Make = Callable[[tuple[str, ...]], Effect]
 EFFECTS: dict[str, Make] = {
     "nonlinear_elasticity": lambda j: NonlinearElasticity(j[1]),
     "nonlinear_elasticity that stiffens": lambda j: NonlinearElasticity(j[1], stiffening=30.0),
+    "oblique_bearing": lambda j: ObliqueBearing(j[2]),
     "link_bending": lambda j: LinkBending(j[1]),
     "link_mass": lambda j: LinkMass(),
     "link_mass of some": lambda j: LinkMass((j[1], j[-1])),
@@ -179,7 +181,7 @@ def in_catalogue() -> Iterator[type[Effect]]:
 @pytest.mark.parametrize("name", known_effects())
 def test_an_effect_says_all_of_itself(robot: Robot, name: str, rng: np.random.Generator) -> None:
     """By being registered a class is under this test: its words, its places on an arm, its variants, its form in files."""
-    cls, chain = known_effects()[name], chain_of(robot)
+    cls, chain = known_effects()[name], chain_of(robot, "after")
     assert cls.name == name and cls.meaning and cls.meaning == meaning_of(name)
     if not issubclass(cls, Discoverable):
         return

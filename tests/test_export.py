@@ -21,6 +21,7 @@ from pincal.calibration.covered import Covered
 from pincal.errors import BadInputError
 from pincal.export import FORMATS, export_model
 from pincal.model.at_station import AtStation
+from pincal.model.catalogue.bearings import ObliqueBearing
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Locus, Term
@@ -190,6 +191,12 @@ def test_every_registered_effect_is_among_them(kuka: Robot) -> None:
     ours = {name for name, cls in KNOWN.known().items() if cls.__module__.startswith("pincal.")}
 
     assert ours - tried - beside == {"at_station"}
+
+
+@pytest.mark.parametrize("frame", ["before", "after"])
+def test_bearings_beside_the_origins_of_their_frames_are_exported(frame: MomentFrame, rng: np.random.Generator) -> None:
+    """Two joints of the Panda sit a third of a metre along their axes, where their moments are taken."""
+    check_python(drawn(ObliqueBearing("panda_joint3"), Robot.from_urdf("panda"), frame=frame), rng)
 
 
 def test_the_whole_catalogue_at_once_is_exported(kuka: Robot, rng: np.random.Generator) -> None:

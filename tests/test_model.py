@@ -18,6 +18,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.model import effects as catalogue
 from pincal.model import kernels
 from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
+from pincal.model.catalogue.bearings import ObliqueBearing
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.kernels import BLOCK, FRAME
@@ -84,7 +85,9 @@ def unit_of(model: Model, conditions: Conditions) -> np.ndarray:
         element, symbol = name.rsplit(".", 1)
         if symbol.startswith("k_"):
             unit[p] = max(moments[3 * joints.index(element) + "xyz".index(symbol[-1])], floor)
-    return unit
+    # A bearing beside the origin of its frame turns short links to move them.
+    size = model.largest_basis(conditions)[0]
+    return np.where(size > 2.0 * unit, size, unit)
 
 
 def values_of(model: Model, conditions: Conditions, rng: np.random.Generator) -> np.ndarray:
@@ -179,9 +182,9 @@ def test_jacobian_is_exact(
     conditions = conditions_of(robot, 6, rng)
     values = values_of(model, conditions, rng)
     poses, jacobian = model.linearise(values, conditions, rows=6)
-    # Steps that move a coordinate by 2e-5: truncation and rounding are both some 1e-10 of the motion.
+    # Steps that move a coordinate by 1e-5: truncation and rounding are both some 1e-10 of the motion.
     unit = unit_of(model, conditions)
-    numeric = central_differences(model, values, conditions, 2e-5 / unit)
+    numeric = central_differences(model, values, conditions, 1e-5 / unit)
 
     np.testing.assert_array_equal(poses, model.predict(values, conditions))
     np.testing.assert_allclose(jacobian / unit, numeric / unit, rtol=0.0, atol=3e-9 * max(1.0, robot.reach))
@@ -464,7 +467,8 @@ def shift(x: float, z: float) -> np.ndarray:
 def summed_moments(chain: Chain, x: np.ndarray, mass: float, centre: np.ndarray) -> np.ndarray:
     """Return the moments of one row of coordinates as sums of (c - o) x m g, shape (n, 3) (paper, Eq. (3)).
 
-    "before" and "paper" express them in the frame before q, "after" in the one after q and the drive's own wind-up.
+    "before" and "paper" express them in the frame before q, "after" in the one after q and the drive's own wind-up; the
+    paper takes them about the frame's origin, the others about the bearing.
     """
     robot, T = chain.robot, chain.robot.frames.T_base_first
     origins, axes, places = [], [], []
@@ -478,8 +482,8 @@ def summed_moments(chain: Chain, x: np.ndarray, mass: float, centre: np.ndarray)
         else:
             T = T @ turn("z", at["theta"] + at["gamma_z"])
         after = T[:3, :3]
-        origins.append(T[:3, 3])
         axes.append(after if chain.moment_frame == "after" else before)
+        origins.append(T[:3, 3] + chain.bearing_heights[i] * axes[-1][:, 2])
         T = T if chain.moment_frame == "before" else T @ bend
         T = T @ shift(at["a"], at["d"]) @ turn("x", at["alpha"])
         places.append(T[:3, :3] @ robot.centres[i] + T[:3, 3])
@@ -511,20 +515,39 @@ def test_moments_are_sums_over_the_bodies_beyond(robot: Robot, moment_frame: Mom
 
 
 @pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+def test_a_bearing_sits_where_the_urdf_has_the_joint(robot: Robot, moment_frame: MomentFrame) -> None:
+    """Its height on the axis leads from the frame's origin to the joint; the paper has it at the origin."""
+    chain, T = bare_chain(robot, moment_frame), robot.frames.T_base_first
+    for i, T_base_link in enumerate(robot.frames.T_base_link):
+        joint = (T_base_link @ robot.T_link_joint[i])[:3, 3]
+        away = joint - T[:3, 3] - chain.bearing_heights[i] * T[:3, 2]
+        if moment_frame == "paper":
+            assert chain.bearing_heights[i] == 0.0
+        else:
+            np.testing.assert_allclose(away, 0.0, atol=2e-6)
+        T = T_base_link
+
+
+@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
 def test_equilibrium_balances_on_the_bent_arm(robot: Robot, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
     """Bent by tens of mrad, each elastic angle is its compliance times the moment on the arm as it is bent."""
     chain = bare_chain(robot, moment_frame)
-    model, conditions = Model(chain, ELASTIC, equilibrium=True), conditions_of(robot, 6, rng, targets=1)
+    oblique = () if moment_frame == "paper" else tuple(ObliqueBearing(joint) for joint in robot.joint_names)
+    model, conditions = Model(chain, (*ELASTIC, *oblique), equilibrium=True), conditions_of(robot, 6, rng, targets=1)
     values = np.abs(values_of(model, conditions, rng))
     coordinates = model.coordinates(values, conditions)
     bending = np.zeros((len(conditions), robot.n_joints, 3))
-    wanted = np.zeros_like(bending)
+    softness = np.zeros((robot.n_joints, 3, 3))
     for i, name in enumerate(robot.joint_names):
         for j, axis in enumerate("xyz"):
             bending[:, i, j] = coordinates[:, chain.joint(i, f"gamma_{axis}")]
-            wanted[:, i, j] = values[model.index(f"{name}.k_{axis}")]
-    for row, x in enumerate(coordinates):
-        wanted[row] *= summed_moments(chain, x, conditions.payload[row], conditions.payload_centre)
+            softness[i, j, j] = values[model.index(f"{name}.k_{axis}")]
+        softness[i, 0, 1] = softness[i, 1, 0] = values[model.index(f"{name}.k_xy")] if oblique else 0.0
+    moments = [
+        summed_moments(chain, x, mass, conditions.payload_centre)
+        for x, mass in zip(coordinates, conditions.payload, strict=True)
+    ]
+    wanted = np.einsum("iab,nib->nia", softness, np.array(moments))
 
     assert 5e-3 < np.abs(bending).max() < 0.1
     np.testing.assert_allclose(bending, wanted, rtol=0.0, atol=EXACT)

@@ -14,10 +14,10 @@ from pincal.discover.history import History
 from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import Gap
-from pincal.model.catalogue.places import drive_unit
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
+from pincal.model.places import drive_unit
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 # Periods that have to be seen, and the part of the excess that one tone has to explain, before a curve is called periodic.

@@ -36,6 +36,8 @@ _KIND = {
     "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
     "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
 }  # fmt: skip
+# A joint nearer than this to the origin of its frame is there [m].
+_AT_ORIGIN = 1e-6
 # Columns of DhFrames.parameters.
 _DH_COLUMN = {"s_x": 0, "s_y": 1, "theta": 2, "d": 3, "a": 4, "alpha": 5}
 
@@ -126,11 +128,30 @@ class Chain:
         return self.size - FRAME + FRAME_SYMBOLS.index(symbol)
 
     @cached_property
+    def bearing_heights(self) -> np.ndarray:
+        """Where on its axis, from the frame before it, each joint has its bearing, shape (n,) [m].
+
+        In the paper that is the frame's own origin; "before" and "after" have it where the URDF has the joint.
+        """
+        n = self.robot.n_joints
+        if self.moment_frame == "paper":
+            return np.zeros(n)
+        heights = np.array([self.height_on_axis(i) for i in range(n)])
+        return np.where(np.abs(heights) > _AT_ORIGIN, heights, 0.0)
+
+    def height_on_axis(self, i: int) -> float:
+        """Return where on its axis, from the frame before it, the URDF has joint i [m]."""
+        d, alpha = (self.nominal[self.joint(i, symbol)] for symbol in ("d", "alpha"))
+        _, y, z = self.robot.T_link_joint[i, :3, 3]
+        return float(d + np.sin(alpha) * y + np.cos(alpha) * z)
+
+    @cached_property
     def layout(self) -> Layout:
         """The chain's constant part as arrays for the compiled loops."""
         fixed = np.array([self.robot.frames.T_base_first, self.robot.frames.T_last_tip])
         return Layout(
             **_order(self.moment_frame, self.robot.n_joints),
+            moment_height=self.bearing_heights,
             fixed=np.ascontiguousarray(fixed[:, :3]),
             base_rotation=np.ascontiguousarray(self.base_rotation).reshape(-1, 3, 3),
             tool_rotation=np.ascontiguousarray(self.tool_rotations),

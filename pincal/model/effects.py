@@ -13,8 +13,9 @@ from typing import ClassVar, final
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.conditions import MOMENT, UNFELT, Conditions, Situation
-from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, Term
+from pincal.model.compliances import BearingElasticity, Compliance, JointElasticity
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect, Family, Locus, Term
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
 __all__ = [
@@ -37,7 +38,6 @@ __all__ = [
 # up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
-BENDING_SIZE = 1e-3
 
 
 class _Geometry(Effect):
@@ -127,84 +127,6 @@ class AxisDistortion(_Geometry):
     @staticmethod
     def _symbols(is_prismatic: bool) -> dict[str, float]:
         return {"s_x": ANGLE_SIZE, "s_y": ANGLE_SIZE}
-
-
-@dataclass(frozen=True)
-class Compliance(Discoverable):
-    """Elastic rotations gamma_l = k_l n_l about chosen axes of some joints (paper, III.B).
-
-    Attributes:
-        joints: the joints; default: all.
-        axes: the axes about which they turn, some of "xyz".
-    """
-
-    joints: tuple[str, ...] | None = None
-    axes: ClassVar[str]
-    family: ClassVar[Family] = Family.ELASTICITY
-    uses_moments: ClassVar[bool] = True
-
-    @property
-    def locus(self) -> Locus:
-        """The elastic rotations of its joints, which follow the moments there."""
-        only = self.joints[0] if self.joints is not None and len(self.joints) == 1 else None
-        return Locus(only, f"gamma_{self.axes}" if len(self.axes) == 1 else "tilt", MOMENT)
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One compliance per axis and joint [rad/(N m)]."""
-        return tuple(
-            Parameter(f"{chain.robot.joint_names[i]}.k_{axis}", "rad/(N m)", self.name, 0.0, BENDING_SIZE)
-            for i in self._indices(chain)
-            for axis in self.axes
-        )
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add compliance times moment to the elastic rotation about the same axis."""
-        assert moments is not None
-        places = [(i, axis) for i in self._indices(chain) for axis in self.axes]
-        terms = []
-        for p, (i, axis) in enumerate(places):
-            moment = 3 * i + "xyz".index(axis)
-            terms.append(Term(p, chain.joint(i, f"gamma_{axis}"), moments[:, moment], moment))
-        return tuple(terms)
-
-    def _indices(self, chain: Chain) -> list[int]:
-        names = chain.robot.joint_names
-        return list(range(len(names))) if self.joints is None else [names.index(name) for name in self.joints]
-
-
-@dataclass(frozen=True)
-class JointElasticity(Compliance):
-    """Each drive gives way about its own axis: gamma_z = k_z n_z."""
-
-    name: ClassVar[str] = "joint_elasticity"
-    meaning: ClassVar[str] = "the drive twists under the load on its axis"
-    axes: ClassVar[str] = "z"
-
-    @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield the elasticity of all drives that these poses load.
-
-        About a vertical axis gravity has a moment only as far as the base is not level. Any tilt goes, since the base's own
-        makes up for it, so that such a compliance could take the place of a true effect of that joint's position.
-        """
-        heaviest = UNFELT * np.abs(situation.moments).max(initial=0.0)
-        joints = situation.joints
-        felt = tuple(joint for joint in joints if np.abs(situation.moment(joint)).max(initial=0.0) > heaviest)
-        yield Candidate(cls() if len(felt) == len(joints) else cls(felt))
-
-
-@dataclass(frozen=True)
-class BearingElasticity(Compliance):
-    """Each bearing gives way across its axis: gamma_x = k_x n_x, gamma_y = k_y n_y."""
-
-    name: ClassVar[str] = "bearing_elasticity"
-    meaning: ClassVar[str] = "the bearing tilts under load across its axis"
-    axes: ClassVar[str] = "xy"
-
-    @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield the elasticity of all bearings."""
-        yield Candidate(cls())
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@ r"""The compiled loops: tip poses, static moments and their exact derivatives, p
 A chain is a sequence of elementary transforms, each with one scalar coordinate. With w_k and o_k the axis and a point of
 coordinate k in the world, a rotation moves the tip p by w_k x (p - o_k) and turns it by w_k; a translation moves it by w_k.
 
-Moments: for the axis w_l through o_l, with D_l the sum of m_b (c_b - o_l) over the bodies b beyond, h_l = w_l x D_l and
-g the gravity, n_l = h_l . g (paper, Eq. (3)). With u_k = g x w_k and M_k the mass beyond k,
+Moments: for the axis w_l and a point o_l on the joint's axis, with D_l the sum of m_b (c_b - o_l) over the bodies b beyond,
+h_l = w_l x D_l and g the gravity, n_l = h_l . g (paper, Eq. (3)). With u_k = g x w_k and M_k the mass beyond k,
 
     d n_l / d x_k = h_l . u_k           k a rotation before the frame of l
                   = h_k . u_l           k a rotation after it
@@ -48,6 +48,7 @@ class Layout(NamedTuple):
         moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint i's moment is
             expressed in.
         moment_cut: shape (n,), the last coordinate that turns this frame.
+        moment_height: shape (n,), how far along the joint's axis from this frame's origin the moment is taken [m].
         masses, centres: shape (n,), (n, 3), the bodies in the link frames.
         gravity: shape (3,), in the robot's base frame.
     """
@@ -60,6 +61,7 @@ class Layout(NamedTuple):
     moment_y: np.ndarray
     moment_z: np.ndarray
     moment_cut: np.ndarray
+    moment_height: np.ndarray
     masses: np.ndarray
     centres: np.ndarray
     gravity: np.ndarray
@@ -357,10 +359,23 @@ def _lever(B, M, o, D):
 
 
 @njit(**_INNER)
+def _moment_point(layout, j, W, O, o):
+    """Put the point that the moments of joint j are taken about into o, shape (3, lanes)."""
+    _copy_rows(O[FRAME + j * BLOCK], o)
+    height = layout.moment_height[j]
+    if height != 0.0:
+        axis = W[layout.moment_z[j]]
+        for r in range(3):
+            for i in range(o.shape[1]):
+                o[r, i] += height * axis[r, i]
+
+
+@njit(**_INNER)
 def _moment_levers(layout, W, O, M, B, A, H, D):
     """A[l], H[l]: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
     for j in range(len(layout.masses)):
-        _lever(B[j], M[j], O[FRAME + j * BLOCK], D)
+        _moment_point(layout, j, W, O, A[3 * j])
+        _lever(B[j], M[j], A[3 * j], D)
         _copy_rows(W[layout.moment_y[j]], A[3 * j + 1])
         _copy_rows(W[layout.moment_z[j]], A[3 * j + 2])
         _cross(A[3 * j + 1], A[3 * j + 2], A[3 * j])
@@ -469,7 +484,7 @@ def _parameter_columns(terms, start, m, J, V, through, loop, out):
 
 
 @njit(**_INNER)
-def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
+def _body_columns(layout, bodies, start, m, W, O, F, A, a, u, o, U, S, out):
     """Set the columns of what masses depend on: they act through the moments alone.
 
     A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moment n_l of each
@@ -480,7 +495,7 @@ def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
             _set(U[q], 0.0)
         _set(S, 0.0)
         for j in range(len(layout.masses)):
-            o = O[FRAME + j * BLOCK]
+            _moment_point(layout, j, W, O, o)
             for l in range(3 * j, 3 * j + 3):
                 _turned_gravity(layout.gravity, A[l], u)
                 _add_scaled(a[r, l], u, U)
@@ -604,6 +619,6 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, bod
                 _pull_back(compliances, start, m, V, a)
                 _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
             if weighs:
-                _body_columns(layout, bodies, start, m, Ob, F, A, a, u, U, S, out)
+                _body_columns(layout, bodies, start, m, Wb, Ob, F, A, a, u, h, U, S, out)
         _parameter_columns(terms, start, m, J, V, through, sweeps > 0, out)
     return poses, out

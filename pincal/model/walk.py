@@ -118,7 +118,9 @@ def static_moments(layout: Layout, x: Sequence[Number], payload: Number, payload
         for k in reversed(range(FRAME + j * BLOCK, FRAME + (j + 1) * BLOCK)):
             first_moment = _turned(first_moment, int(layout.kind[k]), x[k], mass=mass)
             if k == at[j]:
-                moments = [*_cross(first_moment, gravity[k]), *moments]
+                height = float(layout.moment_height[j])
+                about = first_moment - np.array([0.0, 0.0, height], object) * mass if height else first_moment
+                moments = [*_cross(about, gravity[k]), *moments]
     return moments
 
 

@@ -8,6 +8,7 @@ Example:
     ['elbow_joint.eccentric_sin1', 'elbow_joint.eccentric_cos1']
 """
 
+from pincal.model.catalogue.bearings import ObliqueBearing
 from pincal.model.catalogue.candidates import candidates, untestable
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import (
@@ -45,6 +46,7 @@ __all__ = [
     "LoadBacklash",
     "MeasurementScale",
     "NonlinearElasticity",
+    "ObliqueBearing",
     "PayloadError",
     "ThermalExpansion",
     "ThermalOffset",
@@ -70,6 +72,7 @@ for _effect in (
     GravityCompensator,
     GearEccentricity,
     AxisWobble,
+    ObliqueBearing,
     LinkBending,
     BaseDrift,
     MeasurementScale,

@@ -10,10 +10,10 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
-from pincal.model.catalogue.places import WAVE, drive_terms, drive_unit, parameters_of
 from pincal.model.chain import Chain
 from pincal.model.conditions import TURN, Conditions, Situation, recorded_variable
 from pincal.model.effect import Candidate, Curve, Locus, Term
+from pincal.model.places import WAVE, drive_terms, drive_unit, parameters_of
 from pincal.model.symbols import held
 from pincal.parameters import Parameter
 

@@ -13,7 +13,10 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.model.catalogue.places import (
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Candidate, Discoverable, Effect, Locus, Term
+from pincal.model.places import (
     GROWTH,
     PLAY,
     RATIO,
@@ -28,9 +31,6 @@ from pincal.model.catalogue.places import (
     turning,
     waves,
 )
-from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
-from pincal.model.effect import Candidate, Discoverable, Effect, Locus, Term
 from pincal.parameters import Parameter
 
 Order = Literal[1, 2]

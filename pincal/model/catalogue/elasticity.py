@@ -14,8 +14,12 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.model.catalogue.links import end_terms, link_span, loads_at_end
-from pincal.model.catalogue.places import (
+from pincal.model.chain import Chain
+from pincal.model.compliances import BENDING_SIZE
+from pincal.model.conditions import MOMENT, Conditions, Situation, nominal_moments
+from pincal.model.effect import Candidate, Discoverable, Family, Locus, Reducible, Term
+from pincal.model.links import end_terms, link_span, loads_at_end
+from pincal.model.places import (
     PLAY,
     WAVE,
     drive_unit,
@@ -26,10 +30,6 @@ from pincal.model.catalogue.places import (
     positions,
     waves,
 )
-from pincal.model.chain import Chain
-from pincal.model.conditions import MOMENT, Conditions, Situation, nominal_moments
-from pincal.model.effect import Candidate, Discoverable, Family, Locus, Reducible, Term
-from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
 
 # Part of the largest moment of an axis that friction holds before its play goes to one side.

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.model.catalogue.places import GROWTH, TILT, height_on_axis, joint_index, parameters_of, recorded
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Locus, Term
+from pincal.model.places import GROWTH, TILT, joint_index, parameters_of, recorded
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
 
@@ -160,7 +160,7 @@ def _link(chain: Chain, i: int) -> dict[int, float]:
     With u_i the height of the URDF's joint i on its axis:  p_(i+1) - p_i = (d_i - u_i) z_i + a_i x_i + u_(i+1) z_(i+1).
     """
     d, a = chain.joint(i, "d"), chain.joint(i, "a")
-    way = {d: float(chain.nominal[d]) - height_on_axis(chain, i), a: float(chain.nominal[a])}
+    way = {d: float(chain.nominal[d]) - chain.height_on_axis(i), a: float(chain.nominal[a])}
     if i + 1 == chain.robot.n_joints:
         return way | _flange(chain)
-    return way | {chain.joint(i + 1, "d"): height_on_axis(chain, i + 1)}
+    return way | {chain.joint(i + 1, "d"): chain.height_on_axis(i + 1)}

@@ -10,10 +10,10 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.basis import spline_basis
-from pincal.model.catalogue.places import joint_index, positions, waves
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, recorded_variable
 from pincal.model.effect import Effect, Family, Locus, Term
+from pincal.model.places import joint_index, positions, waves
 from pincal.parameters import Parameter
 
 Shape = Literal["curve", "waves", "product", "step", "kink"]

@@ -106,10 +106,3 @@ def moment_terms(parameter: int, coordinate: int, i: int, *, axis: np.ndarray, m
         for c in range(3)
         if np.abs(axis[:, c]).max(initial=0.0) > _ACROSS
     )
-
-
-def height_on_axis(chain: Chain, i: int) -> float:
-    """Return where on its axis, from the frame before it, the URDF has joint i [m]."""
-    d, alpha = (chain.nominal[chain.joint(i, symbol)] for symbol in ("d", "alpha"))
-    _, y, z = chain.robot.T_link_joint[i, :3, 3]
-    return float(d + np.sin(alpha) * y + np.cos(alpha) * z)

@@ -1,0 +1,171 @@
+"""Linear compliance, which every arm has: drives that give way about their axes and bearings that give way across them."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from pincal.model.chain import Chain
+from pincal.model.conditions import MOMENT, UNFELT, Conditions, Situation
+from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
+from pincal.model.links import end_terms
+from pincal.model.places import turning
+from pincal.parameters import Parameter
+
+# Size of real elastic rotations [rad], used as prior where the data can't tell.
+BENDING_SIZE = 1e-3
+
+
+@dataclass(frozen=True)
+class Compliance(Discoverable):
+    """Elastic rotations that follow the static moments of some joints (paper, III.B).
+
+    Attributes:
+        joints: the joints; default: all.
+    """
+
+    joints: tuple[str, ...] | None = None
+    family: ClassVar[Family] = Family.ELASTICITY
+    uses_moments: ClassVar[bool] = True
+
+    @staticmethod
+    @abstractmethod
+    def _symbols(chain: Chain) -> tuple[str, ...]:
+        """Return the symbols of one joint's compliances."""
+
+    @staticmethod
+    @abstractmethod
+    def _joint_terms(chain: Chain, conditions: Conditions, moments: np.ndarray, i: int) -> Iterator[Term]:
+        """Yield the terms of one joint, whose parameters count from 0."""
+
+    @property
+    def _only(self) -> str | None:
+        return self.joints[0] if self.joints is not None and len(self.joints) == 1 else None
+
+    @final
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """The compliances of each joint [rad/(N m)]."""
+        return tuple(
+            Parameter(f"{chain.robot.joint_names[i]}.{symbol}", "rad/(N m)", self.name, 0.0, BENDING_SIZE)
+            for i in self._indices(chain)
+            for symbol in self._symbols(chain)
+        )
+
+    @final
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add compliance times moment to the elastic rotations."""
+        assert moments is not None
+        size = len(self._symbols(chain))
+        return tuple(
+            term._replace(parameter=size * place + term.parameter)
+            for place, i in enumerate(self._indices(chain))
+            for term in self._joint_terms(chain, conditions, moments, i)
+        )
+
+    def _indices(self, chain: Chain) -> list[int]:
+        names = chain.robot.joint_names
+        return list(range(len(names))) if self.joints is None else [names.index(name) for name in self.joints]
+
+
+@dataclass(frozen=True)
+class JointElasticity(Compliance):
+    """Each drive gives way about its own axis: gamma_z = k_z n_z."""
+
+    name: ClassVar[str] = "joint_elasticity"
+    meaning: ClassVar[str] = "the drive twists under the load on its axis"
+
+    @property
+    def locus(self) -> Locus:
+        """The elastic rotations of its drives, which follow the moments there."""
+        return Locus(self._only, "gamma_z", MOMENT)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield the elasticity of all drives that these poses load.
+
+        About a vertical axis gravity has a moment only as far as the base is not level. Any tilt goes, since the base's own
+        makes up for it, so that such a compliance could take the place of a true effect of that joint's position.
+        """
+        heaviest = UNFELT * np.abs(situation.moments).max(initial=0.0)
+        joints = situation.joints
+        felt = tuple(joint for joint in joints if np.abs(situation.moment(joint)).max(initial=0.0) > heaviest)
+        yield Candidate(cls() if len(felt) == len(joints) else cls(felt))
+
+    @staticmethod
+    def _symbols(chain: Chain) -> tuple[str, ...]:
+        return ("k_z",)
+
+    @staticmethod
+    def _joint_terms(chain: Chain, conditions: Conditions, moments: np.ndarray, i: int) -> Iterator[Term]:
+        yield Term(0, chain.joint(i, "gamma_z"), moments[:, 3 * i + 2], 3 * i + 2)
+
+
+@dataclass(frozen=True)
+class BearingElasticity(Compliance):
+    r"""Each bearing gives way across its axis: gamma_x = k_x n_x, gamma_y = k_y n_y.
+
+    With the paper's moment frame that is to its letter: about the origin of the Denavit-Hartenberg frame, which is a choice
+    of whoever lays the frames. With "before" and "after" the bearing sits where the URDF has the joint: the moment n is
+    taken there, and the frame's origin, h below it on the axis, moves by :math:`h (-\gamma_y, \gamma_x, 0)`.
+    """
+
+    name: ClassVar[str] = "bearing_elasticity"
+    meaning: ClassVar[str] = "the bearing tilts under load across its axis"
+
+    @property
+    def locus(self) -> Locus:
+        """The tilts of its bearings, which follow the moments there."""
+        return Locus(self._only, "tilt", MOMENT)
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield the elasticity of all bearings."""
+        yield Candidate(cls())
+
+    @staticmethod
+    def _symbols(chain: Chain) -> tuple[str, ...]:
+        return ("k_x", "k_y")
+
+    @staticmethod
+    def _joint_terms(chain: Chain, conditions: Conditions, moments: np.ndarray, i: int) -> Iterator[Term]:
+        for axis in (0, 1):
+            yield from tilt_terms(chain, conditions, moments, i, axis=axis, follows=axis, parameter=axis)
+
+
+def tilt_terms(
+    chain: Chain, conditions: Conditions, moments: np.ndarray, i: int, *, axis: int, follows: int, parameter: int = 0
+) -> Iterator[Term]:
+    """Yield the terms of a turn of joint i about x or y through its bearing, by the moment about x or y."""
+    moment = 3 * i + follows
+    for way in _turn_terms(chain, conditions, i, axis=axis):
+        bent = moments[:, moment] if way.basis is None else way.basis * moments[:, moment]
+        yield Term(parameter, way.coordinate, bent, moment, way.basis)
+
+
+def _turn_terms(chain: Chain, conditions: Conditions, i: int, *, axis: int) -> Iterator[Term]:
+    """Yield the terms of a unit turn of joint i about x or y of the frame of its moments, through its bearing [rad]."""
+    yield Term(0, chain.joint(i, ("gamma_x", "gamma_y")[axis]))
+    height = float(chain.bearing_heights[i])
+    if not height:
+        return
+    shift = np.zeros((len(conditions), 3))
+    shift[:, 1 - axis] = height if axis == 0 else -height
+    before_q = chain.moment_frame == "before"
+    R = turning(chain, conditions, i)
+    if i + 1 < chain.robot.n_joints:
+        after = (R.transpose(0, 2, 1) @ shift[:, :, None])[:, :, 0] if before_q else shift
+        yield from end_terms(chain, i, shift=after @ _link_twist(chain, i))
+    elif i:
+        yield from end_terms(chain, i - 1, shift=shift if before_q else (R @ shift[:, :, None])[:, :, 0])
+    # Where the bearing of an arm's only joint sits is a constant of the target.
+
+
+def _link_twist(chain: Chain, i: int) -> np.ndarray:
+    """Return the rotation from the axes at the end of link i to those after q, shape (3, 3)."""
+    alpha = float(chain.nominal[chain.joint(i, "alpha")])
+    c, s = np.cos(alpha), np.sin(alpha)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

@@ -1,0 +1,107 @@
+"""Bearings give way where they sit: held against the simulator, on arms whose axes meet at no right angle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import pincal.simulate as sim
+from pincal.model.catalogue.bearings import ObliqueBearing
+from pincal.model.chain import Chain, MomentFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effects import BearingElasticity
+from pincal.model.model import Model
+from pincal.robot.robot import Robot
+
+JOINT = """<joint name="j{n}" type="revolute"><origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>
+<parent link="l{parent}"/><child link="l{n}"/><limit lower="-2.5" upper="2.5" effort="1" velocity="1"/></joint>
+<link name="l{n}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+SOFT = (1e-8, 3e-8)
+
+
+def words(numbers: np.ndarray) -> str:
+    """Return numbers as a URDF has them."""
+    return " ".join(repr(float(x)) for x in numbers)
+
+
+def skew_arm(seed: int, *, turned: bool = False) -> str:
+    """Return the URDF of an arm with six axes in any directions; turned has its joint frames about these axes at random."""
+    rng, angles = np.random.default_rng(seed), np.random.default_rng(seed + 100).uniform(-3.0, 3.0, 6)
+    text, previous = '<robot name="skew"><link name="l0"/>', np.eye(3)
+    for i in range(6):
+        axis = rng.normal(size=3) if i else np.array([0.2, 0.1, 1.0])
+        axis /= np.linalg.norm(axis)
+        xyz, rpy, centre = rng.uniform(-0.4, 0.4, 3), rng.uniform(-1.5, 1.5, 3), rng.uniform(-0.2, 0.2, 3)
+        # The frame of joint and link turned by own: R' = previous^T R own, so that the machine stays what it is.
+        own = Rotation.from_rotvec(axis * angles[i]).as_matrix() if turned else np.eye(3)
+        placed = previous.T @ Rotation.from_euler("xyz", rpy).as_matrix() @ own
+        text += JOINT.format(
+            n=i + 1,
+            parent=i,
+            xyz=words(previous.T @ xyz),
+            rpy=words(Rotation.from_matrix(placed).as_euler("xyz")),
+            axis=words(axis),
+            centre=words(own.T @ centre),
+            mass=60.0 / (i + 1),
+        )
+        previous = own
+    tip = previous.T
+    fixed = f'<joint name="tip" type="fixed"><origin rpy="{words(Rotation.from_matrix(tip).as_euler("xyz"))}"/>'
+    return text + fixed + '<parent link="l6"/><child link="tip"/></joint><link name="tip"/></robot>'
+
+
+def written(path: Path, text: str) -> Path:
+    """Return the path of a URDF that holds a text."""
+    path.write_text(text)
+    return path
+
+
+def conditions_of(robot: Robot) -> Conditions:
+    """Return 80 random poses with and without a payload."""
+    rng = np.random.default_rng(1)
+    q = robot.random_configurations(80, rng)
+    return Conditions(q, np.zeros(80, int), 20.0 * rng.integers(0, 2, 80), np.array([0.1, 0.0, 0.2]))
+
+
+@pytest.mark.parametrize("moment_frame", ["before", "after"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_bearing_bends_as_the_true_machine(tmp_path: Path, seed: int, moment_frame: MomentFrame) -> None:
+    """On every joint three compliances leave 2e-5 of what it does; their principal values are the machine's."""
+    urdf = written(tmp_path / "skew.urdf", skew_arm(seed))
+    robot = Robot.from_urdf(urdf)
+    conditions = conditions_of(robot)
+    machine = sim.TrueMachine.from_urdf(urdf, tip=robot.tip, base=robot.base, gravity=(0.0, 0.0, -9.81))
+
+    def tip(*hidden: sim.HiddenEffect) -> np.ndarray:
+        c = conditions
+        return machine.with_effects(*hidden).tip(c.q, payload=c.payload, payload_com=c.payload_centre)
+
+    plain = tip()
+    for joint in robot.joint_names:
+        true = tip(sim.BearingElasticity(joint=joint, size=SOFT[0], size_y=SOFT[1], moment_frame=moment_frame))
+        turning = Rotation.from_matrix(true[:, :3, :3] @ plain[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
+        signal = np.hstack([true[:, :3, 3] - plain[:, :3, 3], turning]).ravel()
+        model = Model(Chain.of(robot, moment_frame=moment_frame), (BearingElasticity((joint,)), ObliqueBearing(joint)))
+        columns = model.linearise(np.zeros(3), conditions, rows=6)[1].reshape(-1, 3)
+        k_x, k_y, k_xy = np.linalg.lstsq(columns, signal)[0]
+
+        assert np.linalg.norm(signal - columns @ [k_x, k_y, k_xy]) < 2e-5 * np.linalg.norm(signal)
+        np.testing.assert_allclose(np.linalg.eigvalsh([[k_x, k_xy], [k_xy, k_y]]), SOFT, rtol=1e-4)
+
+
+@pytest.mark.parametrize("moment_frame", ["before", "after"])
+def test_turned_joint_frames_are_the_same_machine(tmp_path: Path, moment_frame: MomentFrame) -> None:
+    """Whatever the frames of a URDF, the same compliances predict the same places to rounding."""
+    arms = [Robot.from_urdf(written(tmp_path / f"{turned}.urdf", skew_arm(3, turned=turned))) for turned in (False, True)]
+    conditions = conditions_of(arms[0])
+    effects = (BearingElasticity(), *(ObliqueBearing(joint) for joint in arms[0].joint_names))
+    values = 1e-8 * np.random.default_rng(2).uniform(0.5, 1.5, 18)
+    places = [Model(Chain.of(arm, moment_frame=moment_frame), effects).predict(values, conditions) for arm in arms]
+    stiff = Model(Chain.of(arms[0]), ()).predict(np.zeros(0), conditions)
+
+    assert np.abs(places[0] - stiff).max() > 1e-5
+    np.testing.assert_allclose(places[0], places[1], atol=1e-12)
