@@ -54,7 +54,7 @@ WRONG: dict[str, tuple[Change, str]] = {
         "'x' and 'y' look swapped, or the frame is left-handed",
     ),
     "a joint's sign": (lambda t: replace(t, q=t.q * [1, 1, 1, -1, 1, 1]), "'joint_4' looks turned round in sign"),
-    "joints swapped": (lambda t: replace(t, q=t.q[:, [0, 2, 1, 3, 4, 5]]), "'joint_2' and 'joint_3' look swapped"),
+    "joints swapped": (lambda t: replace(t, q=t.q[:, [0, 1, 2, 5, 4, 3]]), "'joint_4' and 'joint_6' look swapped"),
 }
 TURNED: dict[str, tuple[Change, str]] = {
     "axis turned": (lambda t: placed(t, lambda p: p * [1, -1, 1]), "'y' looks turned round in sign"),
