@@ -13,6 +13,7 @@ rad unless its header says ``joint_1 [deg]``. Needs OpenCV: ``pip install '.[ima
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 import tempfile
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.measure.setup import read_points
-from pincal.measure.table import column_names, read_columns, write_table
+from pincal.measure.table import read_columns, write_table
 from pincal.simulate import TrueMachine, plan_poses
 from pincal.simulate.planning import reach
 
@@ -212,7 +213,9 @@ def run(chosen: argparse.Namespace, out: Path) -> None:
     if scene:
         photograph(scene, board, images, quick=chosen.quick, rng=rng)
     joints = chosen.joints if chosen.joints and chosen.images else images / "joints.csv"
-    robot = pincal.Robot.from_urdf(chosen.robot, joints=[name for name in column_names(joints) if name != "image"])
+    with joints.open(newline="") as file:
+        names = [name for name in next(csv.reader(file)) if name != "image"]
+    robot = pincal.Robot.from_urdf(chosen.robot, joints=names)
     (out / "robot.urdf").write_bytes(robot.urdf)
     measure(robot, board, images=images, joints=joints, out=out)
     calibration = identify(robot, out, truth=CAMERA if scene else {})

@@ -671,7 +671,8 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     found, n = candidates(chain, conditions), robot.n_joints
     counts = {name: sum(effect.name == name for effect in found) for name in {effect.name for effect in found}}
 
-    assert set(counts) == {name.split()[0] for name in EFFECTS} - {"unnamed", "link_mass"}
+    # In the paper moment and tilt of a bearing have different axes, so that none is oblique.
+    assert set(counts) == {name.split()[0] for name in EFFECTS} - {"unnamed", "link_mass", "oblique_bearing"}
     assert counts["joint_coupling"] == n * (n - 1) and counts["gear_eccentricity"] == 2 * n
     assert counts["axis_wobble"] == 4 * n and counts["backlash"] == counts["thermal_offset"] == n
     first = robot.joint_names[0]

@@ -14,6 +14,8 @@ CLASSES = {cls.__name__: cls for cls in known_effects().values() if cls.__module
 ALLOWED = {
     "pincal.model.registry": "registers the effects that a model is made of",
     "pincal.model.catalogue": "registers the catalogue",
+    "pincal.model.effects": "lists what an elastic model is made of",
+    "pincal.model.catalogue.bearings": "is the elasticity of a bearing in directions of its own",
     "pincal.identify.explain": "a reason names base and tool",
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on",
     "pincal.identify.problem": "makes them for each station",

@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtr, chdtrc
 
 from pincal.identify.fit import Fit
@@ -31,6 +30,8 @@ _ALPHA = 0.01
 _SEEN = 1e-4
 # Part of a value's information that is added to it, well above rounding and far below what matters.
 _ROUNDING = 1e-8
+# What is well above the error of an eigenvalue that came out negative, over its size.
+_BEYOND_ROUNDING = 10.0
 # How far values of stations may be apart, in sizes that are typical of the parameter: as good as any.
 _WIDE = 30.0
 # Part of a station's rows up to which those that were rejected are taken for wrong readings.
@@ -124,8 +125,9 @@ class _Told:
         U = self.G[station, parameter]
         M = -U @ self.C @ U.T + np.where(station[:, None] == station, U[:, parameter], 0.0)
         # What moves at all stations alike is the fit's own: nothing but rounding is left of it here.
-        M.flat[:: len(M) + 1] += self.widths[parameter] ** -2.0 + _ROUNDING * U[np.arange(len(U)), parameter]
-        covariance = cho_solve(cho_factor(M), np.eye(len(M)))
+        information = U[np.arange(len(U)), parameter]
+        M.flat[:: len(M) + 1] += self.widths[parameter] ** -2.0 + _ROUNDING * information
+        covariance = _inverse(M, np.sqrt(information))
         return station, parameter, covariance @ self.b[station, parameter], covariance
 
     def gain(self, chosen: Sequence[int]) -> float:
@@ -138,6 +140,19 @@ class _Told:
     def _where(self, p: int) -> tuple[np.ndarray, np.ndarray]:
         station = np.flatnonzero(self.seen[:, p])
         return station, np.full(len(station), p)
+
+
+def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return the inverse of a matrix that is positive definite up to rounding, which grows with the parameters of a fit.
+
+    Args:
+        M: shape (n, n).
+        scale: shape (n,), roots of the diagonal of the terms that M is a small difference of.
+    """
+    values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
+    values = np.maximum(values, max(_ROUNDING, -_BEYOND_ROUNDING * values[0]))
+    spread = vectors / scale[:, None]
+    return np.asarray((spread / values) @ spread.T)
 
 
 def moves_of(fit: Fit) -> tuple[tuple[Move, ...], ...]:

@@ -163,14 +163,13 @@ def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.nda
 
     What the sensor has of its own stands at the end: the places where the target is held.
     """
-    values = np.zeros(model.n_parameters + rig.places.size)
+    values = np.zeros(model.n_parameters)
     instrument = np.zeros(3) if rig.instrument is None else np.array(rig.instrument)
     for element, place in [("base", -instrument), *((name, target) for name in model.chain.targets)]:
         for symbol, coordinate in zip("xyz", place, strict=True):
             if f"{element}.{symbol}" in model.names:
                 values[model.index(f"{element}.{symbol}")] = coordinate
-    values[model.n_parameters :] = rig.places.ravel()
-    return values
+    return np.concatenate([values, rig.places.ravel()])
 
 
 def _sigma(problem: Station, options: Options) -> np.ndarray:

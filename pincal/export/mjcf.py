@@ -18,8 +18,9 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.io.urdf_export import rigid_notes, rigid_tips
 from pincal.model.augmented import joint_mounts, joint_placements
+from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Term
 from pincal.model.model import Model
 from pincal.robot.se3 import quaternions, rotation, translation
 
@@ -97,9 +98,11 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
     places = {(chain.joint(i, f"gamma_{axis}"), 3 * i + "xyz".index(axis)) for i in range(n) for axis in axes}
     for span, effect in zip(model.spans, model.effects, strict=True):
         terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
-        if terms and all(t.moment is not None and t.slope is None and (t.coordinate, t.moment) in places for t in terms):
+        rest = [t for t in terms if t.slope is not None or (t.coordinate, t.moment) not in places]
+        turns = [t for t in terms if t.slope is None and (t.coordinate, t.moment) in places]
+        if turns and all(_is_of_height(chain, term) for term in rest):
             carried.append(effect)
-            for term in terms:
+            for term in turns:
                 value, name = float(values[span][term.parameter]), model.names[span.start + term.parameter]
                 assert term.moment is not None
                 if value < 0.0:
@@ -107,6 +110,14 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
                 else:
                     found[divmod(term.moment, 3)] += value
     return _Springs(found, tuple(carried), tuple(refused))
+
+
+def _is_of_height(chain: Chain, term: Term) -> bool:
+    """Return whether a term moves the frame of a bearing that stands beside it, which a spring there does by itself."""
+    if term.moment is None or term.slope is None:
+        return False
+    i, axis = divmod(term.moment, 3)
+    return axis < 2 and chain.bearing_heights[i] != 0.0
 
 
 def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> Iterator[dict[str, str]]:
@@ -121,8 +132,9 @@ def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> I
     axes = turning[:3, :3]
     if before:
         axes = axes @ rotation("z", -model.rigid_coordinates(values)[chain.joint(i, "theta")])[:3, :3]
+    bearing = _numbers(turning[:3, 3] + chain.bearing_heights[i] * turning[:3, 2])
     elastic = [
-        _spring(f"{robot.joint_names[i]}_spring_{'xyz'[c]}", own["pos"], axes[:, c], 1.0 / springs.compliances[i, c])
+        _spring(f"{robot.joint_names[i]}_spring_{'xyz'[c]}", bearing, axes[:, c], 1.0 / springs.compliances[i, c])
         for c in (2, 1, 0)
         if springs.compliances[i, c] > 0.0
     ]

@@ -23,6 +23,8 @@ def measurements(
     camera_point: ArrayLike | None = None,
     pixel: ArrayLike | None = None,
     point: ArrayLike | None = None,
+    plane: ArrayLike | None = None,
+    gauge: ArrayLike | None = None,
     target: ArrayLike | None = None,
     payload: ArrayLike | None = None,
     temperature: ArrayLike | None = None,
@@ -46,6 +48,8 @@ def measurements(
         camera_point: point of the calibration object in the camera's frame [m], shape (N, 3); with ``point``.
         pixel: the same point in the image [px], shape (N, 2); with ``point``.
         point: name of the point of the calibration object, shape (N,).
+        plane: name of the plane that the probe touched, shape (N,).
+        gauge: reading of a dial gauge against this plane [m], shape (N,); with ``plane``.
         target: name of the target on the tool, shape (N,); default: one.
         payload: mass at the tip [kg], shape (N,).
         temperature: in deg C, shape (N,).
