@@ -121,6 +121,7 @@ def test_masses_join_the_model_where_they_matter(bare: Robot, kuka: Robot) -> No
 # The gauge.
 
 
+@pytest.mark.long
 def test_predictions_do_not_depend_on_the_gauge(bare: Robot, rng: np.random.Generator) -> None:
     """All masses times c and all compliances over c predict the same, whatever they are."""
     model = Model(Chain.of(bare), (*ELASTIC, LinkMass()))
@@ -139,6 +140,7 @@ def test_predictions_do_not_depend_on_the_gauge(bare: Robot, rng: np.random.Gene
         np.testing.assert_allclose(model.predict(other, conditions), expected, rtol=0.0, atol=1e-14)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("folder", "frame", "limit_um"), [("elastic_after", "after", 14.0), ("elastic_paper", "paper", 16.0)]
 )
@@ -160,6 +162,7 @@ def test_elastic_arms_are_predicted_without_their_masses(
     np.testing.assert_allclose(found[1], found[0], rtol=0.0, atol=1e-8)
 
 
+@pytest.mark.long
 def test_the_kuka_of_the_paper_is_found_without_its_masses(bare: Robot) -> None:
     """Noise-free, other poses are predicted to 1 um, with one payload and with several."""
     for payload in (np.full(120, 125.0), np.resize([0.0, 60.0, 125.0], 120)):
@@ -190,6 +193,7 @@ def test_payloads_make_masses_absolute(bare: Robot, kuka: Robot) -> None:
     assert abs(sigmas[0]) < 0.03 < 0.15 < abs(sigmas[1])
 
 
+@pytest.mark.long
 def test_an_earlier_fit_is_weighed_anew(bare: Robot) -> None:
     """Payloads that come after a fit without any change all masses at once: what is found is what the joint fit finds."""
     options = Options(payload_centre=PAYLOAD_COM, sigma=5e-5)
