@@ -289,6 +289,7 @@ def test_the_only_station_is_not_left_out(days: list[Path], tmp_path: Path, caps
     assert "one station, so there is none to leave out" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_discovery_finds_what_both_days_show(
     tmp_path: Path, days: list[Path], machine: sim.TrueMachine, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -192,7 +192,9 @@ def test_real_panda_keeps_its_ball_in_a_socket(shared_data: Path) -> None:
         assert run.result.error["calibrated"]["test"]["mean_mm"] <= 0.20
 
 
-@pytest.mark.parametrize("case", ["contacts", "images, known object", "camera, unknown points"])
+@pytest.mark.parametrize(
+    "case", ["contacts", pytest.param("images, known object", marks=pytest.mark.long), "camera, unknown points"]
+)
 def test_model_file_reads_further_rows(case: str, machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
     """A model that comes back from its file reads measurements of the same points as it did."""
     make, setup = TABLES[case]
@@ -282,6 +284,7 @@ def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, 
     assert ["another camera" in note for note in notes.values()] == [False, True, False]
 
 
+@pytest.mark.long
 def test_a_camera_that_was_found_can_be_given(machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
     """Lens and mount of a calibrated model come back from its camera file, and hold in another calibration."""
     table = seen(machine, kuka, poses=16, pixels=True)
