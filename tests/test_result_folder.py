@@ -160,7 +160,7 @@ def fork() -> Iterator[multiprocessing.context.BaseContext]:
     yield multiprocessing.get_context("fork")
 
 
-@pytest.mark.parametrize("kills", [30, pytest.param(400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("kills", [30, pytest.param(200, marks=pytest.mark.long)])
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_killed_run_leaves_the_old_folder_or_the_new_one(
     tmp_path: Path, fork: multiprocessing.context.BaseContext, kills: int
@@ -234,7 +234,7 @@ def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path) -> 
     begun = time.perf_counter()
     subprocess.run(command("old"), check=True, stdout=subprocess.DEVNULL)
     whole = time.perf_counter() - begun
-    for k in range(40):
+    for k in range(16):
         table = ("new", "old")[k % 2]
         # Most of the kills fall into the last fifth, where the files are written.
         after = whole * (rng.uniform(0.1, 1.05) if k % 4 == 0 else rng.uniform(0.8, 1.05))
