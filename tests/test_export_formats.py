@@ -100,11 +100,19 @@ def test_mujoco_has_the_calibrated_geometry(arm: Robot, rng: np.random.Generator
     assert model.njnt == 4 * arm.n_joints
 
 
-@pytest.mark.parametrize("moment_frame", ["after", "before", "paper"])
-def test_mujoco_bends_as_the_model_does(kuka: Robot, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
-    """At rest under gravity the springs' deflection is that of the compliances; what is no spring is said."""
+@pytest.mark.parametrize(
+    ("arm", "moment_frame"),
+    [("kuka", "after"), ("kuka", "before"), ("kuka", "paper"), ("panda", "after"), ("panda", "before"), ("gantry", "after")],
+    indirect=["arm"],
+)
+def test_mujoco_bends_as_the_model_does(arm: Robot, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
+    """At rest under gravity the springs' deflection is that of the compliances; what is no spring is said.
+
+    The Panda and the gantry have bearings beside the origins of their frames, the gantry a carriage on springs. Where the
+    bearings stand the model knows to first order in turns of some 1e-4.
+    """
     mujoco = pytest.importorskip("mujoco")
-    found, q = calibrated(kuka, moment_frame=moment_frame, equilibrium=True), kuka.random_configurations(20, rng)
+    found, q = calibrated(arm, moment_frame=moment_frame, equilibrium=True), arm.random_configurations(20, rng)
     exported = export_model(found, "mjcf")
     model = mujoco.MjModel.from_xml_string(exported.text)
     data = mujoco.MjData(model)
@@ -117,17 +125,17 @@ def test_mujoco_bends_as_the_model_does(kuka: Robot, moment_frame: MomentFrame, 
     places = []
     for row in q:
         mujoco.mj_resetData(model, data)
-        for name, position in zip(kuka.joint_names, row, strict=True):
+        for name, position in zip(arm.joint_names, row, strict=True):
             data.qpos[model.joint(name).qposadr] = position
         for _ in range(8):
             mujoco.mj_forward(model, data)
             data.qpos[model.jnt_qposadr[springs]] = -data.qfrc_bias[dofs] / stiffness
         mujoco.mj_kinematics(model, data)
-        places.append(data.site(kuka.tip).xpos.copy())
+        places.append(data.site(arm.tip).xpos.copy())
     error, bent = (np.linalg.norm(at - true, axis=1).max() for at in (np.array(places), straight))
     print(f"mujoco, {moment_frame}: bent by {1e3 * bent:.3f} mm, {1e6 * error:.3f} um apart")
 
-    assert bent > 1e-3 and error < 2e-3 * bent
+    assert bent > 4e-4 * arm.reach and error < 1e-3 * bent
     assert ("bearing_elasticity" in " ".join(exported.notes)) == (moment_frame == "paper")
 
 

@@ -138,7 +138,8 @@ def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> I
         for c in (2, 1, 0)
         if springs.compliances[i, c] > 0.0
     ]
-    yield from (*elastic, own) if before else (own, *elastic)
+    # A carriage slides behind its springs in every convention, see pincal.model.chain.
+    yield from (*elastic, own) if before or kind == "slide" else (own, *elastic)
 
 
 def _spring(name: str, foot: str, axis: np.ndarray, stiffness: float) -> dict[str, str]:
