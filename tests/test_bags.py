@@ -137,6 +137,11 @@ def test_what_a_recording_leaves_open_is_refused(tmp_path: Path) -> None:
     broken.write_bytes(b"\x89MCAP0\r\n cut")
     with pytest.raises(MeasurementError, match=r"broken\.mcap: can't be read"):
         read_measurements(broken, JOINTS)
+    # The length of a record, after the file's magic number, that no memory holds.
+    whole = next((tmp_path / "short").glob("*.mcap")).read_bytes()
+    broken.write_bytes(whole[:9] + b"\xff" * 8 + whole[17:])
+    with pytest.raises(MeasurementError, match=r"broken\.mcap: can't be read"):
+        read_measurements(broken, JOINTS)
 
 
 def test_recordings_say_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import codecs
 import datetime
 import json
 import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -428,11 +429,27 @@ def test_broken_workbooks_are_refused(tmp_path: Path, content: bytes) -> None:
         read(plain("log.xlsx", content)(tmp_path))
 
 
+def test_a_workbook_that_breaks_off_is_refused(tmp_path: Path) -> None:
+    """A worksheet that is found to be broken only while its rows are read is refused likewise."""
+    whole = excel({name: list(value) for name, value in columns().items()})(tmp_path)
+    with zipfile.ZipFile(whole) as book:
+        parts = {name: book.read(name) for name in book.namelist()}
+    with zipfile.ZipFile(whole, "w") as book:
+        for name, part in parts.items():
+            book.writestr(name, part[: len(part) * 2 // 3] if "sheet2" in name else part)
+    with pytest.raises(MeasurementError, match=r"log\.xlsx: can't be read"):
+        read(whole)
+
+
 def test_excel_names_the_line_of_a_fault(tmp_path: Path) -> None:
-    """Lines are those of the worksheet; a cell beyond the header is refused."""
+    """Lines are those of the worksheet; a formula that failed is refused, in the first column too, where comments begin."""
     table = {name: list(value) for name, value in columns().items()}
     table["y"][2] = "=1/0"
     with pytest.raises(MeasurementError, match=r'log\.xlsx, line 6, column "y"'):
+        read(excel(table, above=("# a", "# b"))(tmp_path))
+    first = next(iter(table))
+    table[first][1] = "#N/A"
+    with pytest.raises(MeasurementError, match=rf'log\.xlsx, line 5, column "{first}": "#N/A"'):
         read(excel(table, above=("# a", "# b"))(tmp_path))
 
 

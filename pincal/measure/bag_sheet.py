@@ -130,7 +130,7 @@ def _several(what: str, topics: list[_Topic], path: Path) -> MeasurementError:
 def _topics(path: Path, ignore: Collection[str]) -> list[_Topic]:
     """Return all topics of joints and of readings; messages with other joints are topics of their own."""
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MeasurementError(f"{path.name}: recordings of ROS need rosbags; run pip install 'pincal[ros]'") from error
@@ -144,7 +144,7 @@ def _topics(path: Path, ignore: Collection[str]) -> list[_Topic]:
                 message = reader.deserialize(raw, connection.msgtype)
                 for labels, values in _values(message, connection.msgtype):
                     found.setdefault((connection.topic, labels), []).append((1e-9 * stamp, values))
-    except (AnyReaderError, FileNotFoundError) as error:
+    except Exception as error:  # Whatever a broken recording does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected a recording of ROS") from error
     return [_topic(name, labels, samples) for (name, labels), samples in found.items()]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import warnings
 from collections.abc import Sequence
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     import polars as pl
 
 ENDINGS = (".xlsx", ".xlsm")
+# What stands in the cell of a formula that failed.
+_FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
 
 def open_excel(path: Path) -> Sheet:
@@ -52,28 +55,25 @@ def _lines(path: Path) -> tuple[list[tuple[int, tuple[Any, ...]]], list[str]]:
             f"{path.name}: Excel files need openpyxl; run pip install 'pincal[excel]', or save the table as CSV"
         ) from error
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+            found: list[tuple[int, tuple[Any, ...]]] = []
+            names = list(book.sheetnames)
+            for sheet in book.worksheets:
+                names.pop(0)
+                numbered = enumerate(sheet.iter_rows(values_only=True), start=1)
+                found = [(row, tuple(cells)) for row, cells in numbered if _has_cells(cells)]
+                if found:
+                    break
+            return found, names
     except OSError:
         raise
     except Exception as error:  # Whatever a broken archive does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected an Excel workbook") from error
-    try:
-        found: list[tuple[int, tuple[Any, ...]]] = []
-        names = list(book.sheetnames)
-        for sheet in book.worksheets:
-            names.pop(0)
-            numbered = enumerate(sheet.iter_rows(values_only=True), start=1)
-            found = [(row, tuple(cells)) for row, cells in numbered if _has_cells(cells)]
-            if found:
-                break
-        return found, names
-    finally:
-        book.close()
 
 
 def _has_cells(cells: Sequence[Any]) -> bool:
     first = next((cell for cell in cells if cell not in (None, "")), None)
-    return first is not None and not str(first).lstrip().startswith("#")
+    return first is not None and (first in _FAILED or not str(first).lstrip().startswith("#"))
 
 
 def _series(cells: list[Any], name: str) -> pl.Series:
