@@ -105,7 +105,7 @@ def test_what_is_wrong_with_a_table_is_named(kuka: Robot, table: Measurements, w
 def test_wrong_orientations_are_named(kuka: Robot, poses: Measurements, what: str) -> None:
     """With orientations it is told which axis is wrong; the positions alone would fit."""
     change, words = TURNED[what]
-    assert not list(implausible(fitted(kuka, poses)))
+    assert not list(implausible(fitted(kuka, poses), [poses]))
     with pytest.raises(MeasurementError, match=words):
         run_calibration(kuka, change(poses), Options(effects=GEOMETRIC))
 
@@ -134,6 +134,13 @@ def test_what_nothing_cures_is_not_to_be_used(
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Use it" not in page and "no calibrated arm leaves so much" in page
     assert run(*command, "--noise", "10mm") == 0
+
+
+def test_a_noisy_instrument_may_be_declared_in_the_table(kuka: Robot, table: Measurements) -> None:
+    """Readings that scatter by a centimetre are doubted, unless a column says so."""
+    rough = placed(table, lambda p: p + np.random.default_rng(0).normal(size=p.shape) * 0.01)
+    declared = replace(rough, sigma=np.full(len(rough), 0.01))
+    assert [len(list(implausible(fitted(kuka, t), [t]))) for t in (rough, declared)] == [1, 0]
 
 
 @pytest.mark.parametrize("size", [3e-4, 2e-3])

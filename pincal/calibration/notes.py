@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -46,7 +46,7 @@ class Kind(Enum):
     )
     IMPLAUSIBLE = (
         "{how}: no calibrated arm leaves so much, so this is not the model of this robot; check table, URDF and tip. "
-        "If the instrument is so noisy, declare it (--noise)"
+        "If the instrument is so noisy, declare it (--noise, or a column sigma)"
     )
     MANY_OUTLIERS = (
         "{count} of {rows} rows do not fit the others, which is no calibration: {common}; find out what "
@@ -126,9 +126,9 @@ def notes_on_fit(fit: Fit, p_value: float | None) -> list[Note]:
     return found
 
 
-def notes_on_plausibility(fit: Fit) -> list[Note]:
-    """Return at which stations the fit leaves what no real arm does."""
-    return [Note(Kind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit)]
+def notes_on_plausibility(fit: Fit, tables: Iterable[Measurements]) -> list[Note]:
+    """Return at which stations, with these fitted rows, the fit leaves what no real arm does."""
+    return [Note(Kind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)]
 
 
 def notes_on_outliers(

@@ -90,7 +90,8 @@ def result_of(
     on_replicates = (
         n for part, (_, lack) in zip(seen, again, strict=True) for n in _notes_on_replicates(part, lack, p_value)
     )
-    found = [*notes_on_plausibility(fit), *notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *on_replicates]
+    doubtful = notes_on_plausibility(fit, [part.train for part in rows])
+    found = [*doubtful, *notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *on_replicates]
     error, held = _errors(seen), sum(len(part.rows.test) for part in seen)
     alone = [one for one in left_out if one.sizes]
     if alone:

@@ -72,7 +72,7 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: Fit) -> N
     """
     for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
         error, left = (_left(station, values[places]) for values in (fit.nominal.values, fit.values))
-        limits = _limits(fit, k)
+        limits = _limits(fit, k, table)
         if error[0] < _SUSPICIOUS * robot.reach and limits.exceeded(left) < 1.0:
             continue
         options = fit.options.at(station.name)
@@ -90,10 +90,15 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: Fit) -> N
             )
 
 
-def implausible(fit: Fit) -> Iterator[tuple[str, str]]:
-    """Yield the stations at which a calibration leaves what no real arm does, and how much, in words."""
-    for k, (station, places) in enumerate(zip(fit.problem.stations, fit.problem.places, strict=True)):
-        left, limits = _left(station, fit.values[places]), _limits(fit, k)
+def implausible(fit: Fit, tables: Iterable[Measurements]) -> Iterator[tuple[str, str]]:
+    """Yield the stations at which a calibration leaves what no real arm does, and how much, in words.
+
+    Args:
+        fit: the calibration.
+        tables: the rows of each station that it was fitted to.
+    """
+    for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
+        left, limits = _left(station, fit.values[places]), _limits(fit, k, table)
         if limits.exceeded(left) >= 1.0:
             found = f"{left[0] * 1e3:.2g} mm" + (f" and {left[1] * 1e3:.2g} mrad" if left[1] else "")
             expected = f"{limits.position * 1e3:.2g} mm" + (f" and {limits.orientation * 1e3:.2g} mrad" if left[1] else "")
@@ -117,12 +122,13 @@ def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, 
     return found[0][0].words if found else ""
 
 
-def _limits(fit: Fit, k: int) -> _Limits:
-    """Return what the k-th station may leave."""
+def _limits(fit: Fit, k: int, table: Measurements) -> _Limits:
+    """Return what the k-th station may leave; its table may declare the noise of lengths row by row."""
     station, places = fit.problem.stations[k], fit.problem.places[k]
     reach, declared = fit.problem.chain.robot.reach, fit.noise.declared[fit.problem.block_spans[k]]
     length, angle = max(_IMPLAUSIBLE * reach, _IMPLAUSIBLE_M), _IMPLAUSIBLE_RAD
-    for block, sigma in zip(station.sensor.blocks, declared, strict=True):
+    for block, of_block in zip(station.sensor.blocks, declared, strict=True):
+        sigma = table.sigma if of_block is None and block.unit == "m" else of_block
         if sigma is None:
             continue
         if block.unit == "rad":
