@@ -9,8 +9,9 @@ import pytest
 
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.measurements import Measurements
+from pincal.measure.options import TableOptions
 from pincal.measure.still import held_poses
-from pincal.measure.table import read_measurements, write_table
+from pincal.measure.table import joint_columns, read_measurements, write_table
 from pincal.robot.tree import Mimic
 
 JOINTS = ("a", "b", "c")
@@ -159,6 +160,25 @@ def test_a_counter_that_is_ignored_gives_way_to_time(tmp_path: Path) -> None:
             ignore=("row",),
         )
     np.testing.assert_allclose(found.q, Q, rtol=0, atol=2e-5)
+
+
+def test_a_column_of_the_log_that_is_ignored_is_not_read(tmp_path: Path) -> None:
+    """Words in a column that has a meaning stop nobody who leaves it out."""
+    table = readings(pose=np.arange(K))
+    log = joints(Q, pose=np.arange(K), payload=np.full(K, "unknown"))
+    assert 'log.csv, line 2, column "payload": "unknown"; expected a finite number' in refused(tmp_path, table, log)
+    with pytest.warns(PincalWarning, match="by the column"):
+        found = joined(tmp_path, table, log, ignore=["payload"])
+    assert found.payload is None
+    np.testing.assert_allclose(found.q, Q, rtol=0, atol=1e-12)
+
+
+def test_the_file_that_is_missing_is_named(tmp_path: Path) -> None:
+    """Of a table and its log."""
+    write_table(tmp_path / "there.csv", joints(Q))
+    for table, log, missing in (("none", "there", "none"), ("there", "lost", "lost")):
+        with pytest.raises(MeasurementError, match=rf"{missing}\.csv: no such file"):
+            joint_columns(tmp_path / f"{table}.csv", JOINTS, TableOptions(joints=tmp_path / f"{log}.csv"))
 
 
 def test_only_poses_that_are_held_count() -> None:

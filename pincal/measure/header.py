@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from pincal.errors import MeasurementError, PincalWarning, nearest_first
 from pincal.measure.fields import Field
-from pincal.measure.labels import Label, listed, numbered_joints, renamed, spelled, unit_of, without_unit
+from pincal.measure.labels import Label, listed, numbered_joints, renamed, spelled, unit_of, without, without_unit
 from pincal.measure.orientation import CONVENTIONS, Orientation, find_orientation, looks_like_orientation
 from pincal.measure.schema import Schema
 from pincal.measure.sheet import Column, Sheet
@@ -35,8 +35,7 @@ def rotations(fields: Iterable[Field]) -> Field:
 def understood(sheet: Sheet, schema: Schema) -> Header:
     """Return what a header means; raise for what is not understood, warn of what is guessed or left out."""
     source, options = sheet.path.name, schema.options
-    labels = renamed(sheet.labels, options.columns, source=source)
-    labels = [label for label in labels if not {label.name, label.meant, label.text} & set(options.ignore)]
+    labels = without(renamed(sheet.labels, options.columns, source=source), options.ignore)
     quantities = schema.quantities(source=source)
     labels = with_joints(labels, schema, quantities, source=source)
     orientation = None

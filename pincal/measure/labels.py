@@ -57,8 +57,8 @@ def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, o
     """
     found = [Label(i, text, text) for i, text in enumerate(labels)]
     for name, meaning in columns.items():
-        hits = [i for i, text in enumerate(labels) if name in (text, name_of(text), _bare(text))]
-        if not hits and any(name in (text, name_of(text), _bare(text)) for text in others):
+        hits = [i for i, text in enumerate(labels) if is_named(text, name)]
+        if not hits and any(is_named(text, name) for text in others):
             continue
         if len(hits) != 1:
             swapped = [text for text in labels if meaning in (text, name_of(text))]
@@ -69,6 +69,16 @@ def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, o
         unit = _unit_in(text)
         found[hits[0]] = Label(hits[0], text, meaning if "[" in meaning or not unit else f"{meaning} [{unit}]")
     return found
+
+
+def is_named(text: str, name: str) -> bool:
+    """Return whether the user may call a column so: by its label, with or without a unit."""
+    return name in (text, name_of(text), _bare(text))
+
+
+def without(labels: Sequence[Label], ignored: Sequence[str]) -> list[Label]:
+    """Return the labels without those that the user wants to be ignored, by whatever name."""
+    return [label for label in labels if not {label.name, label.meant, label.text} & set(ignored)]
 
 
 def listed(labels: Sequence[str], most: int = 20) -> str:

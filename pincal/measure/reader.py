@@ -18,7 +18,7 @@ from pincal.measure.fields import CONDITIONS, Field
 from pincal.measure.files import open_sheet, typed_errors
 from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
 from pincal.measure.joined import Log, join
-from pincal.measure.labels import renamed, spelled, without_unit
+from pincal.measure.labels import is_named, renamed, spelled, without
 from pincal.measure.options import TableOptions
 from pincal.measure.quantities import in_si
 from pincal.measure.schema import Schema
@@ -124,9 +124,12 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
     """
     angles = dict.fromkeys(names, "angle")
     lengths = dict.fromkeys(angles, "length")
+    others: tuple[str, ...] = ()
+    if options.joints is not None:
+        with typed_errors(Path(path)):
+            others = open_sheet(Path(path), ignore=options.ignore).labels
     place = Path(path if options.joints is None else options.joints)
     with typed_errors(place):
-        others = () if options.joints is None else open_sheet(Path(path)).labels
         sheet = open_sheet(place, ignore=options.ignore, only_joints=True)
         labels = renamed(sheet.labels, options.columns, source=place.name, others=others)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
@@ -142,14 +145,13 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     told = {name: quantity for name, quantity in quantities.items() if name not in readings}
     with typed_errors(path):
         log = open_sheet(path, ignore=options.ignore, only_joints=True)
-        labels = renamed(log.labels, options.columns, source=path.name, others=sheet.labels)
+        labels = without(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
         labels = with_joints(labels, schema, quantities, source=path.name)
         columns, unknown = matched(labels, told, {}, source=path.name)
         check_joints([name for name in schema.own_joints if name not in columns], unknown, log)
         cells, _ = read_cells(log, tuple(columns.values()))
         values = {name: _in_si(cells[name], column) for name, column in columns.items()}
-    mine = renamed(sheet.labels, options.columns, source=source, others=log.labels)
-    mine = [label for label in mine if not {label.name, label.meant, label.text} & set(options.ignore)]
+    mine = without(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
     found, _ = matched(mine, quantities, {}, source=source)
     if twice := [name for name in schema.joint_names if name in found]:
         raise MeasurementError(
@@ -160,12 +162,8 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
         time = _in_si(read_cells(sheet, (found["time"],))[0]["time"], found["time"])
     known = {*quantities, *options.ignore}
     whole = join(sheet, Log(log, values, schema.own_joints, is_shared=options.shares_log), time, known=known, has=found)
-    here = {name: meaning for name, meaning in options.columns.items() if _names_one(name, whole.labels)}
+    here = {name: meaning for name, meaning in options.columns.items() if any(is_named(text, name) for text in whole.labels)}
     return whole, replace(schema, options=replace(options, joints=None, columns=here))
-
-
-def _names_one(name: str, labels: Sequence[str]) -> bool:
-    return any(name in (label, without_unit(label)) for label in labels)
 
 
 def _in_si(series: pl.Series, column: Column) -> np.ndarray:
