@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -31,6 +32,8 @@ from pincal.model.effects import Effect
 from pincal.robot.robot import Robot
 
 Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
+
+log = logging.getLogger(__name__)
 
 # Chance that sound data call for a parameter that is not there.
 _MISSED = 1e-6
@@ -175,8 +178,10 @@ def _in_best_frame(fit: Fit) -> Fit:
     if fit.options.moment_frame != "auto":
         return fit
     if any(effect.uses_moments for effect in effects):
-        few = some_rows_of(fit)
-        tried = [refit(few, effects, moment_frame=other) for other in sorted(MOMENT_FRAMES, key=lambda f: f != frame)]
+        few, tried = some_rows_of(fit), []
+        for other in sorted(MOMENT_FRAMES, key=lambda f: f != frame):
+            log.info("how well --moment-frame %s fits, by %d rows", other, len(few.problem))
+            tried.append(refit(few, effects, moment_frame=other))
         frame = best_of(tried)
     if frame != fit.problem.chain.moment_frame:
         return refit(fit, effects, moment_frame=frame)
