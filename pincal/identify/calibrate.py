@@ -178,8 +178,9 @@ def _in_best_frame(fit: Fit) -> Fit:
     if fit.options.moment_frame != "auto":
         return fit
     if any(effect.uses_moments for effect in effects):
-        few, tried = some_rows_of(fit), []
-        for other in sorted(MOMENT_FRAMES, key=lambda f: f != frame):
+        few = some_rows_of(fit)
+        tried = [few if few is fit else refit(few, effects)]
+        for other in (other for other in MOMENT_FRAMES if other != frame):
             log.info("how well --moment-frame %s fits, by %d rows", other, len(few.problem))
             tried.append(refit(few, effects, moment_frame=other))
         frame = best_of(tried)
