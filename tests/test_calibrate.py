@@ -264,6 +264,20 @@ def test_held_out_rows_are_disjoint_and_as_many_as_asked(kuka, split):
     assert 40 <= len(test) <= 75
 
 
+def test_rows_that_are_held_out_have_no_part_in_the_fit(kuka):
+    """Moved by millimetres, they change the error that is reported of them, and no bit of what was fitted."""
+    table = paper_table(kuka, 100, 1, 5e-5)
+    _, test = hold_out(table, 0.25, split="random", seed=0)
+    held = np.isin(table.rows, test.rows)
+    off = np.random.default_rng(0).normal(size=(len(table), 3)) * 0.003 * held[:, None]
+    moved = table.with_readings(position=table.position + off)
+    first, second = (run_calibration(kuka, rows, OPTIONS) for rows in (table, moved))
+
+    np.testing.assert_array_equal(first.fit.values, second.fit.values)
+    told, told_of_moved = (run.result.error["calibrated"]["test"]["mean_mm"] for run in (first, second))
+    assert told < 0.2 and told_of_moved > 3.0
+
+
 def test_which_rows_are_held_out_is_settled_group_by_group() -> None:
     """Groups are dealt out in random order, each held out if that comes no farther from the part asked for, in one pass."""
     rng = np.random.default_rng(1)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from test_catalogue import ARMS, EFFECTS, chain_of, conditions_of, surrounded, u
 from test_cli import run
 
 import pincal
+from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated import CalibratedModel, estimate_of
 from pincal.calibration.covered import Covered
 from pincal.errors import BadInputError
@@ -296,6 +298,23 @@ def test_what_is_out_of_reach_leaves_the_joints_alone(kuka: Robot, tmp_path: Pat
     assert set(status) == {3}
     np.testing.assert_array_equal(q, at.q)
     assert set(compiled.compensate(beyond, edge)[1]) == {1}
+
+
+def test_names_of_a_robot_are_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names that end comments and texts stay names, in the file that is compiled and run to be compared, too."""
+    monkeypatch.chdir(tmp_path)
+    attack = '*/ """ \'\'\'\n__import__("os").mkdir("ran")\n#error ran \\'
+    urdf = kuka_urdf_path().read_text(encoding="utf-8")
+    for name in ("kuka_kr125_2", "joint_1"):
+        urdf = urdf.replace(f'name="{name}"', f"name={quoteattr(name + attack)}")
+    robot = Robot.from_urdf(urdf.encode())
+    calibrated = drawn(EFFECTS["transmission_error"](robot.joint_names), robot)
+    assert attack in robot.joint_names[0]
+    source = export_model(calibrated, "python").text
+    assert loaded(source)["JOINTS"][0] == "joint_1" + attack
+    Compiled.of(calibrated, tmp_path)
+
+    assert not (tmp_path / "ran").exists()
 
 
 def test_a_python_file_says_what_it_needs(kuka: Robot) -> None:
