@@ -207,7 +207,7 @@ def test_of_two_runs_at_once_one_wins_whole(tmp_path: Path, fork: multiprocessin
 
 @pytest.mark.long
 def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path) -> None:
-    """The command itself, killed forty times from its start to its end: model.json and result.json are of one run."""
+    """The command itself, killed sixteen times from its start to its end: model.json and result.json are of one run."""
     from pincal.builtin import kuka_urdf_path
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot

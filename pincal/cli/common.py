@@ -273,8 +273,7 @@ class FitOptions:
     """How the model is fitted."""
 
     add: tuple[str, ...] = option(
-        "Also fit this effect: NAME, NAME:JOINT or NAME:JOINT:KEY=VALUE, e.g. gear_eccentricity:joint_2:order=2; "
-        "may be repeated.",
+        "Also fit this effect: NAME, NAME:JOINT or NAME:JOINT:KEY=VALUE, e.g. gear_eccentricity:joint_2:order=2.",
         (),
         metavar="EFFECT",
     )
