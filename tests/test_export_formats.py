@@ -7,6 +7,7 @@ import io
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -152,6 +153,14 @@ def test_mujoco_has_the_masses(kuka: Robot) -> None:
     np.testing.assert_allclose(model.body_mass.sum(), kuka.masses.sum(), rtol=1e-12)
     np.testing.assert_allclose(model.opt.gravity, found.model.chain.gravity, rtol=0.0, atol=1e-12)
     assert other.body_mass.sum() < 1e-5
+
+
+def test_names_with_dashes_stay_within_the_comment_of_a_mujoco_model() -> None:
+    """A tip named a---b is in the notes, which XML allows no two dashes in a row."""
+    robot = Robot.from_urdf(GANTRY.replace(b'"tip"', b'"a---b"'))
+    text = export_model(calibrated(robot), "mjcf").text
+
+    assert "on a- - -b is in model.json only" in text and ET.fromstring(text).find(".//site").get("name") == "a---b"
 
 
 # --- UR -----------------------------------------------------------------------------------------------------------

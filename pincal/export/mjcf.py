@@ -7,6 +7,7 @@ MuJoCo balances the arm as it is bent; how far that is from moments taken on the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -84,7 +85,7 @@ class MujocoModel(Format):
             )
         ET.indent(root)
         notes = _notes(calibrated, springs)
-        comment = "\n".join(f"  {note}".replace("--", "- -") for note in notes)
+        comment = "\n".join("  " + re.sub("-(?=-)", "- ", note) for note in notes)
         text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
         return Exported({"": text.encode()}, notes, _error(model, values, text))
 
