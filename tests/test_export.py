@@ -268,6 +268,13 @@ def test_poses_in_the_base_frame_need_no_instrument(kuka: Robot, rng: np.random.
         export_model(calibrated, "c", frame="flange")
 
 
+def test_many_targets_are_exported(kuka: Robot, rng: np.random.Generator) -> None:
+    """Which of 24 targets a pose is of is asked of one after the other, not of every combination of answers."""
+    chain = Chain.of(kuka, targets=tuple(f"ball_{i}" for i in range(24)))
+    model = Model(chain, (BaseFrame(), ToolFrame(FRAME_SYMBOLS)))
+    check_python(calibrated_of(model, 1e-2 * rng.uniform(-1.0, 1.0, model.n_parameters)), rng)
+
+
 def test_an_arm_of_few_joints_reaches_positions(rng: np.random.Generator, tmp_path: Path) -> None:
     """Position alone, in C and in NumPy; an orientation is refused where there are fewer than six joints."""
     robot = Robot.from_urdf("ur10", tip="wrist_1_link")

@@ -25,8 +25,8 @@ FUNCTIONS: dict[str, Callable[[float], float]] = {
     "sqrt": math.sqrt, "fabs": math.fabs, "rint": round, "floor": math.floor,
 }  # fmt: skip
 
-# What is taken for true or false in this run of an effect's code, by the identity of the comparison.
-_KNOWN: ContextVar[dict[int, bool]] = ContextVar("known")
+# The comparisons that are taken for true or false in this run of an effect's code.
+_SETTLED: ContextVar[tuple[tuple[Symbol, bool], ...]] = ContextVar("settled", default=())
 _NODES: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
 
 
@@ -66,7 +66,7 @@ class Symbol:
         return lambda: apply(name, self)
 
     def __bool__(self) -> bool:
-        answer = _KNOWN.get({}).get(id(self))
+        answer = _outcome(self)
         if answer is None:
             raise _UndecidedError(self)
         return answer
@@ -149,6 +149,18 @@ class _UndecidedError(Exception):
     def __init__(self, comparison: Symbol) -> None:
         super().__init__("its code asks for the outcome of a comparison")
         self.comparison = comparison
+
+
+def _outcome(comparison: Symbol) -> bool | None:
+    """Return whether a comparison holds where those that are settled tell; what equals one number equals no other."""
+    for settled, holds in _SETTLED.get():
+        if settled is comparison:
+            return holds
+        if holds and settled.operation == comparison.operation == "equal":
+            (x, a), (y, b) = settled.operands, comparison.operands
+            if x is y and not isinstance(a, Symbol) and not isinstance(b, Symbol):
+                return a == b
+    return None
 
 
 def _scalar(value: Any) -> float | Symbol:
@@ -239,24 +251,28 @@ def are_symbols(values: np.ndarray) -> bool:
     return values.dtype == object
 
 
-def either_way(code: Callable[[], dict[int, Any]], known: dict[int, bool] | None = None) -> dict[int, Any]:
+def either_way(code: Callable[[], dict[int, Any]]) -> dict[int, Any]:
     """Run code that makes sums by place, and where it depends on a comparison run it for both outcomes.
 
     Args:
         code: returns symbols and numbers by place; a place that is missing has zero.
-        known: the comparisons whose outcome is settled, by their identity.
 
     Returns:
         What holds in either case, by place.
     """
-    known = known or {}
-    token = _KNOWN.set(known)
     try:
         return code()
     except _UndecidedError as error:
         asked = error.comparison
-    finally:
-        _KNOWN.reset(token)
-    yes, no = (either_way(code, {**known, id(asked): answer}) for answer in (True, False))
+    yes, no = (_with_outcome(code, asked, answer) for answer in (True, False))
     places = dict.fromkeys((*yes, *no))
     return {place: select(asked, yes.get(place, 0.0), no.get(place, 0.0)) for place in places}
+
+
+def _with_outcome(code: Callable[[], dict[int, Any]], comparison: Symbol, answer: bool) -> dict[int, Any]:
+    """Run code where a comparison more is settled."""
+    token = _SETTLED.set((*_SETTLED.get(), (comparison, answer)))
+    try:
+        return either_way(code)
+    finally:
+        _SETTLED.reset(token)
