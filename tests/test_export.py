@@ -21,7 +21,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated import CalibratedModel, estimate_of
 from pincal.calibration.covered import Covered
 from pincal.errors import BadInputError
-from pincal.export import FORMATS, export_model
+from pincal.export import FORMATS, Exported, Format, export_model
 from pincal.model.at_station import AtStation
 from pincal.model.catalogue.bearings import ObliqueBearing
 from pincal.model.chain import Chain, MomentFrame
@@ -411,6 +411,26 @@ def test_the_command_writes_all_that_is_asked_for(kuka: Robot, tmp_path: Path, c
     assert done.stdout.strip() == "(1, 3, 4) False"
     assert run("export", model) == 2
     assert "give at least one of" in capsys.readouterr().err
+
+
+def test_a_format_of_a_plugin_leaves_the_command_alone(
+    kuka: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is written from Python; the command has its own."""
+
+    class Own(Format):
+        name, meaning = "own", "what somebody needs"
+
+        def export(self, calibrated: CalibratedModel) -> Exported:
+            return Exported({"": calibrated.model.chain.robot.name.encode()})
+
+    monkeypatch.setitem(FORMATS._classes, "own", Own)
+    calibrated, model = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka), tmp_path / "model.json"
+    calibrated.save(model)
+
+    assert export_model(calibrated, "own").text == kuka.name
+    assert run("export", model, "--frames", "kuka") == 0 and run("export", model) == 2
+    assert "--own" not in capsys.readouterr().err
 
 
 def test_formats_and_options_are_checked(kuka: Robot) -> None:

@@ -54,12 +54,14 @@ def export(arguments: ExportArguments) -> Exit:
     from pincal.cli.places import find_place, tell_doubt
     from pincal.export import FORMATS, export_model
 
-    places = {name: getattr(arguments, name.replace("-", "_")) for name in FORMATS.registered()}
+    # A plugin's format has no option here: it is written from Python.
+    known = {name: cls for name, cls in FORMATS.registered().items() if hasattr(arguments, name.replace("-", "_"))}
+    places = {name: getattr(arguments, name.replace("-", "_")) for name in known}
     places = {name: place for name, place in places.items() if place is not None}
     if not places:
-        known = ", ".join(f"--{name} ({cls.meaning})" for name, cls in FORMATS.registered().items())
-        raise click.UsageError(f"nothing to export; give at least one of {known}")
-    if all(FORMATS.registered()[name].of_robot for name in places) and not arguments.place.placement:
+        options = ", ".join(f"--{name} ({cls.meaning})" for name, cls in known.items())
+        raise click.UsageError(f"nothing to export; give at least one of {options}")
+    if all(known[name].of_robot for name in places) and not arguments.place.placement:
         calibrated = load_stations(arguments.model).robot_model()
     else:
         found = find_place(arguments.model, arguments.place, arguments.table.options)
