@@ -12,7 +12,7 @@ import pincal
 from pincal import Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.moves import moves_of, said_at, spent_at
+from pincal.calibration.moves import _Told, moves_of, said_at, spent_at
 from pincal.calibration.tables import moved_table, moved_words, repeated_table
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
@@ -93,6 +93,29 @@ def test_nothing_moves_on_a_robot_that_stays_the_same(robot: Robot) -> None:
     for seed in range(8):
         fit = fitted(robot, measured_over(seed, dict.fromkeys(DAYS[:3], 0.0), poses=25))
         assert not any(moves_of(fit)), seed
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-12, 1e-7])
+@pytest.mark.parametrize("apart", [0.5, 1e-6, 1e-10])
+def test_changes_survive_a_badly_conditioned_fit(apart: float, rounding: float) -> None:
+    """Two stations that say the same of the robot and are pulled apart by b: parameters changed by -2 G^-1 b, with 2 G^-1.
+
+    Two parameters are hardly told apart, so that the covariance of the fit is huge and off by rounding, which turns what is
+    common to the stations, and of which nothing is left, into a matrix that is not positive.
+    """
+    scale, b = np.array([1e3, 1e5, 1.0]), np.array([3e3, -2e5, 1.0])
+    G = np.outer(scale, scale) * [[1.0, 1.0 - apart, 0.3], [1.0 - apart, 1.0, 0.3], [0.3, 0.3, 1.0]]
+    C = np.linalg.inv(2.0 * G) * (1.0 + rounding)
+    told = _Told(np.stack([G, G]), np.stack([b, -b]), np.ones((2, 3), bool), C, np.full(3, 1e6), np.zeros(3, bool))
+    for chosen in ([0], [1], [2], [0, 2]):
+        station, _, values, covariance = told.released(chosen)
+        difference = np.where(station == 1, 1.0, -1.0) * np.repeat(np.eye(len(chosen)), 2, axis=1)
+        inverse = np.linalg.inv(G[np.ix_(chosen, chosen)])
+
+        np.testing.assert_allclose(difference @ values, -2.0 * inverse @ b[chosen], rtol=1e-5)
+        np.testing.assert_allclose(difference @ covariance @ difference.T, 2.0 * inverse, rtol=1e-5)
+        assert told.gain(chosen) == pytest.approx(2.0 * b[chosen] @ inverse @ b[chosen], rel=1e-5)
+        assert np.all(np.diag(covariance) > 0.0)
 
 
 @pytest.mark.long
