@@ -21,6 +21,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.export import export_model
 from pincal.io.urdf_export import calibrated_urdf
+from pincal.model.catalogue.masses import LinkMass
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, ToolFrame
@@ -153,6 +154,20 @@ def test_mujoco_has_the_masses(kuka: Robot) -> None:
     np.testing.assert_allclose(model.body_mass.sum(), kuka.masses.sum(), rtol=1e-12)
     np.testing.assert_allclose(model.opt.gravity, found.model.chain.gravity, rtol=0.0, atol=1e-12)
     assert other.body_mass.sum() < 1e-5
+
+
+def test_mujoco_has_the_masses_that_were_found(kuka: Robot) -> None:
+    """They are carried, and not said to be missing; one that came out negative is."""
+    mujoco = pytest.importorskip("mujoco")
+    model = Model(Chain.of(kuka, moment_frame="after"), (*ELASTIC, LinkMass()))
+    values = np.array([{"rad/(N m)": 1e-7, "kg": 2.0}.get(parameter.unit, 0.0) for parameter in model.parameters])
+    exported = export_model(calibrated_of(model, values), "mjcf")
+    read = mujoco.MjModel.from_xml_string(exported.text)
+
+    np.testing.assert_allclose(read.body_mass.sum(), kuka.masses.sum() + 12.0, rtol=1e-12)
+    assert "link_mass" not in exported.text and "negative" not in exported.text
+    values[model.index("joint_6.mass")] = -100.0
+    assert any("masses behind joint_6" in note for note in export_model(calibrated_of(model, values), "mjcf").notes)
 
 
 def test_names_with_dashes_stay_within_the_comment_of_a_mujoco_model() -> None:

@@ -179,9 +179,14 @@ def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> 
 
 def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
     """Say what MuJoCo does otherwise, and what it does not know."""
-    model = calibrated.model
-    left = replace(model, effects=tuple(effect for effect in model.effects if effect not in springs.carried))
+    model, robot = calibrated.model, calibrated.model.chain.robot
+    carried = (*springs.carried, *(effect for effect in model.effects if effect.bodies(model.chain)))
+    left = model.with_effects([effect for effect in model.effects if effect not in carried])
     notes = rigid_notes(left, what="MuJoCo model")
+    masses = model.layout(calibrated.model_values).masses
+    below = [f"{name} ({mass:.3g} kg)" for name, mass in zip(robot.joint_names, masses, strict=True) if mass < 0.0]
+    if below:
+        notes += (f"masses behind {', '.join(below)}: negative, which no body's is; left out, so that moments differ",)
     if springs.refused:
         notes += (f"{', '.join(springs.refused)}: negative, which no spring is; left out",)
     if np.any(springs.compliances):
@@ -190,7 +195,7 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
             "at a step of 2 ms and are not measured",
             *([] if model.equilibrium else [_bent(calibrated)]),
         )
-    if calibrated.model.chain.robot.massless:
+    if robot.massless:
         notes += ("inertia of links without one in the URDF is a placeholder: statics is right, dynamics is not",)
     return notes
 

@@ -49,7 +49,7 @@ class Chain:
     Attributes:
         robot: the arm.
         moment_frame: where moments are taken and bend the arm: "paper" takes them before q and bends after it,
-            "before" and "after" do both there.
+            "before" and "after" do both there. Those of a prismatic joint bend before it slides in all three.
         gravity: shape (3,), in the robot's base frame [m/s^2].
         base_rotation: shape (3, 3), reference orientation of the robot's base in the instrument's frame; of several set-ups
             shape (S, 3, 3).
