@@ -20,9 +20,10 @@ Examples:
   pincal export results/model.json --python arm.py --mjcf arm.xml --dh arm.csv
   pincal export results/model.json --frames kuka
 
-Each file is read back and compared with the model before it is written, and says in its first lines what
-it can't carry. --c and --python carry every effect of the model and compensate, too; the others carry the
-geometry, --mjcf springs, too. --urdf, --mjcf, --dh and --ur-kinematics are of the robot alone and need no --station.
+Each file is read back and compared with the model before it is written (of --c its formulas: C would need a
+compiler), and says in its first lines what it can't carry. --c and --python carry every effect of the model
+and compensate, too; the others carry the geometry, --mjcf springs, too. --urdf, --mjcf, --dh and
+--ur-kinematics are of the robot alone and need no --station.
 """
 
 

@@ -21,8 +21,8 @@ class Exported:
     Attributes:
         files: contents by name in the folder that is written; of a format with a single file the name is empty.
         notes: what the format can't carry, in words.
-        max_error_m: largest distance between target or tip by what was written, read back, and by what the format can
-            carry of the model [m]; None where there is nothing to compare.
+        max_error_m: largest distance between target or tip by what was written, read back (of C by its formulas), and by
+            what the format can carry of the model [m]; None where there is nothing to compare.
     """
 
     files: dict[str, bytes]
