@@ -51,6 +51,7 @@ def test_packages_are_found_around_the_file(workspace: Path) -> None:
     mesh.parent.mkdir()
     mesh.write_bytes(b"")
     assert find_mesh("package://parts/mesh/link.stl", str(workspace)) == mesh
+    assert find_mesh("package://[parts/mesh/link.stl", str(workspace)) is None
 
 
 def test_a_xacro_file_is_the_robot_that_it_describes(workspace: Path) -> None:
@@ -66,6 +67,9 @@ def test_what_is_wrong_with_a_xacro_file_is_said(workspace: Path, monkeypatch: p
     """Each failure names the file and the next step."""
     part = workspace.parents[2] / "group/parts_v2/urdf/joint.xacro"
     with pytest.raises(RobotFileError, match=r"joint\.xacro: expands to no link, as it only defines macros; expected the"):
+        Robot.from_urdf(part)
+    (part.parent / "user.xacro").write_bytes(b"<!-- in Latin-1: \xe9 --> joint.xacro")
+    with pytest.raises(RobotFileError, match=r"joint\.xacro: .*expected user\.xacro"):
         Robot.from_urdf(part)
     with pytest.raises(RobotFileError, match=r"arm\.xacro: xacro can't expand it .*arguments, .*: name:=arm, long:=\$"):
         Robot.from_urdf(workspace, xacro_args={"long": "${1/0}"})

@@ -70,7 +70,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     robot = load_robot(source)
     tables = load_stations(robot, source.data, options=source.table.options)
     setup = chosen.setup
-    given = [path for path in (setup.points, setup.distances, setup.camera) if path is not None]
+    given = [path for path in (source.table.joints, setup.points, setup.distances, setup.camera) if path is not None]
     options = with_effects(options_of(chosen, tables), chosen.fit.add, robot=robot, tables=tables)
     return Prepared(robot, tables, options, (*source.data, *given, Path(robot.source)))
 

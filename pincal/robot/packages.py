@@ -47,7 +47,10 @@ def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | No
         source: the URDF's file; meshes are looked for beside it, in the packages around it and in those of ROS.
         folders: further folders with meshes, or with packages.
     """
-    url = urlparse(name)
+    try:
+        url = urlparse(name)
+    except ValueError:
+        return None
     if url.scheme not in ("", "file", "package", "model"):
         return None
     beside = Path(source).resolve().parent

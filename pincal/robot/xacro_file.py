@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,10 +49,9 @@ def expand_xacro(path: Path, text: bytes, arguments: Mapping[str, str]) -> bytes
     literal = {name: value for name, value in known.items() if value is not None and "$" not in value}
     dom = _expanded(path, literal | dict(arguments), known)
     if not dom.getElementsByTagName("link"):
-        users = [
-            file for file in sorted(path.parent.glob("*.xacro")) if file != path and path.name in file.read_text("utf-8")
-        ]
-        use = " or ".join(file.name for file in users) or "the file that includes it"
+        others = (file for file in sorted(path.parent.glob("*.xacro")) if file != path and os.access(file, os.R_OK))
+        users = [file.name for file in others if file.is_file() and os.fsencode(path.name) in file.read_bytes()]
+        use = " or ".join(users) or "the file that includes it"
         raise RobotFileError(f"{path}: expands to no link, as it only defines macros; expected {use}")
     return bytes(dom.toxml(encoding="utf-8"))
 
