@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -167,6 +168,37 @@ def test_check_says_what_can_be_told(table, capsys):
     text = capsys.readouterr().out
     for words in ("rank", "Coverage", "parallel", "unidentifiable"):
         assert words in text
+
+
+def test_the_next_command_of_check_is_one(tmp_path, columns, capsys, monkeypatch):
+    """It calibrates what was checked, with all that was said of it: here a log of the joints and the names of columns."""
+    monkeypatch.chdir(tmp_path)
+    Path("kuka.urdf").write_bytes(Path(URDF).read_bytes())
+    pose = np.arange(len(columns["x"]))
+    joints = {name: columns[name] for name in columns if name.startswith("joint")}
+    write_table(
+        "tracker.csv", {"pose": pose, "height": columns["z"]} | {name: columns[name] for name in ("x", "y", "payload")}
+    )
+    write_table("log.csv", {"pose": pose} | joints)
+    given = [
+        "kuka.urdf",
+        "tracker.csv",
+        *COM,
+        "--joints",
+        "log.csv",
+        "--columns",
+        "height=z [m]",
+        "--model",
+        "geometric",
+        "--quiet",
+    ]
+    assert run("check", *given) == 0
+    words = " ".join(capsys.readouterr().out.split("\nnext ")[1].split("\nmore ")[0].split())
+    _, verb, *rest = shlex.split(words)
+    assert (verb, rest) == ("calibrate", [*given, "--out", "results"])
+    assert run(verb, *rest) == 0
+    inputs = json.loads(Path("results/model.json").read_text())["provenance"]["inputs"]
+    assert list(inputs) == ["tracker.csv", "log.csv", "kuka.urdf"]
 
 
 def test_headers_with_units_change_nothing(results, tmp_path, columns, capsys):

@@ -7,6 +7,7 @@ a section of their own in the help text. How a value is read follows from the ty
 from __future__ import annotations
 
 import inspect
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, field, fields
 from pathlib import Path
@@ -19,7 +20,7 @@ from pincal.cli import show_progress
 from pincal.errors import Exit
 
 A = TypeVar("A")
-_HEADING = "heading"
+_HEADING, _WORDS = "heading", "pincal.words"
 
 
 def option(help: str, default: Any = None, *, words: str | None = None, name: str | None = None, **attributes: Any) -> Any:
@@ -71,6 +72,11 @@ class Verb(click.Command):
         super().__init__(**attributes)
         self._headings, self._ending = headings, ending
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the words of the command line, and keep them for :func:`as_given`."""
+        ctx.meta[_WORDS] = tuple(args)
+        return super().parse_args(ctx, args)
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write arguments and options, section by section."""
         sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
@@ -88,6 +94,11 @@ class Verb(click.Command):
         super().format_epilog(ctx, formatter)
         if self._ending is not None:
             formatter.write(f"\n{self._ending()}\n")
+
+
+def as_given(other: str, *more: str) -> str:
+    """Return the command line of another verb that takes what the present one was given, and more."""
+    return shlex.join(["pincal", other, *click.get_current_context().meta[_WORDS], *more])
 
 
 def verb(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pincal.cli.arguments import group, verb
+from pincal.cli.arguments import as_given, group, verb
 from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions, verbose_option
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
@@ -43,9 +43,6 @@ def check(arguments: CheckArguments) -> Exit:
         if arguments.verbose:
             print_precheck(found, console())
         else:
-            source = arguments.source
-            words = ["pincal calibrate", source.robot, *map(str, source.data), "--out results"]
-            words += [f"--xacro-arg {name}:={value}" for name, value in source.xacro_args]
-            words += [f"--tip {source.tip}"] if source.tip else []
-            print_brief_check(found, prepared.robot, console(), command=" ".join(words))
+            command = as_given("calibrate", "--out", "results")
+            print_brief_check(found, prepared.robot, console(), command=command)
     return Exit.DONE
