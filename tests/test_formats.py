@@ -353,6 +353,7 @@ def test_text_that_may_be_meant_is_not_left_out(tmp_path: Path) -> None:
     [
         ({"J7": "joint_a1"}, ['no column "J7" for --columns J7=joint_a1', "the table has"]),
         ({"joint_a1": "J1"}, ['is "J1=joint_a1" meant?']),
+        ({"joint_a1": "J1 [deg]"}, ['is "J1=joint_a1 [deg]" meant?']),
         ({"J1": "joint_a1 [mm]"}, ["[mm] is no unit", "[rad]"]),
         ({"J1": "y"}, ['two columns "y"']),
     ],
@@ -451,6 +452,8 @@ def test_excel_names_the_line_of_a_fault(tmp_path: Path) -> None:
     table[first][1] = "#N/A"
     with pytest.raises(MeasurementError, match=rf'log\.xlsx, line 5, column "{first}": "#N/A"'):
         read(excel(table, above=("# a", "# b"))(tmp_path))
+    with pytest.raises(MeasurementError, match=r"line 2: \d+ cells; expected 1 as in the header, line 1; delete what"):
+        read(excel(table, above=("Monday",))(tmp_path))
 
 
 def test_polars_counts_like_the_reader(tmp_path: Path) -> None:

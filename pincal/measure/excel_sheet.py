@@ -35,13 +35,16 @@ def open_excel(path: Path) -> Sheet:
         raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
     if others:
         warnings.warn(f"{path.name}: worksheets {', '.join(others)} are not read", PincalWarning, stacklevel=2)
-    (_, header), *body = lines
+    (top, header), *body = lines
     width = max(i for i, cell in enumerate(header, start=1) if cell is not None)
     labels = tuple("" if cell is None else str(cell).strip() for cell in header[:width])
     for row, cells in body:
         if any(cell is not None for cell in cells[width:]):
             count = max(i for i, cell in enumerate(cells, start=1) if cell is not None)
-            raise MeasurementError(f"{path.name}, line {row}: {count} cells; expected {width} as in the header")
+            raise MeasurementError(
+                f"{path.name}, line {row}: {count} cells; expected {width} as in the header, line {top}; "
+                "delete what stands above it, or begin it with #"
+            )
     columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(width)]
     return FrameSheet(path, labels, False, pl.DataFrame(columns), np.array([row for row, _ in body], int))
 

@@ -61,8 +61,9 @@ def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, o
         if not hits and any(is_named(text, name) for text in others):
             continue
         if len(hits) != 1:
-            swapped = [text for text in labels if meaning in (text, name_of(text))]
-            hint = f'; is "{meaning}={name}" meant?' if swapped and not hits else ""
+            column, bracket, unit = meaning.partition("[")
+            swapped = not hits and any(is_named(text, column.strip()) for text in labels)
+            hint = f'; is "{column.strip()}={name}{bracket and f" [{unit}"}" meant?' if swapped else ""
             count = "no column" if not hits else f"{len(hits)} columns"
             raise MeasurementError(f'{source}: {count} "{name}" for --columns {name}={meaning}{hint}; {listed(labels)}')
         text = labels[hits[0]]
