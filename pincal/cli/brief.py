@@ -77,8 +77,9 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
 def print_first_notes(notes: Sequence[str], out: Console) -> None:
     """Print the first of what the user should know, and how much more there is."""
     more = len(notes) - _NOTES
+    plural = "s" if more > 1 else ""
     for i, note in enumerate(notes[:_NOTES], 1):
-        rest = f" ({more} more notes with --verbose)" if more > 0 and i == _NOTES else ""
+        rest = f" ({more} more note{plural} with --verbose)" if more > 0 and i == _NOTES else ""
         out.print(hanging("note:   ", f"{note}{rest}"), style="yellow")
 
 
