@@ -24,7 +24,7 @@ from pincal.tables import hanging, one_line
 
 # Effects, and notes, that are named one by one.
 _EFFECTS, _NOTES = 3, 1
-# Mean over rms of the distance that independent errors of one size make in so many directions (chi distribution).
+# Mean distance that independent errors of standard deviation 1 make in so many directions (chi distribution).
 _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
 _PARTS = {"test": "held out", "train": "fitted"}
 

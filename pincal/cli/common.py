@@ -65,10 +65,9 @@ class Noise(click.ParamType[tuple[float, str]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
         """Return the value in SI units, or in pixels, and its unit."""
         is_image = str(value).strip().endswith("px")
-        units = {"px": 1.0} if is_image else _LENGTHS
-        return Quantity(units, "0.1px" if is_image else "0.05mm", zero=self._zero).convert(
-            str(value), param, ctx
-        ), "px" if is_image else "m"
+        units, example = ({"px": 1.0}, "0.1px") if is_image else (_LENGTHS, "0.05mm")
+        number = Quantity(units, example, zero=self._zero).convert(str(value), param, ctx)
+        return number, "px" if is_image else "m"
 
 
 class Masses(click.ParamType[tuple[float, ...]]):

@@ -107,25 +107,16 @@ def matched(
         units: of columns whose label has none, where that is not SI.
         source: the file, for messages.
     """
-    columns, others = dict[str, Column](), list[Label]()
+    exact = {label.name for label in labels} & quantities.keys()
+    columns, unknown = dict[str, Column](), list[Label]()
     for label in labels:
-        name = label.name
-        if name not in quantities:
-            others.append(label)
-            continue
-        unit = unit_of(label.meant, quantities[name], where=f'{source}, column {label.index + 1} ("{label.text}")')
-        if name in columns:
-            raise MeasurementError(f'{source}: two columns "{name}"; expected one, delete or rename the other')
-        columns[name] = Column(label.index, name, label.text, unit or units.get(name, ""), quantities[name])
-    unknown, exact = [], set(columns)
-    for label in others:
         found = spelled(label, quantities)
-        if found is None or found[0] in exact:
+        if found is None or (found[0] in exact and found[0] != label.name):
             unknown.append(label)
             continue
         name, unit = found
-        where = f'{source}, column {label.index + 1} ("{label.text}")'
-        unit = unit_of(unit, quantities[name], where=where) if "[" in unit else unit
+        if "[" in unit:
+            unit = unit_of(unit, quantities[name], where=f'{source}, column {label.index + 1} ("{label.text}")')
         if name in columns:
             raise MeasurementError(f'{source}: two columns "{name}"; expected one, delete or rename the other')
         columns[name] = Column(label.index, name, label.text, unit or units.get(name, ""), quantities[name])

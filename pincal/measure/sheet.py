@@ -57,7 +57,7 @@ class Sheet(ABC):
     @property
     def takes_unknown(self) -> bool:
         """Whether columns that nobody knows are no mistake of the user."""
-        return isinstance(self, FrameSheet) and self.holds_more
+        return False
 
     @abstractmethod
     def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
@@ -99,6 +99,11 @@ class FrameSheet(Sheet):
     frame: pl.DataFrame
     rows: np.ndarray
     holds_more: bool = False
+
+    @property
+    def takes_unknown(self) -> bool:
+        """Whether it holds more."""
+        return self.holds_more
 
     def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
         """Return the cells."""
