@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pincal.simulate as sim
+from pincal.errors import ModelFileError
+from pincal.io.entries import ModelEntry, plain, restored
+from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.model.catalogue.bearings import ObliqueBearing
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
@@ -105,3 +110,25 @@ def test_turned_joint_frames_are_the_same_machine(tmp_path: Path, moment_frame: 
 
     assert np.abs(places[0] - stiff).max() > 1e-5
     np.testing.assert_allclose(places[0], places[1], atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+def test_files_of_old_have_bearings_where_they_were() -> None:
+    """A file that says nothing of bearings was made when they stood at the origins of their frames, and predicts so."""
+    robot = Robot.from_urdf("panda")
+    model = Model(Chain.of(robot, moment_frame="after"), (BearingElasticity(),))
+    conditions, values = conditions_of(robot), np.full(14, 1e-6)
+    new = plain(ModelEntry.of_model(model))
+    old = new | {"chain": {key: value for key, value in new["chain"].items() if key != "bearing_heights"}}
+    short = new | {"chain": new["chain"] | {"bearing_heights": [0.0, 0.3]}}
+
+    def read(entry: dict) -> Model:
+        return decode(json.dumps(entry).encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restored).model()
+
+    at_origin = replace(model, chain=replace(model.chain, bearing_heights=np.zeros(7)))
+    places = [each.predict(values, conditions) for each in (read(new), model, read(old), at_origin)]
+    np.testing.assert_array_equal(places[0], places[1])
+    np.testing.assert_array_equal(places[2], places[3])
+    assert np.abs(places[1] - places[2]).max() > 1e-6
+    with pytest.raises(ModelFileError, match=r"bearing_heights: has 2 entries; expected 7, one per joint"):
+        read(short)

@@ -263,7 +263,7 @@ class Problem:
             frames = [effect for effect in station.model.effects if isinstance(effect, BaseFrame | ToolFrame)]
             model = station.model.with_effects([*frames, *effects_at(effects, station.name)])
             if moment_frame is not None:
-                model = model.with_chain(replace(model.chain, moment_frame=moment_frame))
+                model = model.with_chain(model.chain.with_moment_frame(moment_frame))
             stations.append(station.with_model(model))
         return replace(self, stations=tuple(stations))
 

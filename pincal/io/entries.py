@@ -113,13 +113,17 @@ class RobotEntry(Record, frozen=True, kw_only=True):
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):
-    """What a chain has beside its robot, see :class:`pincal.model.chain.Chain`."""
+    """What a chain has beside its robot, see :class:`pincal.model.chain.Chain`.
+
+    Files that know nothing of bearings were made when these stood at the origins of their frames.
+    """
 
     moment_frame: MomentFrame
     gravity: Vector
     base_rotation: Rotation
     targets: Annotated[tuple[str, ...], Shape("targets")]
     tool_rotations: Rotations
+    bearing_heights: Annotated[Numbers, Shape("joints")] | None = None
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
@@ -150,7 +154,12 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
     Raises:
         Fault: below ``key``, if an effect is of a joint or symbol that the robot does not have.
     """
-    model = Model(Chain(robot=robot, **msgspec.structs.asdict(chain)), effects, equilibrium=equilibrium)
+    given, n = msgspec.structs.asdict(chain), robot.n_joints
+    if chain.bearing_heights is None:
+        given["bearing_heights"] = np.zeros(n)
+    elif len(chain.bearing_heights) != n:
+        raise Fault(f"has {len(chain.bearing_heights)} entries", f"{n}, one per joint", key=f"{key}.chain.bearing_heights")
+    model = Model(Chain(robot=robot, **given), effects, equilibrium=equilibrium)
     try:
         model.parameters  # noqa: B018
     except (ValueError, LookupError, TypeError, AttributeError) as error:

@@ -56,6 +56,7 @@ class Chain:
         targets: names of the tool frames.
         tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups
             those of each after the other's.
+        bearing_heights: shape (n,), how far along its axis from the frame before it each joint has its bearing [m].
     """
 
     robot: Robot
@@ -64,6 +65,7 @@ class Chain:
     base_rotation: np.ndarray
     targets: tuple[str, ...]
     tool_rotations: np.ndarray
+    bearing_heights: np.ndarray
 
     def __repr__(self) -> str:
         return f"Chain({self.robot.name!r}: {self.robot.n_joints} joints, targets {' '.join(self.targets)})"
@@ -77,11 +79,20 @@ class Chain:
         gravity: np.ndarray | None = None,
         targets: tuple[str, ...] = ("tool",),
     ) -> Chain:
-        """Return the chain of a robot whose base and tool frames stand at the instrument and the tip."""
+        """Return the chain of a robot whose base and tool frames stand at the instrument and the tip.
+
+        In the paper a joint has its bearing at the origin of its frame; "before" and "after" have it where the URDF has the
+        joint.
+        """
         if moment_frame not in MOMENT_FRAMES:
             raise ValueError(f"moment_frame is {moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}")
         g = robot.gravity if gravity is None else np.asarray(gravity, float)
-        return cls(robot, moment_frame, g, np.eye(3), targets, np.tile(np.eye(3), (len(targets), 1, 1)))
+        tools = np.tile(np.eye(3), (len(targets), 1, 1))
+        return cls(robot, moment_frame, g, np.eye(3), targets, tools, _bearing_heights(robot, moment_frame))
+
+    def with_moment_frame(self, moment_frame: MomentFrame) -> Chain:
+        """Return the same chain whose moments are taken and bend the arm elsewhere."""
+        return replace(self, moment_frame=moment_frame, bearing_heights=_bearing_heights(self.robot, moment_frame))
 
     def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
         """Return the same chain about other reference orientations of base and tools."""
@@ -127,23 +138,9 @@ class Chain:
         """Return the index of a coordinate of the tool frame."""
         return self.size - FRAME + FRAME_SYMBOLS.index(symbol)
 
-    @cached_property
-    def bearing_heights(self) -> np.ndarray:
-        """Where on its axis, from the frame before it, each joint has its bearing, shape (n,) [m].
-
-        In the paper that is the frame's own origin; "before" and "after" have it where the URDF has the joint.
-        """
-        n = self.robot.n_joints
-        if self.moment_frame == "paper":
-            return np.zeros(n)
-        heights = np.array([self.height_on_axis(i) for i in range(n)])
-        return np.where(np.abs(heights) > _AT_ORIGIN, heights, 0.0)
-
     def height_on_axis(self, i: int) -> float:
         """Return where on its axis, from the frame before it, the URDF has joint i [m]."""
-        d, alpha = (self.nominal[self.joint(i, symbol)] for symbol in ("d", "alpha"))
-        _, y, z = self.robot.T_link_joint[i, :3, 3]
-        return float(d + np.sin(alpha) * y + np.cos(alpha) * z)
+        return float(_heights_on_axes(self.robot)[i])
 
     @cached_property
     def layout(self) -> Layout:
@@ -159,6 +156,18 @@ class Chain:
             centres=np.ascontiguousarray(self.robot.centres),
             gravity=self.gravity,
         )
+
+
+def _heights_on_axes(robot: Robot) -> np.ndarray:
+    """Return where on its axis, from the frame before it, the URDF has each joint, shape (n,) [m]."""
+    d, alpha = robot.frames.parameters[:, [_DH_COLUMN["d"], _DH_COLUMN["alpha"]]].T
+    y, z = robot.T_link_joint[:, 1:3, 3].T
+    return np.asarray(d + np.sin(alpha) * y + np.cos(alpha) * z)
+
+
+def _bearing_heights(robot: Robot, moment_frame: MomentFrame) -> np.ndarray:
+    heights = _heights_on_axes(robot)
+    return np.where((moment_frame != "paper") & (np.abs(heights) > _AT_ORIGIN), heights, 0.0)
 
 
 @cache
