@@ -155,12 +155,14 @@ def _turn_terms(chain: Chain, conditions: Conditions, i: int, *, axis: int) -> I
     shift = np.zeros((len(conditions), 3))
     shift[:, 1 - axis] = height if axis == 0 else -height
     before_q = chain.moment_frame == "before"
-    R = turning(chain, conditions, i)
     if i + 1 < chain.robot.n_joints:
-        after = (R.transpose(0, 2, 1) @ shift[:, :, None])[:, :, 0] if before_q else shift
-        yield from end_terms(chain, i, shift=after @ _link_twist(chain, i))
+        if before_q:
+            shift = (turning(chain, conditions, i).transpose(0, 2, 1) @ shift[:, :, None])[:, :, 0]
+        yield from end_terms(chain, i, shift=shift @ _link_twist(chain, i))
     elif i:
-        yield from end_terms(chain, i - 1, shift=shift if before_q else (R @ shift[:, :, None])[:, :, 0])
+        if not before_q:
+            shift = (turning(chain, conditions, i) @ shift[:, :, None])[:, :, 0]
+        yield from end_terms(chain, i - 1, shift=shift)
     # Where the bearing of an arm's only joint sits is a constant of the target.
 
 
