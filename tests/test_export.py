@@ -111,7 +111,7 @@ def address(array: np.ndarray) -> ctypes.c_void_p:
 
 
 def loaded(text: str) -> Callable[..., np.ndarray]:
-    """Return the functions of an exported Python file, run by a Python that has no pincal."""
+    """Return the functions of an exported Python file, whose code has no pincal."""
     assert "pincal." not in text.split('"""', 2)[2] and "import pincal" not in text
     names: dict[str, Callable[..., np.ndarray]] = {}
     exec(text, names)

@@ -264,9 +264,9 @@ class Model:
             else:
                 excited[:, p] |= size > 0.0
             largest[:, p] = np.maximum(largest[:, p], size)
+        for body in self.bodies:
+            excited[:, body.parameter] = heaviest > 0.0
         for span, effect in zip(self.spans, self.effects, strict=True):
-            for body in effect.bodies(self.chain):
-                excited[:, span.start + body.parameter] = heaviest > 0.0
             if effect.alike:
                 largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
                 excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
