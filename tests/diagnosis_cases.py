@@ -118,7 +118,7 @@ def draw_case(
     table = old.table(old.positions() + SIGMA * rng.standard_normal((REFERENCE_ROWS, 3)))
     options = Options(effects=ELASTIC, payload_centre=old.com, moment_frame="after")
     fit = calibrate(robot, table, options)
-    model = replace(fit.to_model(), left=fit.left)
+    model = fit.to_model()
     few = kind in ("null", "offset", "bent", "tilt")
     new = _scene(machine, int(rng.integers(12 if few else 30, 61)), rng, light=light, temperature=warm[1])
     later, truth, got = machine, None, 0.0

@@ -46,7 +46,11 @@ class Calibrated(ABC):
 
     @abstractmethod
     def to_model(self) -> CalibratedModel:
-        """Return the calibrated model, all that a prediction needs."""
+        """Return the calibrated model, all that a prediction or a diagnosis needs."""
+
+    @abstractmethod
+    def _predictor(self) -> CalibratedModel:
+        """Return what a prediction needs of it: to find what it left takes as long as a fit."""
 
     @abstractmethod
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -69,6 +73,10 @@ class Calibrated(ABC):
     def robot_model(self) -> CalibratedModel:
         """Return a calibrated model of the robot itself, whatever it was measured with."""
         return self.to_model()
+
+    def robot_predictor(self) -> CalibratedModel:
+        """Return the same as far as it predicts: to find what it left may take as long as a fit."""
+        return self._predictor()
 
     @property
     @abstractmethod
@@ -119,7 +127,7 @@ class Calibrated(ABC):
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
         """
-        model = self.to_model()
+        model = self._predictor()
         conditions = at if isinstance(at, Conditions) else model.conditions_at(at, payload=payload, target=target)
         poses = model.model.predict(model.model_values, conditions)
         return (poses, self.position_sigma(conditions)) if return_sigma else poses
@@ -129,7 +137,7 @@ class Calibrated(ABC):
 
         :math:`\sqrt{\mathrm{diag}(J C J^T)}`: what the calibration leaves unknown, without the noise of a measurement.
         """
-        found = self.to_model()
+        found = self._predictor()
         n = found.model.n_parameters
         C = found.covariance[:n, :n]
         out = np.empty((len(conditions), 3))
@@ -142,7 +150,7 @@ class Calibrated(ABC):
     @property
     def covariance(self) -> np.ndarray:
         """Covariance of the values, shape (P, P); zero rows and columns for those that were not fitted."""
-        return self.to_model().dense_covariance
+        return self._predictor().dense_covariance
 
     def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
         """Return the robot's URDF with the calibrated geometry, and write it to a file if one is named.
@@ -151,7 +159,7 @@ class Calibrated(ABC):
             RobotFileError: if the model has no URDF.
             OutputError: if the place can't be written to.
         """
-        found = self.robot_model()
+        found = self.robot_predictor()
         export = calibrated_urdf(found.model, found.values)
         if path is not None:
             write_whole(path, export.text)
@@ -159,7 +167,7 @@ class Calibrated(ABC):
 
     def to_pinocchio(self) -> pin.Model:
         """Return the robot's Pinocchio model with the calibrated geometry; elastic effects are not in it."""
-        found = self.robot_model()
+        found = self.robot_predictor()
         return pinocchio_model(found.model, found.model_values)
 
     def _repr_html_(self) -> str:
@@ -294,6 +302,9 @@ class CalibratedModel(Calibrated):
 
     def to_model(self) -> CalibratedModel:
         """Return the model itself."""
+        return self
+
+    def _predictor(self) -> CalibratedModel:
         return self
 
     def save(self, path: str | os.PathLike[str]) -> None:

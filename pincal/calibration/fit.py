@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -51,17 +52,24 @@ class Fit(identified.Fit, Calibrated):
         return left_by(self)
 
     def to_model(self) -> CalibratedModel:
-        """Return the calibrated model, all that a prediction needs."""
+        """Return the calibrated model, all that a prediction or a diagnosis needs."""
+        return replace(self._calibrated, left=self.left)
+
+    def _predictor(self) -> CalibratedModel:
         return self._calibrated
 
     def to_stations(self) -> CalibratedStations:
         """Return what was found of all stations."""
+        return self._stations.knowing(self.left)
+
+    @property
+    def _stations(self) -> CalibratedStations:
         return CalibratedStations.of(self)
 
     @property
     def robot_estimate(self) -> Estimate:
         """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
-        return (self.to_stations() if len(self.names) > 1 else self.to_model()).robot_estimate
+        return (self._stations if len(self.names) > 1 else self._calibrated).robot_estimate
 
     def at(self, station: str) -> CalibratedModel:
         """Return the calibrated model of one of several stations.
@@ -71,12 +79,20 @@ class Fit(identified.Fit, Calibrated):
         """
         return self.to_stations().at(station)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``model.json``, with all stations if there are several; see :func:`pincal.load_model`."""
+    def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
+        """Write ``model.json``, with all stations if there are several; see :func:`pincal.load_model`.
+
+        Args:
+            path: the file; an existing one is replaced only when the new one is complete.
+            provenance: where it came from, in types that JSON knows.
+
+        Raises:
+            OutputError: if the place can't be written to, or a number is not finite.
+        """
         if len(self.problem.stations) > 1:
-            save_stations(path, self.to_stations().knowing(self.left))
+            save_stations(path, replace(self.to_stations(), provenance=provenance or {}))
         else:
-            replace(self.to_model(), left=self.left).save(path)
+            replace(self.to_model(), provenance=provenance or {}).save(path)
 
     @property
     def models(self) -> Mapping[str, CalibratedModel]:
@@ -85,7 +101,11 @@ class Fit(identified.Fit, Calibrated):
 
     def robot_model(self) -> CalibratedModel:
         """Return the model of the first station with all that the rows of all cover: the robot is the same in each."""
-        return self.to_stations().robot_model() if len(self.names) > 1 else self.to_model()
+        return replace(self.robot_predictor(), left=self.left)
+
+    def robot_predictor(self) -> CalibratedModel:
+        """Return the same as far as it predicts: to find what it left takes about as long as the fit."""
+        return self._stations.robot_model() if len(self.names) > 1 else self._calibrated
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,7 +122,7 @@ class Fit(identified.Fit, Calibrated):
         state = "converged" if self.solution.converged else "did not converge"
         rank = self.solution.posterior.identifiable_rank
         return (
-            f"{self.robot_model().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
+            f"{self.robot_predictor().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
             f"identifiable rank {rank} of {int(self.solution.free.sum())}; noise {'; '.join(self._noise())}"
         )
 

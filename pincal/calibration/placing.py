@@ -133,7 +133,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
-    known = calibrated.robot_model()
+    known = calibrated.robot_predictor()
     setup = _setup_over(known.setup, measurements)
     check_placeable(measurements, setup)
     arm = known.with_effects(lambda effect: effect.scope == "robot")

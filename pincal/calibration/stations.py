@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel, estimate_at, model_of_file
-from pincal.calibration.left import Left, left_by
+from pincal.calibration.left import Left
 from pincal.errors import BadInputError
 from pincal.identify.fingerprints import together
 from pincal.identify.fit import Fit
@@ -97,18 +97,6 @@ class CalibratedStations:
         if name not in self.models:
             raise BadInputError(f"station {name!r} is not in the model; expected one of {', '.join(self.names)}")
         return self.models[name]
-
-
-def save_fit(path: str | os.PathLike[str], fit: Fit, provenance: dict[str, Any]) -> None:
-    """Write ``model.json`` of a fit with its provenance, with all stations if there are several.
-
-    Raises:
-        OutputError: if the place can't be written to, or a number is not finite.
-    """
-    if len(fit.problem.stations) > 1:
-        save_stations(path, CalibratedStations.of(fit, provenance).knowing(left_by(fit)))
-    else:
-        replace(CalibratedModel.of(fit, provenance), left=left_by(fit)).save(path)
 
 
 def save_stations(path: str | os.PathLike[str], calibrated: CalibratedStations) -> None:

@@ -130,14 +130,13 @@ def write_results(
     view: bool = False,
 ) -> tuple[str, ...]:
     """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
-    from pincal.calibration.stations import save_fit
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import report_page
     from pincal.report.subject import Subject
 
     fit = calibration.fit
-    save_fit(folder / "model.json", fit, origin)
+    fit.save(folder / "model.json", provenance=origin)
     write_json(folder / "result.json", calibration.result.to_dict())
     if discovery is not None:
         write_json(folder / "discovery.json", discovery.report)

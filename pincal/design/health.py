@@ -242,7 +242,7 @@ def design_check(
         reach = Reach(known, rig, limits or Limits())
         model = _as_if_calibrated(reach, options or Options(), request, rng=rng)
     else:
-        model = replace(known.robot_model(), left=known.left)
+        model = known.robot_model()
         rig = _rig_of(rig, model)
         reach = Reach(model.model.chain.robot, rig, limits or Limits())
     drawn = reach.draw(request.n_candidates, rng)

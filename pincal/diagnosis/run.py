@@ -118,7 +118,7 @@ def diagnose(
     """
     if not 0.0 < alpha < 0.5:
         raise BadInputError(f"alpha is {alpha:g}; expected a chance of a false alarm between 0 and 0.5, such as 0.01")
-    model = replace(calibrated.robot_model(), left=calibrated.left)
+    model = calibrated.robot_model()
     placed = placed_anew(model, measurements, sigma=sigma)
     verdict = verdict_of(model, placed, alpha)
     lineup, happened = verdict.lineup, verdict.happened

@@ -39,7 +39,7 @@ def update(
         ChangedRobotError: if the robot has changed since: old and new rows don't belong together.
         BadInputError: as :func:`diagnose`.
     """
-    model = replace(calibrated.robot_model(), left=calibrated.left)
+    model = calibrated.robot_model()
     placed = placed_anew(model, measurements)
     verdict = verdict_of(model, placed, alpha)
     if verdict.changed:
