@@ -100,7 +100,10 @@ def cases() -> list[Case]:
         Case(
             "camera_pixel",
             lambda _: CameraPixelSensor(
-                NamedPoints(dict.fromkeys(NAMES)), np.arange(N), LENS.project(AHEAD), Setup(lens=LENS, fit_lens=True)
+                points=NamedPoints(dict.fromkeys(NAMES)),
+                index=np.arange(N),
+                pixel=LENS.project(AHEAD),
+                setup=Setup(lens=LENS, fit_lens=True),
             ),
             np.concatenate([ahead(SEEN).ravel(), np.zeros(9)]),
         ),

@@ -22,7 +22,7 @@ from pincal.measure.lens import NEAREST, Lens
 from pincal.measure.plausible import check_spread
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
 from pincal.measure.rows import some_rows
-from pincal.measure.sensor import Block, Excluded, KnownParameters, Plausible
+from pincal.measure.sensor import Block, Excluded, KnownParameters, Plausible, Sensor
 from pincal.measure.setup import Setup
 from pincal.measure.triangulation import Views, camera_starts
 from pincal.parameters import FRAME_SYMBOLS, Parameter
@@ -31,6 +31,45 @@ from pincal.robot.se3 import nearest_rotation, transform
 PIXEL = Field("pixel", ("u", "v"), "pixel")
 # Rows of the first search.
 _SAMPLE = 300
+
+
+@dataclass(frozen=True)
+class Images(Sensor, KnownParameters):
+    """2D: images in a camera, whose parameters are the last of the sensor's own.
+
+    Attributes:
+        pixel: the images, shape (N, 2) [px].
+        setup: what is known of the camera.
+    """
+
+    blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
+    deviation_end: ClassVar[str] = "the part across the view that the image tells"
+
+    pixel: np.ndarray
+    setup: Setup
+
+    @property
+    @final
+    def is_given(self) -> bool:
+        """Whether the user gave the camera."""
+        return self.setup.lens is not None
+
+    @property
+    @final
+    def doubt(self) -> str:
+        """The images don't fit the camera."""
+        return "the images call for another camera than the given one: --fit-camera finds its parameters"
+
+    @final
+    def lens(self, own: np.ndarray) -> Lens:
+        """Return the camera for values of the sensor's parameters."""
+        parameters = self.setup.lens_parameters()
+        return Lens(*(p.nominal + value for p, value in zip(parameters, own[-len(parameters) :], strict=True)))
+
+    @final
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return images moved by ``change``, shape (2, N) [px]."""
+        return replace(self, pixel=self.pixel + change.T)
 
 
 @dataclass(frozen=True)
@@ -147,29 +186,20 @@ class CameraPointSensor(CameraSensor, Plausible):
 
 
 @dataclass(frozen=True)
-class CameraPixelSensor(CameraSensor, KnownParameters):
-    """2D: the point's image, shape (N, 2) [px].
-
-    Attributes:
-        setup: what is known of the camera.
-    """
+class CameraPixelSensor(CameraSensor, Images):
+    """2D: the point's image, shape (N, 2) [px]."""
 
     kind: ClassVar[str] = "camera_pixel"
     fields: ClassVar[tuple[Field, ...]] = (PIXEL, POINT)
-    blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
     per_row: ClassVar[tuple[str, ...]] = ("index", "pixel")
     has_scale: ClassVar[bool] = False
     impossible: ClassVar[None] = None
-    deviation_end: ClassVar[str] = "the part across the view that the image tells"
-
-    pixel: np.ndarray
-    setup: Setup
 
     @classmethod
     def of(cls, table: Table, setup: Setup) -> Self:
         """Return the images of a table."""
         points = setup.named()
-        return cls(points, index_of(table, points), table.array("pixel"), setup)
+        return cls(points=points, index=index_of(table, points), pixel=table.array("pixel"), setup=setup)
 
     @property
     def own_parameters(self) -> tuple[Parameter, ...]:
@@ -180,25 +210,6 @@ class CameraPixelSensor(CameraSensor, KnownParameters):
     def known_parameters(self) -> np.ndarray:
         """The camera's parameters where it is known, and always those that a usual lens does not have."""
         return np.concatenate([np.zeros(len(self.points.parameters), bool), self.setup.lens_fixed()])
-
-    @property
-    def is_given(self) -> bool:
-        """Whether the user gave the camera."""
-        return self.setup.lens is not None
-
-    @property
-    def doubt(self) -> str:
-        """The images don't fit the camera."""
-        return "the images call for another camera than the given one: --fit-camera finds its parameters"
-
-    def lens(self, own: np.ndarray) -> Lens:
-        """Return the camera for values of the sensor's parameters."""
-        parameters = self.setup.lens_parameters()
-        return Lens(*(p.nominal + value for p, value in zip(parameters, own[-len(parameters) :], strict=True)))
-
-    def shifted(self, change: np.ndarray) -> Self:
-        """Return images moved by ``change``, shape (2, N) [px]."""
-        return replace(self, pixel=self.pixel + change.T)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (2, N) [px]."""

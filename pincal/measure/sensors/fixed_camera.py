@@ -11,17 +11,16 @@ Hartley and Zisserman, Multiple View Geometry, section 7.1).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics, by_target
 from pincal.measure.fields import CONDITIONS, Field, Table
-from pincal.measure.lens import Lens
 from pincal.measure.rows import some_rows
-from pincal.measure.sensor import Block, KnownParameters, OwnParameters, Sensor
-from pincal.measure.sensors.camera import PIXEL
+from pincal.measure.sensor import OwnParameters
+from pincal.measure.sensors.camera import PIXEL, Images
 from pincal.measure.setup import Setup
 from pincal.measure.triangulation import rays
 from pincal.parameters import FRAME_SYMBOLS, Parameter
@@ -32,27 +31,17 @@ _SAMPLE = 300
 
 
 @dataclass(frozen=True)
-class FixedCameraSensor(Sensor, OwnParameters, KnownParameters):
-    """2D: the image of a target on the tool, shape (N, 2) [px], in a camera that stands still.
-
-    Attributes:
-        pixel: the images.
-        setup: what is known of the camera.
-    """
+class FixedCameraSensor(Images, OwnParameters):
+    """2D: the image of a target on the tool, shape (N, 2) [px], in a camera that stands still."""
 
     kind: ClassVar[str] = "fixed_camera_pixel"
     fields: ClassVar[tuple[Field, ...]] = (PIXEL, CONDITIONS["target"])
-    blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 3
     per_row: ClassVar[tuple[str, ...]] = ("pixel",)
     has_camera: ClassVar[bool] = True
-    deviation_end: ClassVar[str] = "the part across the view that the image tells"
     own_words: ClassVar[str] = ""
-
-    pixel: np.ndarray
-    setup: Setup
 
     @classmethod
     def of(cls, table: Table, setup: Setup) -> Self:
@@ -68,24 +57,6 @@ class FixedCameraSensor(Sensor, OwnParameters, KnownParameters):
     def known_parameters(self) -> np.ndarray:
         """The camera's parameters where it is known, and always those that a usual lens does not have."""
         return self.setup.lens_fixed()
-
-    @property
-    def is_given(self) -> bool:
-        """Whether the user gave the camera."""
-        return self.setup.lens is not None
-
-    @property
-    def doubt(self) -> str:
-        """The images don't fit the camera."""
-        return "the images call for another camera than the given one: --fit-camera finds its parameters"
-
-    def lens(self, own: np.ndarray) -> Lens:
-        """Return the camera for values of the sensor's parameters."""
-        return Lens(*(p.nominal + value for p, value in zip(self.setup.lens_parameters(), own, strict=True)))
-
-    def shifted(self, change: np.ndarray) -> Self:
-        """Return images moved by ``change``, shape (2, N) [px]."""
-        return replace(self, pixel=self.pixel + change.T)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (2, N) [px]."""
