@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -375,3 +376,19 @@ def test_a_broken_model_file_is_refused(results, tmp_path, capsys):
     Path(tmp_path / "cut.json").write_text(text[: len(text) // 2])
     assert run("validate", tmp_path / "cut.json", "x.csv") == 3
     assert "cut.json" in capsys.readouterr().err
+
+
+def test_a_report_of_a_problem_says_what_was_run_and_not_what_was_measured(table, capsys):
+    """Versions, command, files and names of columns are there, also of a table that is refused; no row of it is."""
+    assert run("check", URDF, table, *COM, "--report", "--quiet") == 0
+    whole = capsys.readouterr().out
+    refused = table.with_name("refused.csv")
+    refused.write_text(table.read_text().replace("joint_1", "joint_one"))
+    assert run("check", URDF, refused, "--report", "--quiet") == 3
+    head = capsys.readouterr().out
+
+    for text in (whole, head):
+        assert text.startswith(f"pincal {version('pincal')}, Python ") and f"numpy {version('numpy')}" in text
+        assert "command: pincal check " in text and "sha256" in text
+    assert "Coverage of the joint ranges" in whole and "first line: joint_1," in whole and "first line: joint_one," in head
+    assert not any(row.split(",")[0] in whole for row in table.read_text().splitlines()[1:])

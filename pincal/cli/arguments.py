@@ -98,7 +98,12 @@ class Verb(click.Command):
 
 def as_given(other: str, *more: str) -> str:
     """Return the command line of another verb that takes what the present one was given, and more."""
-    return shlex.join(["pincal", other, *click.get_current_context().meta[_WORDS], *more])
+    return shlex.join(["pincal", other, *words_given(), *more])
+
+
+def words_given() -> tuple[str, ...]:
+    """Return the words of the command line after the present verb."""
+    return tuple(click.get_current_context().meta[_WORDS])
 
 
 def verb(

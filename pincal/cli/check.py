@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from pincal.cli.arguments import as_given, group, verb
+import click
+
+from pincal.cli.arguments import as_given, group, option, verb, words_given
 from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions, verbose_option
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
@@ -17,6 +20,10 @@ class CheckArguments:
     source: InputOptions = group("Input")
     chosen: CalibrationOptions = group("Model")
     verbose: bool = verbose_option()
+    report: bool = option(
+        "Print what a report of a problem needs, without the data: versions, command, files, and the whole check.",
+        False,
+    )
     general: GeneralOptions = group("General")
 
 
@@ -26,6 +33,12 @@ def check(arguments: CheckArguments) -> Exit:
 
     Units, ranges and coverage are checked, and the reason is given for what cannot be identified.
     """
+    if arguments.report:
+        from pincal.cli.problem_report import problem_report
+
+        # Before anything is read, so that it is there whatever the check comes to.
+        for line in problem_report(["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]):
+            click.echo(line)
     from pincal.cli.inputs import prepare
     from pincal.cli.progress import tell_step
     from pincal.discover.precheck import precheck
@@ -40,7 +53,7 @@ def check(arguments: CheckArguments) -> Exit:
         from pincal.cli.progress import console
         from pincal.cli.tables import print_precheck
 
-        if arguments.verbose:
+        if arguments.verbose or arguments.report:
             print_precheck(found, console())
         else:
             command = as_given("calibrate", "--out", "results")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -39,6 +38,8 @@ def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, A
     """Return what a result rests on: versions, command, seed, and the input files with their hashes."""
     from importlib.metadata import version
 
+    from pincal.io.result_folder import file_hash
+
     return {
         "pincal": version("pincal"),
         "numpy": version("numpy"),
@@ -46,7 +47,7 @@ def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, A
         "python": sys.version.split()[0],
         "command": " ".join(["pincal", *sys.argv[1:]]),
         "seed": seed,
-        "inputs": {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()},
+        "inputs": {file.name: file_hash(file) for file in files if file.is_file()},
     }
 
 

@@ -50,7 +50,7 @@ def output_folder(path: Path) -> Iterator[Path]:
             yield draft
             model = draft / MODEL
             if model.exists():
-                listed = {name: _hash(draft / name) for name in RESULTS if (draft / name).exists()}
+                listed = {name: file_hash(draft / name) for name in RESULTS if (draft / name).exists()}
                 model.write_bytes(_sealed(model.read_bytes(), listed))
             _publish(draft, goal)
     except OSError as error:
@@ -67,7 +67,7 @@ def not_written_with(model: Path, files: Mapping[str, str]) -> str:
     for name, expected in files.items():
         beside = model.parent / name
         # What people may have edited tells no runs apart; absent files are none of another run.
-        if name in RESULTS and beside.suffix == ".json" and beside.is_file() and _hash(beside) != expected:
+        if name in RESULTS and beside.suffix == ".json" and beside.is_file() and file_hash(beside) != expected:
             return name
     return ""
 
@@ -78,8 +78,10 @@ def _sealed(content: bytes, files: Mapping[str, str]) -> bytes:
     return head + line_end + b'"files": ' + json.dumps(dict(files)).encode() + b",\n" + rest
 
 
-def _hash(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+def file_hash(file: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal digits."""
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 def _is_exchangeable(goal: Path) -> bool:
