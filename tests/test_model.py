@@ -303,8 +303,11 @@ class Augmented:
         self.tip = self.model.getFrameId("tip")
 
     def joints(self, coordinates: np.ndarray) -> np.ndarray:
-        """Return the joints' part of a row of coordinates."""
-        return np.ascontiguousarray(coordinates[FRAME:-FRAME])
+        """Return the joints' part of a row of coordinates, the way back from the bearing in d."""
+        x = coordinates.copy()
+        for i in range(self.chain.robot.n_joints):
+            x[self.chain.joint(i, "d")] -= x[self.chain.joint(i, "h")]
+        return x[FRAME:-FRAME]
 
     def pose(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the tip in the base frame, shape (3, 4)."""
@@ -321,7 +324,7 @@ class Augmented:
         return -np.asarray(pin.computeGeneralizedGravity(self.model, self.data, self.joints(coordinates)))
 
     def moment_slopes(self, coordinates: np.ndarray) -> np.ndarray:
-        """Return d moment / d coordinate, shape (9 n, 9 n)."""
+        """Return d moment / d coordinate, shape (10 n, 10 n)."""
         return -np.array(pin.computeGeneralizedGravityDerivatives(self.model, self.data, self.joints(coordinates)))
 
 
@@ -475,15 +478,15 @@ def summed_moments(chain: Chain, x: np.ndarray, mass: float, centre: np.ndarray)
     for i in range(robot.n_joints):
         at = {symbol: x[chain.joint(i, symbol)] for symbol in chain.symbols[FRAME : FRAME + BLOCK]}
         T = T @ turn("x", at["s_x"]) @ turn("y", at["s_y"])
-        before = T[:3, :3]
-        bend = turn("y", at["gamma_y"]) @ turn("x", at["gamma_x"])
+        before, origin = T[:3, :3], T[:3, 3]
+        bend = shift(0.0, at["h"]) @ turn("y", at["gamma_y"]) @ turn("x", at["gamma_x"]) @ shift(0.0, -at["h"])
         if chain.moment_frame == "before":
             T = T @ turn("z", at["gamma_z"]) @ bend @ turn("z", at["theta"])
         else:
             T = T @ turn("z", at["theta"] + at["gamma_z"])
         after = T[:3, :3]
         axes.append(after if chain.moment_frame == "after" else before)
-        origins.append(T[:3, 3] + chain.bearing_heights[i] * axes[-1][:, 2])
+        origins.append(origin + (0.0 if chain.moment_frame == "paper" else at["h"]) * axes[-1][:, 2])
         T = T if chain.moment_frame == "before" else T @ bend
         T = T @ shift(at["a"], at["d"]) @ turn("x", at["alpha"])
         places.append(T[:3, :3] @ robot.centres[i] + T[:3, 3])

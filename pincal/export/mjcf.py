@@ -19,9 +19,8 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.io.urdf_export import rigid_notes, rigid_tips
 from pincal.model.augmented import joint_mounts, joint_placements
-from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
-from pincal.model.effect import Effect, Term
+from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.robot.se3 import quaternions, rotation, translation
 
@@ -101,7 +100,7 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
         terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
         rest = [t for t in terms if t.slope is not None or (t.coordinate, t.moment) not in places]
         turns = [t for t in terms if t.slope is None and (t.coordinate, t.moment) in places]
-        if turns and all(_is_of_height(chain, term) for term in rest):
+        if turns and not rest:
             carried.append(effect)
             for term in turns:
                 value, name = float(values[span][term.parameter]), model.names[span.start + term.parameter]
@@ -113,14 +112,6 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
     return _Springs(found, tuple(carried), tuple(refused))
 
 
-def _is_of_height(chain: Chain, term: Term) -> bool:
-    """Return whether a term moves the frame of a bearing that stands beside it, which a spring there does by itself."""
-    if term.moment is None or term.slope is None:
-        return False
-    i, axis = divmod(term.moment, 3)
-    return axis < 2 and chain.bearing_heights[i] != 0.0
-
-
 def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> Iterator[dict[str, str]]:
     """Yield the attributes of the joints of a body in the order in which they turn it: springs, and the robot's own."""
     chain, robot = model.chain, model.chain.robot
@@ -130,10 +121,10 @@ def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> I
     if np.isfinite(robot.lower[i]):
         own["range"] = _numbers(np.array([robot.lower[i], robot.upper[i]]))
     before = chain.moment_frame == "before"
-    axes = turning[:3, :3]
+    axes, rigid = turning[:3, :3], model.rigid_coordinates(values)
     if before:
-        axes = axes @ rotation("z", -model.rigid_coordinates(values)[chain.joint(i, "theta")])[:3, :3]
-    bearing = _numbers(turning[:3, 3] + chain.bearing_heights[i] * turning[:3, 2])
+        axes = axes @ rotation("z", -rigid[chain.joint(i, "theta")])[:3, :3]
+    bearing = _numbers(turning[:3, 3] + rigid[chain.joint(i, "h")] * turning[:3, 2])
     elastic = [
         _spring(f"{robot.joint_names[i]}_spring_{'xyz'[c]}", bearing, axes[:, c], 1.0 / springs.compliances[i, c])
         for c in (2, 1, 0)

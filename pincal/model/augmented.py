@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
 
 def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.ndarray | None = None) -> pin.Model:
-    """Return the arm with one Pinocchio joint a coordinate (54 for a 6R arm), from its base to its tip.
+    """Return the arm with one Pinocchio joint a coordinate (60 for a 6R arm), from its base to its tip.
 
-    Its configuration vector is the joints' part of :meth:`Model.coordinates` (joint positions included in theta or d).
+    Its configuration vector is the joints' part of :meth:`Model.coordinates` (joint positions included in theta or d), with
+    d - h in place of d.
     Its frame Jacobian at "tip" is the kinematic Jacobian by coordinates; its generalised gravity is minus the static
     moment about each coordinate; its gravity derivatives are those of the moments.
 

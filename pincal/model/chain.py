@@ -7,11 +7,12 @@ From the instrument's frame to the target:
     Tr(x) Tr(y) Tr(z) \bar R_{base} R(x) R(y) R(z) \; T_{base,0} \prod_i A_i \; T_{n,tip} \;
     Tr(x) Tr(y) Tr(z) \bar R_{tool} R(x) R(y) R(z)
 
-    A_i = R(x; s_x) R(y; s_y) R(z; q + \theta) R(z; \gamma_z) R(y; \gamma_y) R(x; \gamma_x) Tr(z; d) Tr(x; a) R(x; \alpha)
+    A_i = R(x; s_x) R(y; s_y) R(z; q + \theta) R(z; \gamma_z) Tr(z; h) R(y; \gamma_y) R(x; \gamma_x) Tr(z; d - h) Tr(x; a)
+          R(x; \alpha)
 
-which is DH,s,e of the paper to the letter, between a base frame and a tool frame. The two reference rotations (bars) hold
-any orientation of instrument and tool, so that the six angles beside them stay small and never meet a singularity. The
-joint position of a prismatic joint adds to d instead of theta.
+which with the bearing at the frame's origin (h = 0) is DH,s,e of the paper to the letter, between a base frame and a tool
+frame. The two reference rotations (bars) hold any orientation of instrument and tool, so that the six angles beside them
+stay small and never meet a singularity. The joint position of a prismatic joint adds to d instead of theta.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from pincal.robot.robot import Robot
 MomentFrame = Literal["paper", "before", "after"]
 MOMENT_FRAMES: tuple[MomentFrame, ...] = ("paper", "before", "after")
 
-_JOINT_SYMBOLS = ("s_x", "s_y", "theta", "gamma_z", "gamma_y", "gamma_x", "d", "a", "alpha")
+_JOINT_SYMBOLS = ("s_x", "s_y", "theta", "gamma_z", "h", "gamma_y", "gamma_x", "d", "a", "alpha")
 # A compliance that stays with the previous link bends before the joint turns.
-_JOINT_SYMBOLS_BEFORE = ("s_x", "s_y", "gamma_z", "gamma_y", "gamma_x", "theta", "d", "a", "alpha")
+_JOINT_SYMBOLS_BEFORE = ("s_x", "s_y", "h", "gamma_z", "gamma_y", "gamma_x", "theta", "d", "a", "alpha")
 _KIND = {
-    "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
+    "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "h": 5, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
     "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
 }  # fmt: skip
 # A joint nearer than this to the origin of its frame is there [m].
@@ -112,11 +113,12 @@ class Chain:
 
     @cached_property
     def nominal(self) -> np.ndarray:
-        """Nominal coordinates, shape (K,): the robot's Denavit-Hartenberg parameters, zero elsewhere."""
+        """Nominal coordinates, shape (K,): the robot's Denavit-Hartenberg parameters and bearings, zero elsewhere."""
         values = np.zeros(self.size)
         for i, row in enumerate(self.robot.frames.parameters):
             for symbol, column in _DH_COLUMN.items():
                 values[self.joint(i, symbol)] = row[column]
+            values[self.joint(i, "h")] = self.bearing_heights[i]
         return values
 
     @cached_property
@@ -148,7 +150,6 @@ class Chain:
         fixed = np.array([self.robot.frames.T_base_first, self.robot.frames.T_last_tip])
         return Layout(
             **_order(self.moment_frame, self.robot.n_joints),
-            moment_height=self.bearing_heights,
             fixed=np.ascontiguousarray(fixed[:, :3]),
             base_rotation=np.ascontiguousarray(self.base_rotation).reshape(-1, 3, 3),
             tool_rotation=np.ascontiguousarray(self.tool_rotations),
@@ -182,9 +183,12 @@ def _order(moment_frame: MomentFrame, n_joints: int) -> dict[str, np.ndarray]:
     starts, symbols = FRAME + BLOCK * np.arange(n_joints), _symbols(moment_frame, n_joints)
     fixed_before = np.full(len(symbols), -1)
     fixed_before[[FRAME, FRAME + BLOCK * n_joints]] = 0, 1
-    y, z, cut = {"paper": (1, 2, 1), "before": (1, 2, 1), "after": (4, 3, 3)}[moment_frame]
+    less = np.full(len(symbols), -1)
+    less[[k for k, symbol in enumerate(symbols) if symbol == "d"]] = [k for k, symbol in enumerate(symbols) if symbol == "h"]
+    y, z, cut = {"paper": (1, 2, 1), "before": (1, 3, 2), "after": (5, 3, 4)}[moment_frame]
     return {
         "kind": np.array([_KIND[symbol] for symbol in symbols]),
+        "less": less,
         "fixed_before": fixed_before,
         "moment_y": starts + y,
         "moment_z": starts + z,

@@ -12,8 +12,6 @@ import numpy as np
 from pincal.model.chain import Chain
 from pincal.model.conditions import MOMENT, UNFELT, Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
-from pincal.model.links import end_terms
-from pincal.model.places import turning
 from pincal.parameters import Parameter
 
 # Size of real elastic rotations [rad], used as prior where the data can't tell.
@@ -109,8 +107,8 @@ class BearingElasticity(Compliance):
     r"""Each bearing gives way across its axis: gamma_x = k_x n_x, gamma_y = k_y n_y.
 
     With the paper's moment frame that is to its letter: about the origin of the Denavit-Hartenberg frame, which is a choice
-    of whoever lays the frames. With "before" and "after" the bearing sits where the URDF has the joint: the moment n is
-    taken there, and the frame's origin, h below it on the axis, moves by :math:`h (-\gamma_y, \gamma_x, 0)`.
+    of whoever lays the frames. With "before" and "after" the moment is taken and the link turns where the bearing sits,
+    at the height h on its axis.
     """
 
     name: ClassVar[str] = "bearing_elasticity"
@@ -132,42 +130,5 @@ class BearingElasticity(Compliance):
 
     @staticmethod
     def _joint_terms(chain: Chain, conditions: Conditions, moments: np.ndarray, i: int) -> Iterator[Term]:
-        for axis in (0, 1):
-            yield from tilt_terms(chain, conditions, moments, i, axis=axis, follows=axis, parameter=axis)
-
-
-def tilt_terms(
-    chain: Chain, conditions: Conditions, moments: np.ndarray, i: int, *, axis: int, follows: int, parameter: int = 0
-) -> Iterator[Term]:
-    """Yield the terms of a turn of joint i about x or y through its bearing, by the moment about x or y."""
-    moment = 3 * i + follows
-    for way in _turn_terms(chain, conditions, i, axis=axis):
-        bent = moments[:, moment] if way.basis is None else way.basis * moments[:, moment]
-        yield Term(parameter, way.coordinate, bent, moment, way.basis)
-
-
-def _turn_terms(chain: Chain, conditions: Conditions, i: int, *, axis: int) -> Iterator[Term]:
-    """Yield the terms of a unit turn of joint i about x or y of the frame of its moments, through its bearing [rad]."""
-    yield Term(0, chain.joint(i, ("gamma_x", "gamma_y")[axis]))
-    height = float(chain.bearing_heights[i])
-    if not height:
-        return
-    shift = np.zeros((len(conditions), 3))
-    shift[:, 1 - axis] = height if axis == 0 else -height
-    before_q = chain.moment_frame == "before"
-    if i + 1 < chain.robot.n_joints:
-        if before_q:
-            shift = (turning(chain, conditions, i).transpose(0, 2, 1) @ shift[:, :, None])[:, :, 0]
-        yield from end_terms(chain, i, shift=shift @ _link_twist(chain, i))
-    elif i:
-        if not before_q:
-            shift = (turning(chain, conditions, i) @ shift[:, :, None])[:, :, 0]
-        yield from end_terms(chain, i - 1, shift=shift)
-    # Where the bearing of an arm's only joint sits is a constant of the target.
-
-
-def _link_twist(chain: Chain, i: int) -> np.ndarray:
-    """Return the rotation from the axes at the end of link i to those after q, shape (3, 3)."""
-    alpha = float(chain.nominal[chain.joint(i, "alpha")])
-    c, s = np.cos(alpha), np.sin(alpha)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        for axis, coordinate in enumerate(("gamma_x", "gamma_y")):
+            yield Term(axis, chain.joint(i, coordinate), moments[:, 3 * i + axis], 3 * i + axis)

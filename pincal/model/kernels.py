@@ -30,7 +30,7 @@ from numba.core import event
 log = logging.getLogger(__name__)
 
 # Coordinates a joint, a frame (base or tool).
-BLOCK = 9
+BLOCK = 10
 FRAME = 6
 # Poses worked on together: fewer cost more in calls, more outgrow a second-level cache of 512 KiB (6R arm).
 LANES = 64
@@ -41,19 +41,20 @@ class Layout(NamedTuple):
 
     Attributes:
         kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
+        less: shape (K,), an earlier coordinate whose translation coordinate k takes back, -1 for none.
         fixed_before: shape (K,), index of the fixed transform that precedes coordinate k, -1 for none.
         fixed: shape (F, 3, 4), the fixed transforms.
         base_rotation: shape (set-ups, 3, 3), reference orientation of the base in each instrument's frame.
         tool_rotation: shape (tools, 3, 3), reference orientation of each tool frame.
         moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint i's moment is
-            expressed in.
-        moment_cut: shape (n,), the last coordinate that turns this frame.
-        moment_height: shape (n,), how far along the joint's axis from this frame's origin the moment is taken [m].
+            expressed in; it is taken about the origin of the later one.
+        moment_cut: shape (n,), the last coordinate that turns or moves this frame.
         masses, centres: shape (n,), (n, 3), the bodies in the link frames.
         gravity: shape (3,), in the robot's base frame.
     """
 
     kind: np.ndarray
+    less: np.ndarray
     fixed_before: np.ndarray
     fixed: np.ndarray
     base_rotation: np.ndarray
@@ -61,7 +62,6 @@ class Layout(NamedTuple):
     moment_y: np.ndarray
     moment_z: np.ndarray
     moment_cut: np.ndarray
-    moment_height: np.ndarray
     masses: np.ndarray
     centres: np.ndarray
     gravity: np.ndarray
@@ -268,6 +268,9 @@ def _walk(layout, first, last, x, c, s, R, p, W, O):
             if kind >= 3:
                 for i in range(R.shape[2]):
                     p[r, i] += R[r, axis, i] * x[k, i]
+                if layout.less[k] >= 0:
+                    for i in range(R.shape[2]):
+                        p[r, i] -= R[r, axis, i] * x[layout.less[k], i]
             else:
                 for i in range(R.shape[2]):
                     a, b = R[r, j, i], R[r, l, i]
@@ -359,23 +362,16 @@ def _lever(B, M, o, D):
 
 
 @njit(**_INNER)
-def _moment_point(layout, j, W, O, o):
-    """Put the point that the moments of joint j are taken about into o, shape (3, lanes)."""
-    _copy_rows(O[FRAME + j * BLOCK], o)
-    height = layout.moment_height[j]
-    if height != 0.0:
-        axis = W[layout.moment_z[j]]
-        for r in range(3):
-            for i in range(o.shape[1]):
-                o[r, i] += height * axis[r, i]
+def _moment_point(layout, j, O):
+    """Return the point that the moments of joint j are taken about, shape (3, lanes)."""
+    return O[max(layout.moment_y[j], layout.moment_z[j])]
 
 
 @njit(**_INNER)
 def _moment_levers(layout, W, O, M, B, A, H, D):
     """A[l], H[l]: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
     for j in range(len(layout.masses)):
-        _moment_point(layout, j, W, O, A[3 * j])
-        _lever(B[j], M[j], A[3 * j], D)
+        _lever(B[j], M[j], _moment_point(layout, j, O), D)
         _copy_rows(W[layout.moment_y[j]], A[3 * j + 1])
         _copy_rows(W[layout.moment_z[j]], A[3 * j + 2])
         _cross(A[3 * j + 1], A[3 * j + 2], A[3 * j])
@@ -389,6 +385,15 @@ def _add_scaled(a, v, out):
     for r in range(3):
         for i in range(v.shape[1]):
             out[r, i] += a[i] * v[r, i]
+
+
+@njit(**_INNER)
+def _take_back(layout, k, of_coordinates):
+    """Take what coordinate k does off what the one does that it takes back, in an array of all coordinates."""
+    earlier = layout.less[k]
+    if earlier >= 0:
+        for i in range(of_coordinates.shape[1]):
+            of_coordinates[earlier, i] -= of_coordinates[k, i]
 
 
 @njit(**_INNER)
@@ -417,6 +422,7 @@ def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
                     for i in range(h.shape[1]):
                         along = behind[r, 0, i] * W[k, 0, i] + behind[r, 1, i] * W[k, 1, i]
                         V[r, k, i] = M[j, i] * (along + behind[r, 2, i] * W[k, 2, i])
+                    _take_back(layout, k, V[r])
             if k == layout.moment_cut[j]:
                 for l in range(3 * j, 3 * j + 3):
                     _turned_gravity(layout.gravity, A[l], u)
@@ -452,6 +458,8 @@ def _kinematic_columns(layout, W, O, p, J):
                 _copy(W[k, r], J[r, k])
             for r in range(3, rows):
                 _set(J[r, k], 0.0)
+            for r in range(3):
+                _take_back(layout, k, J[r])
             continue
         for i in range(p.shape[1]):
             dx, dy, dz = p[0, i] - O[k, 0, i], p[1, i] - O[k, 1, i], p[2, i] - O[k, 2, i]
@@ -484,7 +492,7 @@ def _parameter_columns(terms, start, m, J, V, through, loop, out):
 
 
 @njit(**_INNER)
-def _body_columns(layout, bodies, start, m, W, O, F, A, a, u, o, U, S, out):
+def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
     """Set the columns of what masses depend on: they act through the moments alone.
 
     A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moment n_l of each
@@ -495,7 +503,7 @@ def _body_columns(layout, bodies, start, m, W, O, F, A, a, u, o, U, S, out):
             _set(U[q], 0.0)
         _set(S, 0.0)
         for j in range(len(layout.masses)):
-            _moment_point(layout, j, W, O, o)
+            o = _moment_point(layout, j, O)
             for l in range(3 * j, 3 * j + 3):
                 _turned_gravity(layout.gravity, A[l], u)
                 _add_scaled(a[r, l], u, U)
@@ -619,6 +627,6 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, bod
                 _pull_back(compliances, start, m, V, a)
                 _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
             if weighs:
-                _body_columns(layout, bodies, start, m, Wb, Ob, F, A, a, u, h, U, S, out)
+                _body_columns(layout, bodies, start, m, Ob, F, A, a, u, U, S, out)
         _parameter_columns(terms, start, m, J, V, through, sweeps > 0, out)
     return poses, out

@@ -57,11 +57,16 @@ def _walk(layout: Layout, x: Sequence[Number], frame: _Frame, *, first: int, las
             fixed = layout.fixed[layout.fixed_before[k]]
             frame.apply(fixed[:, :3], fixed[:, 3])
         seen[k] = frame.R[:, kind % 3], frame.p
-        step = step + x[k]
+        step = step + _step(layout, x, k)
         if k + 1 == last or layout.kind[k + 1] != kind or layout.fixed_before[k + 1] >= 0:
             frame.step(kind, step)
             step = 0.0
     return seen
+
+
+def _step(layout: Layout, x: Sequence[Number], k: int) -> Number:
+    """Return how far the chain goes by a coordinate."""
+    return x[k] - x[layout.less[k]] if layout.less[k] >= 0 else x[k]
 
 
 def tip_pose(
@@ -116,11 +121,9 @@ def static_moments(layout: Layout, x: Sequence[Number], payload: Number, payload
         own = float(layout.masses[j])
         mass, first_moment = mass + own, first_moment + layout.centres[j].astype(object) * own
         for k in reversed(range(FRAME + j * BLOCK, FRAME + (j + 1) * BLOCK)):
-            first_moment = _turned(first_moment, int(layout.kind[k]), x[k], mass=mass)
+            first_moment = _turned(first_moment, int(layout.kind[k]), _step(layout, x, k), mass=mass)
             if k == at[j]:
-                height = float(layout.moment_height[j])
-                about = first_moment - np.array([0.0, 0.0, height], object) * mass if height else first_moment
-                moments = [*_cross(about, gravity[k]), *moments]
+                moments = [*_cross(first_moment, gravity[k]), *moments]
     return moments
 
 

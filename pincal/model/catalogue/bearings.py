@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.compliances import BENDING_SIZE, BearingElasticity, tilt_terms
+from pincal.model.compliances import BENDING_SIZE, BearingElasticity
 from pincal.model.conditions import MOMENT, Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
 from pincal.model.places import joint_index, parameters_of
@@ -53,5 +53,5 @@ class ObliqueBearing(Discoverable):
         """Add the tilt about each axis by the moment about the other."""
         assert moments is not None
         i = joint_index(chain, self.joint)
-        tilts = (tilt_terms(chain, conditions, moments, i, axis=axis, follows=1 - axis) for axis in (0, 1))
-        return tuple(term for tilt in tilts for term in tilt)
+        pairs = ("gamma_x", 3 * i + 1), ("gamma_y", 3 * i)
+        return tuple(Term(0, chain.joint(i, symbol), moments[:, m], m) for symbol, m in pairs)
