@@ -116,6 +116,10 @@ class ChangedRobotError(PincalError):
     exit_code = Exit.CHANGED
 
 
+class WorkersLostError(PincalError, RuntimeError):
+    """Processes or machines that did a part of the work died, and nobody could go on with it."""
+
+
 class PincalWarning(UserWarning):
     """Something that the user should know but that does not stop the run; can be printed as it is."""
 

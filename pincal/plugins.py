@@ -22,6 +22,9 @@ from pincal.errors import BadInputError, PincalWarning
 T = TypeVar("T")
 C = TypeVar("C", bound=type[Any])
 
+# Modules that users named, in their order.
+_loaded: dict[str, None] = {}
+
 
 class Registry(Generic[T]):
     """The classes of one kind by name: those of pincal, those of plugins, and what a user registers.
@@ -113,7 +116,7 @@ def load_plugin(name: str) -> ModuleType:
     folder, module = (path.parent.resolve(), path.stem) if path.suffix == ".py" else (Path.cwd(), name)
     try:
         with _importable(folder):
-            return importlib.import_module(module)
+            found = importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is None or not (module == error.name or module.startswith(error.name + ".")):
             raise BadInputError(f"plugin {name!r} needs the module {error.name!r}, which is not installed") from error
@@ -122,6 +125,13 @@ def load_plugin(name: str) -> ModuleType:
         ) from None
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
+    _loaded[os.fspath(path.resolve()) if path.suffix == ".py" else name] = None
+    return found
+
+
+def loaded_plugins() -> tuple[str, ...]:
+    """Return the modules that :func:`load_plugin` loaded, as it can load them in another process."""
+    return tuple(_loaded)
 
 
 @contextmanager

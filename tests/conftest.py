@@ -12,6 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pytest
 
+from pincal import plugins
 from pincal.builtin import kuka_urdf_path
 from pincal.robot.robot import Robot
 
@@ -23,6 +24,12 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 def kuka() -> Robot:
     """Return the built-in KUKA KR 125/2 of the paper."""
     return Robot.from_urdf(kuka_urdf_path())
+
+
+@pytest.fixture(autouse=True)
+def forget_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no test's workers look for the plugins of another, whose files may be gone."""
+    monkeypatch.setattr(plugins, "_loaded", dict(plugins._loaded))
 
 
 @pytest.fixture

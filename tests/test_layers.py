@@ -18,6 +18,7 @@ LAYERS = (
     "errors",
     "atomic",
     "plugins",
+    "spread",
     "units",
     "tables",
     "parameters",

@@ -19,6 +19,7 @@ from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
+from pincal.spread import spread
 from pincal.validate.accuracy import pose_error_sizes
 
 Tables = dict[str, Measurements]
@@ -43,7 +44,7 @@ def leave_out_stations(
     """
     require_several(tables)
     run = partial(_left_out, robot, tables, options, fit_others)
-    return map(run, tables) if executor is None else executor.map(run, tables)
+    return spread(run, tables, label="left-out station", executor=executor)
 
 
 def require_several(tables: Mapping[str, Measurements]) -> None:

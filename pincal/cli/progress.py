@@ -17,7 +17,9 @@ from rich.text import Text
 
 # Loggers of steps too small to stay on the screen.
 _FITS = "pincal.identify"
-_TRANSIENT = (_FITS, "pincal.report.html", "pincal.calibration", "pincal.compensate", "pincal.cli")
+# That of work done item by item: elsewhere than on a terminal a line for every tenth.
+_COUNTED = "pincal.spread"
+_TRANSIENT = (_FITS, _COUNTED, "pincal.report.html", "pincal.calibration", "pincal.compensate", "pincal.cli")
 # Commands that consist of fits; for others a fit is one step of many.
 _OF_FITS = ("calibrate",)
 _LONG = 1.0  # [s]
@@ -99,7 +101,7 @@ class _Plain(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write an event, but keep a step of a fit until its stage, the first of what is logged, ends."""
-        if not record.name.startswith(_TRANSIENT):
+        if _is_told(record) if record.name == _COUNTED else not record.name.startswith(_TRANSIENT):
             self._write(self._last, record)
         elif self._fits and record.name.startswith(_FITS):
             if self._last is not None and _stage(record) != _stage(self._last):
@@ -118,6 +120,12 @@ class _Plain(logging.Handler):
             left = _left(seconds, getattr(record, "done", 0), getattr(record, "of", 0))
             times = f" [{_clock(seconds)}{left and ', '}{left}]" if seconds > _LONG else ""
             click.echo(f"pincal: {record.getMessage()}{times}", err=True)
+
+
+def _is_told(record: logging.LogRecord) -> bool:
+    """Return whether another tenth of the items is done."""
+    done, of = getattr(record, "done", 0), getattr(record, "of", 0)
+    return 10 * done // of > 10 * (done - 1) // of
 
 
 def _stage(record: logging.LogRecord) -> object:

@@ -1,7 +1,7 @@
-"""Fits repeated: cross-validation, bootstrap and Monte Carlo, on any ``concurrent.futures`` executor.
+"""Fits repeated: cross-validation, bootstrap and Monte Carlo, here or on the workers of any executor.
 
-Each repetition is one call of a module-level function on picklable arguments with a seed of its own, so a process pool, a
-cluster's Dask client (``client.get_executor()``) or ``mpi4py.futures`` runs them as they are, with the same results.
+Each repetition is one call of a module-level function on picklable arguments with a seed of its own; :mod:`pincal.spread`
+says which executors there are.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from pincal.identify.split import Split, row_groups
 from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
+from pincal.spread import spread
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def cross_validate(
     order = np.random.default_rng(seed).permutation(groups.max() + 1)
     fold = (order % folds)[groups]
     run = partial(_held_out_residuals, robot, measurements, options, fold)
-    parts = list(map(run, range(folds)) if executor is None else executor.map(run, range(folds)))
+    parts = list(spread(run, range(folds), label="fold", executor=executor))
     residuals = np.empty((len(parts[0]), len(measurements)))
     for k, part in enumerate(parts):
         residuals[:, fold == k] = part
@@ -82,12 +83,18 @@ def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fol
 def bootstrap(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
     """Refit rows drawn with replacement; the spread of the values needs no model of the noise.
 
+    Args:
+        fit: the calibration.
+        draws: how many refits; as many small tasks for an executor.
+        seed: of all draws, each of which has one of its own.
+        executor: runs the refits; default: one after the other, here.
+
     Returns:
         Shape (draws, P).
     """
     run = partial(_refit_drawn_rows, fit)
     seeds = np.random.SeedSequence(seed).spawn(draws)
-    return np.array(list(map(run, seeds) if executor is None else executor.map(run, seeds)))
+    return np.array(list(spread(run, seeds, label="draw", executor=executor)))
 
 
 def _refit_drawn_rows(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
@@ -99,6 +106,8 @@ def _refit_drawn_rows(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
 def bootstrap_stations(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
     """Refit stations drawn with replacement: what differs from day to day spreads the values, too, which rows do not show.
 
+    Arguments as those of :func:`bootstrap`.
+
     Returns:
         Shape (draws, P); not a number for the own parameters of stations that were not drawn.
 
@@ -109,7 +118,7 @@ def bootstrap_stations(fit: Fit, *, draws: int, seed: int = 0, executor: Executo
         raise BadInputError("a bootstrap over stations of one station; expected several, or bootstrap() over its rows")
     run = partial(_refit_drawn_stations, fit)
     seeds = np.random.SeedSequence(seed).spawn(draws)
-    return np.array(list(map(run, seeds) if executor is None else executor.map(run, seeds)))
+    return np.array(list(spread(run, seeds, label="draw", executor=executor)))
 
 
 def _refit_drawn_stations(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
@@ -137,12 +146,14 @@ def _refit_drawn_stations(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
 def monte_carlo(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
     """Refit simulated readings of the calibrated model with the noise of the fit: the parametric bootstrap.
 
+    Arguments as those of :func:`bootstrap`.
+
     Returns:
         Shape (draws, P).
     """
     run = partial(_refit_simulated, fit)
     seeds = np.random.SeedSequence(seed).spawn(draws)
-    return np.array(list(map(run, seeds) if executor is None else executor.map(run, seeds)))
+    return np.array(list(spread(run, seeds, label="draw", executor=executor)))
 
 
 def _refit_simulated(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:

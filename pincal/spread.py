@@ -1,0 +1,172 @@
+"""One function over many items, wherever there are workers: here, in other processes, on a cluster.
+
+Any ``concurrent.futures`` executor does: a pool of threads or processes, ``mpi4py.futures.MPIPoolExecutor``, or a Dask
+cluster by its ``client.get_executor()``. What a function holds, often a whole calibration, goes to each worker once, not
+with each item. Results come in the order of the items and are the same wherever they were made, to the last bit, if the
+function depends on its item alone: a draw brings its own seed.
+"""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import platform
+import tempfile
+import uuid
+import warnings
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pincal.errors import BadInputError, WorkersLostError
+from pincal.plugins import load_plugin, loaded_plugins
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+# What a worker keeps of what it was sent: the present work, and what it began before.
+_KEPT = 4
+# A pool with a dead process does nothing more. A cluster goes on, unless its scheduler is gone, or several workers died at
+# one task, which Dask calls by this name.
+_BROKEN = (BrokenExecutor, CancelledError)
+_GIVEN_UP = ("KilledWorker",)
+
+log = logging.getLogger(__name__)
+
+
+def spread(function: Callable[[T], R], items: Iterable[T], *, label: str, executor: Executor | None = None) -> Iterator[R]:
+    """Return a function's results in the order of the items; an executor begins all before the first is asked for.
+
+    Args:
+        function: what is to be done, with all that it needs but its item; picklable, if the executor needs that.
+        items: small things: numbers, names, seeds.
+        label: what one item is called in the log, such as "draw".
+        executor: does the work; default: here, one after the other.
+
+    Raises:
+        WorkersLostError: if workers died and nobody could go on with their work.
+        BadInputError: if workers lack what the function needs.
+
+    Example:
+        >>> list(spread(abs, (-1, 2), label="number"))
+        [1, 2]
+    """
+    tasks = list(items)
+    return _told(map(function, tasks) if executor is None else _begun(function, tasks, executor, label), label, len(tasks))
+
+
+def _told(results: Iterator[R], label: str, of: int) -> Iterator[R]:
+    """Yield results, and log how many there are."""
+    for done, result in enumerate(results, 1):
+        log.info("%s %d of %d", label, done, of, extra={"done": done, "of": of})
+        yield result
+
+
+def _begun(function: Callable[[T], R], tasks: Sequence[T], executor: Executor, label: str) -> Iterator[R]:
+    """Submit all tasks."""
+    if isinstance(executor, ThreadPoolExecutor):
+        return executor.map(function, tasks)
+    if (client := _dask_client(executor)) is not None:
+        return _results(_on_dask(client, function, tasks), label)
+    file = _File(pickle.dumps(function, pickle.HIGHEST_PROTOCOL))
+    sent = _Sent(uuid.uuid4().hex, loaded_plugins(), file.path)
+    with _losses(label):
+        return _results([executor.submit(_call, sent, task) for task in tasks], label, file)
+
+
+def _results(futures: Sequence[Future[R]], label: str, *needed: object) -> Iterator[R]:
+    """Yield results; what the tasks need lives for as long as there are some to come."""
+    try:
+        for future in futures:
+            with _losses(label):
+                result = future.result()
+            yield result
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+@contextmanager
+def _losses(label: str) -> Iterator[None]:
+    """Say what to do when workers were lost."""
+    try:
+        yield
+    except Exception as error:
+        if not isinstance(error, _BROKEN) and type(error).__name__ not in _GIVEN_UP:
+            raise
+        raise WorkersLostError(
+            f"{label}: workers died, most often for want of memory; try fewer at once, or a Dask cluster, which outlives "
+            'the death of one. A script that starts processes needs its own code under if __name__ == "__main__"'
+        ) from error
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """A function on its way to workers.
+
+    Attributes:
+        name: of this function, in every process.
+        plugins: modules that its classes may come from.
+        content: pickled, or the file where that stands.
+    """
+
+    name: str
+    plugins: tuple[str, ...] = field(compare=False)
+    content: bytes | Path = field(compare=False)
+
+    def itself(self) -> _Sent:
+        """Return it: the task by which a cluster has it, and has it again when the workers that had it are dead."""
+        return self
+
+
+def _call(sent: _Sent, item: Any) -> Any:
+    """Do one task."""
+    return _received(sent)(item)
+
+
+@lru_cache(maxsize=_KEPT)
+def _received(sent: _Sent) -> Callable[[Any], Any]:
+    """Return the function that was sent to this process, read when it is first called."""
+    for name in sent.plugins:
+        load_plugin(name)
+    try:
+        content = sent.content if isinstance(sent.content, bytes) else sent.content.read_bytes()
+    except FileNotFoundError as error:
+        raise BadInputError(
+            f"{platform.node()}: no file {error.filename}; workers on other machines need a folder for temporary "
+            "files that all of them see: set TMPDIR"
+        ) from error
+    found: Callable[[Any], Any] = pickle.loads(content)
+    return found
+
+
+class _File:
+    """A temporary file that lives as long as this object."""
+
+    def __init__(self, content: bytes) -> None:
+        place, path = tempfile.mkstemp(prefix="pincal-", suffix=".pickle")
+        self.path = Path(path)
+        weakref.finalize(self, self.path.unlink, missing_ok=True)
+        with open(place, "wb") as file:
+            file.write(content)
+
+
+def _dask_client(executor: Executor) -> Any:
+    """Return the client of an executor that Dask's ``Client.get_executor`` made; None of any other."""
+    return vars(executor)["_client"] if type(executor).__module__ == "distributed.cfexecutor" else None
+
+
+def _on_dask(client: Any, function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
+    """Submit tasks to a Dask cluster, as futures of the client: those of its executor wait for ever for what is lost."""
+    import cloudpickle
+
+    sent = _Sent(uuid.uuid4().hex, loaded_plugins(), cloudpickle.dumps(function))
+    # A task and not scattered, as what only workers have is lost with them; Dask warns of tasks that hold much.
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
+        held = client.submit(_Sent.itself, sent, pure=False)
+    return [client.submit(_call, held, task, pure=False) for task in tasks]

@@ -1,0 +1,81 @@
+"""Work spread over workers: same results in the same order on any executor, sent once, and what happens when some die."""
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pincal.errors import BadInputError, WorkersLostError
+from pincal.spread import spread
+
+
+class Parcel:
+    """Something that notes in a folder which process opened it, and how often."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        (self.folder / f"{os.getpid()}-{time.perf_counter_ns()}").touch()
+
+
+def opened(parcel: Parcel, item: int) -> int:
+    time.sleep(0.01)
+    return item
+
+
+def late_first(item: int) -> int:
+    time.sleep(0.1 if item == 0 else 0.0)
+    return item
+
+
+def die(item: int) -> None:
+    os.kill(os.getpid(), 9)
+
+
+def refuse(item: int) -> None:
+    raise BadInputError(f"no {item}")
+
+
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Executor]:
+    with ProcessPoolExecutor(2, mp_context=get_context("fork")) as executor:
+        yield executor
+
+
+def test_results_come_in_the_order_of_the_items(processes: Executor) -> None:
+    """Whoever is ready first, and whoever does the work."""
+    with ThreadPoolExecutor(2) as threads:
+        for executor in (None, threads, processes):
+            assert list(spread(late_first, range(5), label="item", executor=executor)) == [0, 1, 2, 3, 4]
+
+
+def test_a_process_is_sent_the_function_once(processes: Executor, tmp_path: Path) -> None:
+    """Not with each item, and nothing is left of it."""
+    before = set(Path(tempfile.gettempdir()).glob("pincal-*.pickle"))
+    assert list(spread(partial(opened, Parcel(tmp_path)), range(40), label="item", executor=processes)) == [*range(40)]
+    openings = [file.name.partition("-")[0] for file in tmp_path.iterdir()]
+    assert len(openings) == len(set(openings)) <= 2 and str(os.getpid()) not in openings
+    assert set(Path(tempfile.gettempdir()).glob("pincal-*.pickle")) <= before
+
+
+def test_an_error_of_a_task_is_raised_as_it_is(processes: Executor) -> None:
+    """As it would be here."""
+    with pytest.raises(BadInputError, match=r"^no 0$"):
+        list(spread(refuse, range(3), label="item", executor=processes))
+
+
+def test_a_broken_pool_says_what_to_do() -> None:
+    """A process that is killed takes its pool with it; so does the next work that is given to it."""
+    with ProcessPoolExecutor(1, mp_context=get_context("fork")) as executor:
+        for _ in range(2):
+            with pytest.raises(WorkersLostError, match=r"^draw: workers died, most often for want of memory; try fewer"):
+                list(spread(die, range(3), label="draw", executor=executor))
