@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 from pincal.calibration.run import Calibration
 from pincal.discover.history import History, Step
 from pincal.discover.power import ABSORBED, deciding_measurement
-from pincal.discover.scatter import find_scatter
+from pincal.discover.scatter import find_excess
 from pincal.discover.shrink import PartialResidual, gap_of, period_of
 from pincal.discover.where import noise_floor, sure_compliances, where_of
 from pincal.identify.fit import Fit
@@ -32,7 +32,8 @@ def findings_of(calibration: Calibration, trail: History, traces: tuple[PartialR
         traces: what each effect explains.
     """
     final = trail.final
-    scatter = find_scatter(final)
+    excess = find_excess(final)
+    scatter = None if excess is None else excess.scattering
     floor, left = _errors_of(final)
     # Residuals that are larger than the declared noise allows.
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < _MISFIT
@@ -40,11 +41,11 @@ def findings_of(calibration: Calibration, trail: History, traces: tuple[PartialR
     return Findings(
         noise_floor_mm=floor,
         gap={"before": gap_of(trail.first, calibration.stations), "after": gap_of(final, calibration.stations)},
-        where=where_of(trail, scatter, is_misfit=is_misfit),
+        where=where_of(trail, excess, is_misfit=is_misfit),
         effects=tuple(found for step in trail.steps for found in _found(calibration, trail, step, periods)),
         scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
-        verdict=Verdict.NOT_ADEQUATE if is_misfit or scatter else Verdict.ADEQUATE,
+        verdict=Verdict.NOT_ADEQUATE if is_misfit or excess else Verdict.ADEQUATE,
         unexplained_mm=left,
     )
 

@@ -1,52 +1,257 @@
-"""Scatter of one joint: what moves it from pose to pose but stands in no column."""
+"""Scatter of one joint: what moves it from pose to pose but stands in no column.
+
+More is left along the lever of a joint than the noise makes: either the joint is somewhere else each time, or what is left
+is a function of the pose that nobody has named. The same pose measured again tells these apart; so do poses that are near
+each other in some joints, as a smooth function is nearly the same at both and scatter is not.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.spatial import cKDTree
+from scipy.special import chdtri
 
 from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint
+from pincal.validate.replicates import same_joints
 
 # Twice the log-likelihood that scatter of a joint has to gain: 5 standard deviations of one parameter, so that none of a
 # robot's joints gets there by chance (test_scatter.py: neither noise nor several targets do, 50 urad do).
 _ENOUGH = 25.0
 # Candidate variances of the joint, in units of the noise seen at the joint's mean lever.
 _RATIOS = np.logspace(-2, 3, 101)
+# Chance that scatter is taken for a function of the pose, and that noise of replicates is taken for scatter.
+_CHANCE = 0.01
+# Neighbours of a pose, and how far a smooth function keeps most of its value: in parts of a joint's range, a wave a range.
+_NEIGHBOURS, _SMOOTH = 6, 0.15
+# A function follows all joints or so many at most; of so many its neighbours have to be near for it to be excluded.
+_MOST_JOINTS, _NEAR_JOINTS = 3, 2
+# Standard deviations beyond the critical value that a smooth function has to reach to be excluded where it does not.
+_SEEN = 2.0
+# Orders in which the errors are drawn again; visits beyond so many are thinned, for time.
+_DRAWS, _MOST_VISITS = 299, 1000
+_ROW_ORDER = "the order of the rows"
+
+
+@dataclass(frozen=True)
+class Excess:
+    """What is left along the lever of one joint beyond the noise.
+
+    Attributes:
+        joint: the joint.
+        sigma: standard deviation of its position that would explain it [rad or m].
+        missing: the column that could explain it.
+        shown_by: what shows that it is scatter: "replicates" or "neighbours"; "" if nothing does.
+        follows: the joints whose positions it follows, or the order of the rows, as far as near poses tell; else empty.
+    """
+
+    joint: str
+    sigma: float
+    missing: str
+    shown_by: Literal["replicates", "neighbours", ""]
+    follows: tuple[str, ...] = ()
+
+    @property
+    def scattering(self) -> ScatteringJoint | None:
+        """The joint as one that scatters, if that is shown."""
+        return ScatteringJoint(self.joint, self.sigma, self.missing, self.shown_by) if self.shown_by else None
+
+    @property
+    def statement(self) -> str:
+        """What is to be said of it."""
+        if self.shown_by == "replicates":
+            return f"{self.joint} is somewhere else about its own axis each time, also where a pose is measured again"
+        if self.shown_by:
+            return (
+                f"{self.joint} is somewhere else about its own axis each time, whatever pose and recorded columns are: "
+                "poses next to each other have unrelated errors"
+            )
+        if self.follows:
+            of = " and ".join(self.follows) if len(self.follows) <= _MOST_JOINTS else "all joints"
+            return (
+                f"{self.joint} is off about its own axis by what follows {of}: poses next to each other have related "
+                "errors; it does not scatter, and more poses would show its course"
+            )
+        return (
+            f"{self.joint} is off about its own axis by scatter or by a function of the pose: no pose was measured twice, "
+            "and too few are next to each other to tell; measure ten poses three times each"
+        )
 
 
 def find_scatter(fit: Fit) -> ScatteringJoint | None:
-    """Return the joint whose scatter explains the residuals best, if it explains enough.
+    """Return the joint that is shown to scatter, if there is one; see :func:`find_excess`."""
+    excess = find_excess(fit)
+    return None if excess is None else excess.scattering
 
-    Along the lever of joint j at visit i, of length a_ij, the variance is sigma^2 + s_j^2 a_ij^2, and sigma^2 across it: a
-    variance component, estimated by maximum likelihood with sigma^2 profiled out. What is read in one visit, several targets
-    or the points of an image, shares the joint's position.
+
+def find_excess(fit: Fit) -> Excess | None:
+    """Return the joint along whose lever most is left beyond the noise, if it is enough, and whether it is scatter.
+
+    It is if replicates differ by it. Without them it is if poses that are neighbours in the positions of some joints have
+    unrelated errors, and would have shown a smooth function of these joints: the null distribution is that of the same
+    errors in other orders.
     """
-    found = [(*one, alone) for alone in fit.alone for one in _scatters(alone)]
-    gain, sigma, joint, alone = max(found, key=lambda one: one[0])
-    if gain <= _ENOUGH:
+    found = [(_scatter_along(*one.readings), one) for alone in fit.alone for one in _along_levers(alone)]
+    whole, best = max(found, key=lambda pair: pair[0].gain)
+    if whole.gain <= _ENOUGH:
         return None
-    conditions, missing = alone.station.conditions, "time"
+    conditions, missing = best.station.conditions, "time"
     if conditions.approach is None:
-        missing = f"approach_{joint}"
+        missing = f"approach_{best.joint}"
     elif conditions.temperature is None:
         missing = "temperature"
-    return ScatteringJoint(joint, sigma, missing)
+    again = best.differences()
+    if again is not None and again.gain > chdtri(1, 2.0 * _CHANCE):
+        return Excess(best.joint, again.sigma, missing, "replicates")
+    follows = best.follows(whole)
+    return Excess(best.joint, whole.sigma, missing, "neighbours" if follows == () else "", follows or ())
 
 
-def _scatters(fit: Fit) -> Iterator[tuple[float, float, str]]:
-    """Yield the gain and the standard deviation of the scatter of each joint at the only station, and the joint."""
+@dataclass(frozen=True)
+class _Component:
+    """A variance component: twice the log-likelihood that it gains, its standard deviation [rad or m], and the noise's."""
+
+    gain: float
+    sigma: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class _AlongLever:
+    """Readings of a station and how they move with a joint, whitened.
+
+    Attributes:
+        station: the station, of the rows that count.
+        joint: the joint.
+        lever: shape (size, N), of the first block of readings.
+        residuals: shape (size, N).
+        visit: shape (N,), the visit of each row.
+    """
+
+    station: Station
+    joint: str
+    lever: np.ndarray
+    residuals: np.ndarray
+    visit: np.ndarray
+
+    @property
+    def readings(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lever, residuals and visits."""
+        return self.lever, self.residuals, self.visit
+
+    def differences(self) -> _Component | None:
+        """Return the scatter by which replicates of a pose differ, None without replicates.
+
+        Of n replicates n - 1 orthonormal contrasts (Helmert), in which the pose's mean cancels; those of several things that
+        were read in the same visits share the scatter.
+        """
+        conditions = self.station.conditions
+        pose, thing = _things(self.station)
+        load = np.round(conditions.payload, 3)
+        sides = np.zeros((len(load), 0)) if conditions.approach is None else conditions.approach
+        _, same = np.unique(np.column_stack([thing, load, sides]), axis=0, return_inverse=True)
+        lever, residuals, visit = list[np.ndarray](), list[np.ndarray](), list[tuple[int, int]]()
+        for rows in (np.flatnonzero(same.ravel() == k) for k in np.flatnonzero(np.bincount(same.ravel()) > 1)):
+            for k in range(1, len(rows)):
+                residuals.append(
+                    (self.residuals[:, rows[:k]].sum(axis=1) - k * self.residuals[:, rows[k]]) / np.sqrt(k * k + k)
+                )
+                lever.append(self.lever[:, rows].mean(axis=1))
+                visit.append((pose[rows[0]], k))
+        if not visit:
+            return None
+        shared = np.unique(visit, axis=0, return_inverse=True)[1].ravel()
+        return _scatter_along(np.transpose(lever), np.transpose(residuals), shared)
+
+    def follows(self, whole: _Component) -> tuple[str, ...] | None:
+        """Return what the errors follow as neighbours tell; empty if they are unrelated, None if too few are near."""
+        _, first = np.unique(self.visit, return_index=True)
+        a2 = np.bincount(self.visit, np.sum(self.lever**2, axis=0))
+        along = np.bincount(self.visit, np.sum(self.residuals * self.lever, axis=0))
+        signal = whole.sigma**2 * a2
+        errors = along / np.sqrt(np.maximum(a2, 1e-300) * (whole.noise**2 + signal))
+        share = np.sqrt(signal / (whole.noise**2 + signal))
+        some = np.unique(np.linspace(0, len(first) - 1, _MOST_VISITS).astype(int))
+        q = self.station.conditions.q[first[some]]
+        names = self.station.model.chain.robot.joint_names
+        return related(dict(zip(names, q.T, strict=True)), errors[some], share[some])
+
+
+def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray) -> tuple[str, ...] | None:
+    """Return the joints, few or all, whose neighbours have related errors; empty if none, None if that can't be told.
+
+    Args:
+        joints: name -> shape (V,), positions.
+        errors: shape (V,), of unit variance.
+        share: shape (V,), root of the part of each error's variance that is not noise.
+    """
+    rng = np.random.default_rng(0)
+    drawn = np.column_stack([errors, *(rng.permutation(errors) for _ in range(_DRAWS))])
+    moving = {name: (q - q.min()) / np.ptp(q) for name, q in joints.items() if np.ptp(q)}
+    sets = [names for n in range(1, _MOST_JOINTS + 1) for names in combinations(moving, n)]
+    if len(moving) > _MOST_JOINTS:
+        sets.append(tuple(moving))
+    spaces = {names: np.column_stack([moving[name] for name in names]) for names in sets}
+    spaces[(_ROW_ORDER,)] = np.arange(len(errors))[:, None] / len(errors)
+    values, expected = np.empty((len(spaces), _DRAWS + 1)), np.empty(len(spaces))
+    for k, places in enumerate(spaces.values()):
+        pairs, expected[k] = _neighbours(places, share)
+        values[k] = np.einsum("vd,vd->d", drawn, pairs @ drawn)
+    mean, spread = values[:, 1:].mean(axis=1), values[:, 1:].std(axis=1)
+    scores = (values - mean[:, None]) / spread[:, None]
+    critical = float(np.quantile(scores[:, 1:].max(axis=0), 1.0 - _CHANCE))
+    # Of what is half smooth and half scatter, the larger half counts.
+    is_related = (scores[:, 0] > critical) & (values[:, 0] - mean > 0.5 * expected)
+    if is_related.any():
+        # More joints than it follows make its neighbours fewer, not farther.
+        enough = 0.5 * scores[is_related, 0].max()
+        close = is_related & (scores[:, 0] > enough)
+        return min((len(names), -scores[k, 0], names) for k, names in enumerate(spaces) if close[k])[2]
+    few = np.array([len(names) <= _NEAR_JOINTS for names in spaces])
+    return () if np.all(expected[few] > (critical + _SEEN) * spread[few]) else None
+
+
+def _neighbours(places: np.ndarray, share: np.ndarray) -> tuple[coo_array, float]:
+    """Return the weights of the products of neighbours' errors, shape (V, V), and their sum for a smooth function."""
+    n_near = min(_NEIGHBOURS, len(places) - 1)
+    distance, near = cKDTree(places).query(places, n_near + 1)
+    row = np.repeat(np.arange(len(places)), n_near + 1)
+    column, distance = near.ravel(), distance.ravel()
+    others = row != column
+    row, column, distance = row[others], column[others], distance[others]
+    weight = share[row] * share[column]
+    pairs = coo_array((weight, (row, column)), shape=(len(places), len(places))).tocsr()
+    return pairs, float(np.sum(weight**2 * np.exp(-0.5 * (distance / _SMOOTH) ** 2)))
+
+
+def _along_levers(fit: Fit) -> Iterator[_AlongLever]:
+    """Yield the readings of the only station along the lever of each joint."""
     chain, rows = fit.model.chain, block_rows(fit.station)[0]
     sound = fit.solution.weights > 0.0
     weights, visit = fit.station.weights[sound], visits(fit.station)[sound]
     residuals = fit.station.residuals(fit.values)[rows, sound] * weights
     moved = levers(fit, tuple(map(int, chain.drives)))[:, rows, sound] * weights
+    station = fit.station.select(np.flatnonzero(sound))
+    visit = np.unique(visit, return_inverse=True)[1].ravel()
     for joint, lever in zip(chain.robot.joint_names, moved, strict=True):
-        yield *_scatter_along(lever, residuals, visit), joint
+        yield _AlongLever(station, joint, lever, residuals, visit)
+
+
+def _things(station: Station) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of each row, and what is read there: rows of the same number read the same thing again; (N,) each."""
+    pose = same_joints(station.conditions.q)
+    point = station.sensor.groups
+    read = np.column_stack([pose, station.conditions.target, np.zeros(len(pose), int) if point is None else point])
+    return pose, np.unique(read, axis=0, return_inverse=True)[1].ravel()
 
 
 def visits(station: Station) -> np.ndarray:
@@ -54,18 +259,19 @@ def visits(station: Station) -> np.ndarray:
 
     Rows of the same joint positions are one visit, unless they read the same thing again.
     """
-    pose = np.unique(np.round(station.conditions.q, 9), axis=0, return_inverse=True)[1].ravel()
-    point = station.sensor.groups
-    read = np.column_stack([pose, station.conditions.target, np.zeros(len(pose), int) if point is None else point])
-    _, thing, count = np.unique(read, axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(thing.ravel(), kind="stable")
+    pose, thing = _things(station)
+    count = np.bincount(thing)
+    order = np.argsort(thing, kind="stable")
     again = np.empty(len(pose), int)
     again[order] = np.arange(len(pose)) - np.repeat(np.cumsum(count) - count, count)
     return np.unique(np.column_stack([pose, again]), axis=0, return_inverse=True)[1].ravel()
 
 
-def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) -> tuple[float, float]:
-    """Return twice the log-likelihood that scatter along a lever gains, and its standard deviation [rad or m].
+def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) -> _Component:
+    """Return the scatter along a lever, by maximum likelihood with the noise's variance profiled out.
+
+    Along the lever, of length a_i at visit i, the variance is sigma^2 + s^2 a_i^2, and sigma^2 across it. What is read in
+    one visit, several targets or the points of an image, shares the joint's position.
 
     Args:
         lever: shape (size, N), of the first block of readings.
@@ -82,4 +288,6 @@ def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) 
     likelihood = -readings * np.log(sigma2) - np.sum(np.log(spread), axis=1)
     best = 1 + int(np.argmax(likelihood[1:]))
     gain = float(likelihood[best] - likelihood[0])
-    return max(gain, 0.0), float(np.sqrt(ratios[best] * sigma2[best] / np.mean(a2)))
+    return _Component(
+        max(gain, 0.0), float(np.sqrt(ratios[best] * sigma2[best] / np.mean(a2))), float(np.sqrt(sigma2[best]))
+    )

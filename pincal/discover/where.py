@@ -11,8 +11,9 @@ from scipy.special import chdtrc
 from pincal.discover.history import History
 from pincal.discover.levers import levers
 from pincal.discover.locate import Place, locate
+from pincal.discover.scatter import Excess
 from pincal.identify.fit import Fit
-from pincal.io.discovery_file import Disagreement, ScatteringJoint
+from pincal.io.discovery_file import Disagreement
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
 from pincal.parameters import Estimate
@@ -31,7 +32,7 @@ def noise_floor(fit: Fit) -> np.ndarray:
     return np.array([estimated if declared is None else declared for declared, estimated in pairs])
 
 
-def where_of(trail: History, scatter: ScatteringJoint | None, *, is_misfit: bool) -> tuple[Disagreement, ...]:
+def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple[Disagreement, ...]:
     """Return where model and data disagree, the share that of the excess over the noise.
 
     The disagreement is located in the first fit that has elasticity, if the arm is elastic, else in the first of all,
@@ -39,7 +40,7 @@ def where_of(trail: History, scatter: ScatteringJoint | None, *, is_misfit: bool
 
     Args:
         trail: the discovery.
-        scatter: the joint that scatters in the end, if one does.
+        excess: what is left along the lever of one joint in the end, if something is.
         is_misfit: whether the residuals are larger than the noise allows in the end.
     """
     robot = trail.final.problem.chain.robot
@@ -55,8 +56,8 @@ def where_of(trail: History, scatter: ScatteringJoint | None, *, is_misfit: bool
         words = f"{name}: {words}" if name else words
         found.append(Disagreement(words, place.share, place.joint, region, place.acts_on, place.depends_on))
     found += regions
-    if scatter:
-        found.append(_scattered(trail.final, scatter, sigma))
+    if excess:
+        found.append(_left_along(trail.final, excess, sigma))
     elif is_misfit and not places:
         statement = "what is left follows no joint position, load or recorded column"
         found.append(Disagreement(statement, 1.0, region="whole workspace"))
@@ -100,17 +101,16 @@ def _elastic(before: Fit, after: Fit, sigma: np.ndarray) -> Disagreement:
     return Disagreement(statement, float(np.clip(share, 0.0, 1.0)), joint)
 
 
-def _scattered(fit: Fit, scatter: ScatteringJoint, sigma: np.ndarray) -> Disagreement:
-    """Say how much of what is left in the end is scatter of one joint."""
+def _left_along(fit: Fit, excess: Excess, sigma: np.ndarray) -> Disagreement:
+    """Say how much of what is left in the end is along the lever of one joint."""
     chain, made = fit.problem.chain, 0.0
-    drive = int(chain.drives[chain.robot.joint_names.index(scatter.joint)])
+    drive = int(chain.drives[chain.robot.joint_names.index(excess.joint)])
     for alone, (_, _, blocks) in zip(fit.alone, fit.stations, strict=True):
         lever, rows = levers(alone, (drive,))[0], alone.solution.weights > 0.0
         squares = float(np.sum(lever[: alone.station.sensor.blocks[0].size, rows] ** 2))
-        made += scatter.sigma_rad**2 * squares / float(sigma[blocks.start]) ** 2
+        made += excess.sigma**2 * squares / float(sigma[blocks.start]) ** 2
     share = made / max(_excess(fit, sigma), made)
-    statement = f"{scatter.joint} is somewhere else about its own axis each time, whatever pose and recorded columns are"
-    return Disagreement(statement, share, scatter.joint)
+    return Disagreement(excess.statement, share, excess.joint)
 
 
 def sure_compliances(fit: Fit) -> list[tuple[Effect, Estimate, float]]:

@@ -118,11 +118,13 @@ class ScatteringJoint(msgspec.Struct, frozen=True):
         joint: the joint.
         sigma_rad: standard deviation of its position [rad; m of a sliding joint].
         missing: the column that could explain it.
+        shown_by: what shows that it is no function of the pose: "replicates" or "neighbours"; "" where a file does not tell.
     """
 
     joint: str
     sigma_rad: float
     missing: str
+    shown_by: Literal["replicates", "neighbours", ""] = ""
 
 
 class Untestable(EffectName, frozen=True, kw_only=True, omit_defaults=True):

@@ -72,7 +72,7 @@ def replicate_groups(tables: Sequence[Measurements]) -> list[np.ndarray]:
         >>> replicate_groups([measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)])[0].tolist()
         [0, 1, 0, 2]
     """
-    keys = [_same_joints(np.vstack([table.q for table in tables]))]
+    keys = [same_joints(np.vstack([table.q for table in tables]))]
     named = [table.names() for table in tables]
     for name in dict.fromkeys(name for columns in named for name in columns):
         names = [columns.get(name, np.full(len(t), "")) for t, columns in zip(tables, named, strict=True)]
@@ -101,7 +101,7 @@ def _numbered(keys: np.ndarray) -> np.ndarray:
     return np.asarray(rank[inverse.ravel()])
 
 
-def _same_joints(q: np.ndarray) -> np.ndarray:
+def same_joints(q: np.ndarray) -> np.ndarray:
     """Return a number for rows with the same joint positions: cells of a grid, those that touch joined."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
