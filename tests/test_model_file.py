@@ -1,8 +1,11 @@
 """The file of a calibrated model: the same predictions after reading, and a clear word for every damage."""
 
+import base64
 import json
 import subprocess
 import sys
+import tracemalloc
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +22,8 @@ from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
 from pincal.identify.options import Options
 from pincal.io.effect_entry import known_effects
+from pincal.io.packed import packed_covariance, packed_matrix, unpacked
+from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain
@@ -82,6 +87,13 @@ def poses(model: CalibratedModel, count: int = 50) -> Conditions:
     robot, targets = model.model.chain.robot, len(model.model.chain.targets)
     q = robot.random_configurations(count, rng)
     return Conditions(q, rng.integers(0, targets, count), rng.uniform(0.0, 125.0, count), model.payload_centre)
+
+
+def listed(text: str) -> list[list[float]]:
+    """Return a matrix in the way that files of version 0.1.0 have it."""
+    words = np.frombuffer(zlib.decompress(base64.b64decode(text.removeprefix("matrix:"))), np.uint8).reshape(8, -1)
+    values = np.ascontiguousarray(words.T).view("<f8").ravel()
+    return values[1:].reshape(int(values[:1].view("<u8")[0]), -1).tolist()
 
 
 def edited(path: Path, *keys: str | int, value: Any = None, edit: Callable[[Any], Any] | None = None) -> Path:
@@ -409,8 +421,11 @@ def test_another_format_version_is_refused(path: Path, version: Any, words: str)
     ("keys", "edit", "words"),
     [
         (("values",), lambda v: v[1:], r"values: has shape \(\d+,\); expected numbers of shape"),
-        (("covariance",), lambda v: v[:-1], "covariance: has shape"),
-        (("covariance",), lambda v: [*v[:-1], v[-1][1:]], "covariance: has rows of unequal length"),
+        (("covariance",), lambda v: listed(v)[:-1], "covariance: has shape"),
+        (("covariance",), lambda v: [*listed(v)[:-1], listed(v)[-1][1:]], "covariance: has rows of unequal length"),
+        (("covariance",), lambda v: packed_matrix(np.eye(3)), "covariance: has shape"),
+        (("covariance",), lambda v: v[:-4], "covariance: is cut off or damaged"),
+        (("covariance",), lambda v: v[:40] + "?" + v[41:], "covariance: is cut off or damaged"),
         (("covered", "q"), lambda v: v[:5], r"covered\.q: has shape \(5, 2\)"),
         (("model", "robot", "masses"), lambda v: [*v, 1.0], r"model\.robot\.masses: has shape \(7,\)"),
         (("model", "robot", "joint_types"), lambda v: v[1:], "joint_types: has 5 entries"),
@@ -437,11 +452,52 @@ def test_what_does_not_fit_together_is_refused(path: Path, keys: tuple[str | int
 def test_numbers_that_are_none_are_refused(path: Path, key: str, number: str) -> None:
     """NaN, infinity, null and texts among numbers are named by their key."""
     content = json.loads(path.read_text())
+    if key == "covariance":
+        content[key] = listed(content[key])
     content[key][0] = ["mark"] * len(content[key]) if key == "covariance" else "mark"
     path.write_text(json.dumps(content).replace('"mark"', number))
 
     with pytest.raises(ModelFileError, match=f"{key}: has entries that are no finite numbers"):
         load_model(path)
+
+
+def test_a_covariance_in_lists_is_read_like_a_packed_one(path: Path) -> None:
+    """Files of earlier versions, whose covariance is nested lists, are the same model."""
+    packed = load_model(path)
+    again = load_model(edited(path, "covariance", edit=listed))
+
+    assert np.array_equal(again.covariance, packed.covariance)
+
+
+def test_a_large_covariance_keeps_what_rounding_leaves() -> None:
+    """Each entry to 2^-49 of the standard deviations' product, however far these are apart; at a fifth of the size."""
+    rng = np.random.default_rng(4)
+    sigma = 10.0 ** rng.uniform(-12.0, 3.0, 400)
+    sigma[7] = 0.0
+    A = rng.normal(size=(400, 40))
+    C = np.outer(sigma, sigma) * (A @ A.T / 40.0 + np.eye(400))
+    text = packed_covariance(C)
+    again = unpacked(text, 10**7)
+
+    assert len(text) < 0.2 * len(json.dumps(C.tolist()))
+    assert np.array_equal(again, again.T)
+    scale = np.sqrt(np.diag(C))
+    assert np.all(np.abs(again - C) <= 2.0**-49 * np.outer(scale, scale))
+    with pytest.raises(Fault, match="cut off or damaged"):
+        unpacked(text[:-400] + "=" * 4, 10**7)
+
+
+def test_a_matrix_that_unpacks_to_gigabytes_costs_nothing(path: Path) -> None:
+    """What all matrices of a file may take is bounded before they are unpacked."""
+    bomb = base64.b64encode(zlib.compress(bytes(64 << 20))).decode()
+    edited(path, "covariance", value=f"matrix:{bomb}")
+    tracemalloc.start()
+    with pytest.raises(ModelFileError, match="covariance: is cut off or damaged"):
+        load_model(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+
+    assert peak < 200 << 20
 
 
 def test_an_unknown_effect_lists_the_known_ones(path: Path) -> None:

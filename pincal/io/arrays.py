@@ -30,10 +30,16 @@ class Shape:
     Attributes:
         sizes: along each axis: a number, the name of a count that other fields share, or "any".
         check: raises :class:`Fault` for values that are invalid.
+        write: returns what stands for the array in a file; default: nested lists.
     """
 
-    def __init__(self, *sizes: int | str, check: Callable[[np.ndarray], None] | None = None) -> None:
-        self.sizes, self.check = sizes, check
+    def __init__(
+        self,
+        *sizes: int | str,
+        check: Callable[[np.ndarray], None] | None = None,
+        write: Callable[[np.ndarray], Any] = np.ndarray.tolist,
+    ) -> None:
+        self.sizes, self.check, self.write = sizes, check, write
 
     def expected(self, counts: Mapping[str, int]) -> tuple[int | None, ...]:
         """Return the sizes as far as they are known, None for others."""
@@ -62,6 +68,9 @@ def _numbers(depth: int, *, null: bool = False) -> msgspec.Meta:
 # Arrays of one and two dimensions, whose Shape stands beside them.
 Numbers = Annotated[np.ndarray, _numbers(1)]
 Matrix = Annotated[np.ndarray, _numbers(2)]
+# Matrices that are written as text, see :mod:`pincal.io.packed`.
+_AS_TEXT = msgspec.Meta(extra_json_schema={"anyOf": [_numbers(2).extra_json_schema, {"type": "string"}]})
+Packed = Annotated[np.ndarray, _AS_TEXT]
 # Limits, of which null says that there is none.
 Limits = Annotated[np.ndarray, _numbers(1, null=True)]
 Vector = Annotated[np.ndarray, _numbers(1), Shape(3)]
@@ -85,6 +94,11 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         """Return the record of an object that has the same fields as attributes, except for ``others``."""
         same = {name: getattr(found, name) for name in cls.__struct_fields__ if name not in others}
         return cls(**same | others)
+
+    def written(self, name: str) -> Any:
+        """Return what stands for an array of it in a file."""
+        shape = dict(_declared(type(self))).get(name, Shape())
+        return shape.write(getattr(self, name))
 
     def __post_init__(self) -> None:
         counts: dict[str, int] = {}

@@ -23,7 +23,8 @@ from pincal.io.arrays import (
     shaped,
 )
 from pincal.io.effect_entry import effect_from_entry, effect_to_entry
-from pincal.io.strict_json import Fault
+from pincal.io.packed import unpacked
+from pincal.io.strict_json import MOST_BYTES, Fault, Hook
 from pincal.measure.lens import Lens
 from pincal.measure.named_points import KnownDistance
 from pincal.measure.setup import Setup
@@ -235,6 +236,21 @@ def restored(kind: Any, value: Any) -> Any:
     return array_of(value) if kind is np.ndarray else effect_from_entry(value)
 
 
+def restoring() -> Hook:
+    """Return a function like :func:`restored` that also unpacks matrices, all together of no more bytes than a file has."""
+    left = MOST_BYTES
+
+    def with_packed(kind: Any, value: Any) -> Any:
+        nonlocal left
+        if kind is not np.ndarray or not isinstance(value, str):
+            return restored(kind, value)
+        found = unpacked(value, left)
+        left -= found.nbytes
+        return found
+
+    return with_packed
+
+
 def plain(value: Any) -> Any:
     """Return a record, or what stands in one, in types that JSON knows: effects by name, null for a limit that is not there.
 
@@ -243,7 +259,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, Record):
         fields = {field.name: field.default for field in msgspec.structs.fields(value)}
         found = {name: getattr(value, name) for name in fields}
-        contents = {name: plain(part) for name, part in found.items() if part is not fields[name]}
+        contents = {
+            name: value.written(name) if isinstance(part, np.ndarray) else plain(part)
+            for name, part in found.items()
+            if part is not fields[name]
+        }
         for name in value.NULLS:
             contents[name] = [number if np.isfinite(number) else None for number in contents[name]]
         return contents

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from pincal.identify.fingerprints import are_fingerprints
-from pincal.io.arrays import Matrix, Numbers, Record, Shape, Vector, shaped
+from pincal.io.arrays import Numbers, Packed, Record, Shape, Vector, shaped
 from pincal.io.entries import (
     ChainEntry,
     CoveredEntry,
@@ -21,8 +21,9 @@ from pincal.io.entries import (
     SetupEntry,
     model_of,
     plain,
-    restored,
+    restoring,
 )
+from pincal.io.packed import packed_covariance, packed_matrix
 from pincal.io.result_folder import not_written_with
 from pincal.io.strict_json import MODEL_FILE, Fault, built, read_bounded, write_json
 from pincal.measure.registry import known_kinds
@@ -50,9 +51,9 @@ class LeftEntry(Record, frozen=True, kw_only=True):
     effects: Effects
     parameter_names: Annotated[tuple[str, ...], Shape("left")]
     values: Annotated[Numbers, Shape("left")]
-    covariance: Annotated[Matrix, Shape("left", "left")]
+    covariance: Annotated[Packed, Shape("left", "left", write=packed_covariance)]
     names: Annotated[tuple[str, ...], Shape("robot")]
-    taken_up: Annotated[Matrix, Shape("robot", "left")]
+    taken_up: Annotated[Packed, Shape("robot", "left", write=packed_matrix)]
 
     def parts(self) -> tuple[Any, ...]:
         """Return its parts, in the order of :class:`pincal.calibration.left.Left`."""
@@ -128,7 +129,7 @@ class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
     provenance: dict[str, Any]
     parameters: Annotated[tuple[ParameterEntry, ...], Shape("parameters")]
     values: Annotated[Numbers, Shape("parameters")]
-    covariance: Annotated[Matrix, Shape("parameters", "parameters")]
+    covariance: Annotated[Packed, Shape("parameters", "parameters", write=packed_covariance)]
     model: ModelEntry
     nominal_values: Annotated[Numbers | None, Shape("parameters")] = None
     files: dict[str, str] | None = None
@@ -145,13 +146,13 @@ class GroupEntry(Record, frozen=True, kw_only=True):
     """A block of the covariance, and which of the fitted parameters it belongs to."""
 
     parameters: Annotated[tuple[int, ...], Shape("block")]
-    block: Annotated[Matrix, Shape("block", "block")]
+    block: Annotated[Packed, Shape("block", "block", write=packed_covariance)]
 
 
 class CovarianceEntry(Record, frozen=True, kw_only=True):
     """Covariance of the fitted parameters: factor times its transpose plus a block per group."""
 
-    factor: Annotated[Matrix, Shape("any", "any")]
+    factor: Annotated[Packed, Shape("any", "any", write=packed_matrix)]
     groups: tuple[GroupEntry, ...]
 
     @classmethod
@@ -258,8 +259,8 @@ def read_model(path: str | os.PathLike[str]) -> ModelFile | StationsFile:
             "or files of two runs were put together; calibrate again, or move the model to a folder of its own"
         )
     if head.format_version == STATIONS_VERSION:
-        return built(content, StationsFile, MODEL_FILE, file=file, hook=restored)
-    return built(content, ModelFile, MODEL_FILE, file=file, hook=restored)
+        return built(content, StationsFile, MODEL_FILE, file=file, hook=restoring())
+    return built(content, ModelFile, MODEL_FILE, file=file, hook=restoring())
 
 
 def read_model_file(path: str | os.PathLike[str]) -> ModelFile:

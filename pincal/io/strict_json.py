@@ -20,7 +20,8 @@ T = TypeVar("T")
 Hook = Callable[[Any, Any], Any]
 
 # Limits that are checked before anything is built. Together they bound the work on a hostile file to less than a second
-# and 200 MB, while a model of 1500 parameters, whose covariance has 2.25 million numbers, is still read.
+# and 200 MB, while a model of 1500 parameters, whose covariance has 2.25 million numbers in files of version 0.1.0, is still
+# read.
 MOST_BYTES = 52 << 20
 # Separators, brackets and quotes: each value has one or more, and becomes a Python object of some 30 to 100 bytes.
 MOST_TOKENS = 2_500_000
