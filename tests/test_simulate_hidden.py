@@ -16,6 +16,7 @@ EFFECTS: list[HiddenEffect] = [
     sim.BaseElasticity(size=1e-8),
     sim.GravityCompensator(joint="joint_2", size=2e4),
     sim.PayloadError(size=10.0),
+    sim.JointOffset(joint="joint_2", size=3e-4),
     sim.GearEccentricity(joint="joint_1", size=1e-4),
     sim.GearEccentricity(joint="joint_4", size=1e-4, order=2),
     sim.TransmissionError(joint="joint_3", size=1e-4, seed=4),
@@ -65,6 +66,12 @@ def test_eccentric_and_elliptical_wheels_make_one_and_two_waves_a_turn() -> None
     wheels = sim.GearEccentricity(joint="lift", size=e, phase=0.7, order=2)
     waves = e * np.sin(2 * (q[:, 0] - 0.7))
     np.testing.assert_allclose(angles(planar(effects=(wheels,)), q), waves, rtol=0, atol=e**2)
+
+
+def test_a_lost_zero_is_the_same_at_every_angle() -> None:
+    """The drive stands off by the size, wherever it is."""
+    lost = angles(planar(effects=(sim.JointOffset(joint="lift", size=1e-3),)), sweep())
+    np.testing.assert_allclose(lost, 1e-3, rtol=0, atol=1e-15)
 
 
 def test_gear_ratio_and_coupling_scale_with_the_angle() -> None:

@@ -14,6 +14,17 @@ from pincal.simulate.state import Deformation, Loads, Poses
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointOffset(DriveEffect):
+    """A drive that has lost its zero, as after a collision or an exchange; ``size`` is the angle [rad]."""
+
+    effect: ClassVar[str] = "joint_offset"
+    typical_size: ClassVar[float] = 3e-4
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.full(len(poses.q), self.size)
+
+
+@dataclass(frozen=True, kw_only=True)
 class GearEccentricity(DriveEffect):
     """Eccentric or elliptical gear wheel; ``size`` is the amplitude [rad].
 

@@ -19,6 +19,7 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
         elastic.BaseElasticity,
         elastic.GravityCompensator,
         surroundings.PayloadError,
+        drive.JointOffset,
         drive.GearEccentricity,
         drive.TransmissionError,
         drive.GearRatio,
