@@ -19,6 +19,8 @@ EFFECTS: list[HiddenEffect] = [
     sim.JointOffset(joint="joint_2", size=3e-4),
     sim.GearEccentricity(joint="joint_1", size=1e-4),
     sim.GearEccentricity(joint="joint_4", size=1e-4, order=2),
+    sim.GearRipple(joint="joint_2", size=1e-4),
+    sim.EncoderSubdivision(joint="joint_1", size=1e-4),
     sim.TransmissionError(joint="joint_3", size=1e-4, seed=4),
     sim.TransmissionError(joint="joint_4", size=1e-4, periodic=False),
     sim.GearRatio(joint="joint_1", size=1e-4),
@@ -72,6 +74,16 @@ def test_a_lost_zero_is_the_same_at_every_angle() -> None:
     """The drive stands off by the size, wherever it is."""
     lost = angles(planar(effects=(sim.JointOffset(joint="lift", size=1e-3),)), sweep())
     np.testing.assert_allclose(lost, 1e-3, rtol=0, atol=1e-15)
+
+
+def test_a_wheel_of_a_stage_and_an_encoders_lines_make_fine_waves() -> None:
+    """A crank behind a ratio errs by e sin(phase - k q); offset and amplitude of a signal once and twice a line."""
+    q, e, k = sweep(), 1e-5, 101.0
+    crank = sim.GearRipple(joint="lift", size=e, order=k, phase=0.7)
+    np.testing.assert_allclose(angles(planar(effects=(crank,)), q), e * np.sin(0.7 - k * q[:, 0]), rtol=0, atol=k * e**2)
+    for offset, wave in ((1.0, -e * np.cos(k * q[:, 0])), (0.0, -e * np.sin(2 * k * q[:, 0]))):
+        lines = sim.EncoderSubdivision(joint="lift", size=e, order=k, offset=offset)
+        np.testing.assert_allclose(angles(planar(effects=(lines,)), q), wave, rtol=0, atol=3 * k * e**2)
 
 
 def test_gear_ratio_and_coupling_scale_with_the_angle() -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
+from typing import Any
 
-from pincal.cli.arguments import verb
+from pincal.cli.arguments import option, verb
 from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit, side_by_side
 from pincal.errors import Exit
 
 _EXAMPLES = f"""
 Examples:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
+  pincal discover robot.urdf tracker.csv --out results --try gear_ripple:joint_2:order=101
   pincal discover robot.urdf monday.csv tuesday.csv --split station --out results
 
 {FILES},
@@ -23,13 +25,32 @@ _DEFAULTS = {
 }
 
 
-@verb(FitArguments, examples=_EXAMPLES, exits=EXITS, defaults=_DEFAULTS)
-def discover(arguments: FitArguments) -> Exit:
+@dataclass(frozen=True, kw_only=True)
+class DiscoverArguments(FitArguments):
+    """Arguments of discover."""
+
+    tried: tuple[str, ...] = option(
+        "Also try this effect, named as for --add: of a gear whose ratio is known, or an encoder whose lines are, the waves "
+        "a turn, e.g. gear_ripple:joint_2:order=101. A known order shows when it is smaller than one that is searched for.",
+        (),
+        metavar="EFFECT",
+        name="--try",
+    )
+
+
+@verb(DiscoverArguments, examples=_EXAMPLES, exits=EXITS, defaults=_DEFAULTS)
+def discover(arguments: DiscoverArguments) -> Exit:
     """Identify the effects that the model misses.
 
     Reports where model and data disagree, which effects explain it, and how the error on held-out rows shrinks.
     """
+    from pincal.cli.inputs import named_effects
     from pincal.discover.run import run_discovery
 
     with side_by_side(arguments) as executor:
-        return run_fit(arguments, partial(run_discovery, executor=executor))
+
+        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
+            extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
+            return run_discovery(robot, tables, options, extra=extra, executor=executor, **choice)
+
+        return run_fit(arguments, run)

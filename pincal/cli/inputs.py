@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -23,6 +23,7 @@ from pincal.measure.stations import stations_of
 from pincal.measure.table import joint_columns, read_measurements
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
+from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
 from pincal.robot.robot import Robot, find_file
@@ -81,14 +82,25 @@ def with_effects(options: Options, added: tuple[str, ...], *, robot: Robot, tabl
     Raises:
         BadInputError: for an effect that is unknown or that these poses can't show.
     """
-    if not added:
-        return options
+    effects = named_effects(added, options, robot=robot, tables=tables)
+    return replace(options, effects=(*options.effects, *effects)) if effects else options
+
+
+def named_effects(
+    texts: Sequence[str], options: Options, *, robot: Robot, tables: Mapping[str, Measurements]
+) -> tuple[Effect, ...]:
+    """Return the effects that the command line names.
+
+    Raises:
+        BadInputError: for an effect that is unknown or that these poses can't show.
+    """
+    if not texts:
+        return ()
     # What a station's poses show; the others may lack the column that it follows.
     name, table = max(tables.items(), key=lambda item: len(item[1].columns()))
     chain = Chain.of(robot, targets=tuple(str(target) for target in np.unique(table.target)))
     conditions = conditions_of(Model(chain, ()), table, np.array(options.at(name).payload_centre))
-    effects = (find_effect(text, chain, conditions) for text in added)
-    return replace(options, effects=(*options.effects, *effects))
+    return tuple(find_effect(text, chain, conditions) for text in texts)
 
 
 def load_robot(source: InputOptions) -> Robot:

@@ -10,13 +10,14 @@ import numpy as np
 from pincal.discover.decisions import CandidateTable, Decision, Row, decide
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
+from pincal.discover.tones import strongest_tones
 from pincal.identify.fit import Fit
 from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MomentFrame
 from pincal.model.conditions import Situation
-from pincal.model.effect import Effect, Family
+from pincal.model.effect import Candidate, Effect, Family
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,9 @@ def addable(fit: Fit, search: Search) -> list[Effect]:
     """Return what may be added by name: what the data can test and the model does not have yet."""
     present = {effect.identity for effect in fit.problem.effects}
     has_loads = has_compliance(fit.problem.effects)
-    every = [*variants(fit), *_of_stations(fit), *search.extra]
+    tested = testable(situation_of(fit))
+    tones = strongest_tones(sampled(fit, search.policy)[0], tested, search.policy.near_tie)
+    every = [*_forms(fit, tested), *_of_stations(fit), *tones, *search.extra]
     return [e for e in every if e.identity not in present and (has_loads or not e.is_of_loads)]
 
 
@@ -116,8 +119,12 @@ def has_compliance(effects: Sequence[Effect]) -> bool:
 
 def variants(fit: Fit) -> Iterator[Effect]:
     """Yield what the data can test, each in the forms that are worth telling apart."""
+    return _forms(fit, testable(situation_of(fit)))
+
+
+def _forms(fit: Fit, tested: Sequence[Candidate]) -> Iterator[Effect]:
     is_alone = len(fit.problem.stations) == 1
-    for candidate in testable(situation_of(fit)):
+    for candidate in tested:
         # What belongs to a station is looked for at each by itself.
         yield from (form for form in candidate.forms if is_alone or form.scope == "robot")
 

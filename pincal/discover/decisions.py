@@ -9,7 +9,7 @@ import numpy as np
 
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import Score
-from pincal.model.effect import Curve, Effect
+from pincal.model.effect import Curve, Effect, Tone
 
 
 @dataclass(frozen=True)
@@ -132,19 +132,26 @@ def _decision(table: CandidateTable, best: int, others: Iterable[Effect], policy
 
 
 def each_heading_once(effects: Iterable[Effect], best: Effect, policy: Policy) -> tuple[Effect, ...]:
-    """Return effects without those that a report would call the same as an earlier one or as the best."""
-    found: dict[tuple[str, str | None, str | None], Effect] = {}
+    """Return effects without those that a report would call the same as an earlier one or as the best.
+
+    Waves of different orders are different ones: they are what positions on a grid can't tell apart.
+    """
+    found: dict[object, Effect] = {}
     for effect in effects:
-        found.setdefault(effect.heading, effect)
-    found.pop(best.heading, None)
+        found.setdefault(_title(effect), effect)
+    found.pop(_title(best), None)
     return tuple(found.values())[: policy.most_rivals]
+
+
+def _title(effect: Effect) -> object:
+    return (effect.heading, effect.locus.order) if isinstance(effect, Tone) else effect.heading
 
 
 def is_own_curve(effect: Effect) -> bool:
     """Return whether an effect is a simple curve of the joint's own position, about its own axis."""
     at = effect.locus
     is_about_axis = at.acts_on in ("drive", "gamma_z")
-    return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve)
+    return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve | Tone)
 
 
 def _beyond(names: CandidateTable, best: int, policy: Policy) -> tuple[float, int]:

@@ -105,7 +105,7 @@ def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> It
     effect = found.effects[i]
     parameters = effect.parameters(fit.problem.chain)
     rank = found.gain([i])[1]
-    test = (round(found.dof, 3), rank, groups, alpha)
+    test = (round(found.dof, 3), rank, round(groups * effect.looks), alpha)
     for unit in dict.fromkeys(p.unit for p in parameters):
         own = np.array([k for k, p in enumerate(parameters) if p.unit == unit])
         measure, shown, scale = _measure(effect, fit, own, unit)

@@ -41,7 +41,7 @@ class Score:
     Attributes:
         gain: T, what it takes off the sum of squares (in units of the noise that the model leaves).
         rank: k, directions of it that the data see.
-        p_value: of the F test.
+        p_value: of the F test, the places or frequencies paid for among which the candidate was chosen.
         ebic: change of the extended Bayesian information criterion (Chen and Chen 2008); negative is better.
     """
 
@@ -125,7 +125,8 @@ class ScoreTests:
 
     def score(self, which: Sequence[int], groups: int) -> Score:
         """Return the test of some candidates taken as one, of so many groups that are tested."""
-        return self._judged(*self.gain(which), groups)
+        looks = float(np.prod([self.effects[i].looks for i in which]))
+        return self._judged(*self.gain(which), groups, looks)
 
     def score_given(self, which: int, given: int) -> Score:
         """Return the test of what one candidate still explains once another is in the model."""
@@ -133,13 +134,14 @@ class ScoreTests:
         alone, rank_alone = self.gain([given])
         return self._judged(both - alone, max(rank_both - rank_alone, 0), 1)
 
-    def _judged(self, gain: float, rank: int, groups: int) -> Score:
+    def _judged(self, gain: float, rank: int, groups: int, looks: float = 1.0) -> Score:
         if rank == 0:
             return Score(0.0, 0, 1.0, np.inf)
         gain = min(gain, 0.999999 * self.squares)
         left, rest = self.squares - gain, max(self.dof - rank, 1.0)
-        p_value = float(fdtrc(rank, rest, (gain / rank) / (left / rest)))
-        ebic = self.readings * np.log(left / self.squares) + rank * np.log(self.readings) + 2.0 * np.log(max(groups, 1))
+        p_value = min(looks * float(fdtrc(rank, rest, (gain / rank) / (left / rest))), 1.0)
+        price = rank * np.log(self.readings) + 2.0 * np.log(max(groups, 1) * looks)
+        ebic = self.readings * np.log(left / self.squares) + price
         return Score(gain, rank, p_value, float(ebic))
 
     def cross_validated_gain(self, which: Sequence[int]) -> tuple[float, float]:

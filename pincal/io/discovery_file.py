@@ -31,7 +31,7 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     effect: str
     joint: str | None
     source: str | None = None
-    order: int | None = None
+    order: int | float | None = None
     depends_on: str | None = None
     acts_on: str | None = None
     shape: str | None = None

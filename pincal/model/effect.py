@@ -91,7 +91,7 @@ class Locus:
     joint: str | None = None
     acts_on: str = ""
     follows: str | None = None
-    order: int | None = None
+    order: float | None = None
     frame: str | None = None
     shape: str | None = None
     place: float | None = None
@@ -165,6 +165,11 @@ class Effect(ABC):
         return self.locus.cause or self.name, replace(self.locus, place=None, span=None)
 
     @property
+    def looks(self) -> float:
+        """How many others its place or frequency was chosen among before it was tested: its p-value pays for them."""
+        return 1.0
+
+    @property
     def is_nameless(self) -> bool:
         """Whether it has no physical name."""
         return self.family is Family.NAMELESS
@@ -232,3 +237,14 @@ class Curve(Discoverable, Reducible):
     @abstractmethod
     def resized(self, situation: Situation, resolution: int) -> Curve:
         """Return the curve with another number of basis functions, over the positions that the poses cover."""
+
+
+class Tone(Discoverable):
+    """A wave of a joint's own position, about its own axis, of any number of waves a turn."""
+
+    band: ClassVar[tuple[float, float] | None] = None
+    """Waves a turn among which a discovery searches; None if it can't be searched for."""
+
+    @abstractmethod
+    def tuned(self, order: float, chosen_among: float = 1.0) -> Tone:
+        """Return the wave of another number of waves a turn, chosen among so many by what the data show."""

@@ -55,6 +55,60 @@ class GearEccentricity(DriveEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
+class GearRipple(DriveEffect):
+    """Eccentric wheel on a shaft that turns ``order`` times per turn of the joint; ``size`` is the amplitude [rad].
+
+    The wheel drives through a point off its centre; the stages behind it pass its error on, divided by their ratio.
+
+    Attributes:
+        order: Turns of the wheel per turn of the joint: the ratio from its shaft to the joint.
+        phase: Direction of the eccentricity [rad].
+    """
+
+    effect: ClassVar[str] = "gear_ripple"
+    typical_size: ClassVar[float] = 1e-4
+    order: float = 101.0
+    phase: float = 0.6
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        turned = self.order * poses.q[:, joint]
+        # Where the point stands on a wheel of radius 1 whose centre is off by e: its angle is the wheel's and an error.
+        e = self.size * self.order
+        if not e < 1.0:
+            raise BadInputError(
+                f"gear_ripple of {self.joint}: size {self.size:g} rad at order {self.order:g}; make it smaller"
+            )
+        output = np.arctan2(np.sin(turned) + e * np.sin(self.phase), np.cos(turned) + e * np.cos(self.phase))
+        return np.asarray(np.angle(np.exp(1j * (output - turned))) / self.order)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderSubdivision(DriveEffect):
+    """Encoder that divides its lines unevenly; ``size`` is its largest error, about [rad].
+
+    Its two signals, a sine and a cosine a line, differ in amplitude and are off zero; their arctangent is what is read.
+
+    Attributes:
+        order: Lines per turn of the joint.
+        offset: Part of the error that is an offset of the sine; the rest is a difference in amplitude.
+    """
+
+    effect: ClassVar[str] = "encoder_subdivision"
+    typical_size: ClassVar[float] = 1e-4
+    order: float = 1024.0
+    offset: float = 0.5
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        place, share = self.order * poses.q[:, joint], min(max(self.offset, 0.0), 1.0)
+        error = self.size * self.order
+        if not error < 0.5:
+            raise BadInputError(f"encoder_subdivision of {self.joint}: size {self.size:g} rad is more than half a line")
+        # Read is the recorded position; what was true is off by as much, the other way, to first order.
+        read = np.arctan2(np.sin(place) + share * error, np.cos(place) / (1.0 + 2.0 * (1.0 - share) * error))
+        return np.asarray(-np.angle(np.exp(1j * (read - place))) / self.order)
+
+
+@dataclass(frozen=True, kw_only=True)
 class TransmissionError(DriveEffect):
     """Irregular gear: a smooth random curve of the joint's angle; ``size`` is its rms value [rad].
 

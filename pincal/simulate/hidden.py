@@ -21,6 +21,8 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
         surroundings.PayloadError,
         drive.JointOffset,
         drive.GearEccentricity,
+        drive.GearRipple,
+        drive.EncoderSubdivision,
         drive.TransmissionError,
         drive.GearRatio,
         drive.JointCoupling,

@@ -29,6 +29,7 @@ from pincal.model.catalogue.elasticity import (
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
 from pincal.model.catalogue.masses import LinkMass
+from pincal.model.catalogue.tones import EncoderSubdivision, GearRipple
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.registry import EFFECTS
 
@@ -37,8 +38,10 @@ __all__ = [
     "Backlash",
     "BaseDrift",
     "BaseElasticity",
+    "EncoderSubdivision",
     "GearEccentricity",
     "GearRatio",
+    "GearRipple",
     "GravityCompensator",
     "JointCoupling",
     "LinkBending",
@@ -71,6 +74,8 @@ for _effect in (
     LoadBacklash,
     GravityCompensator,
     GearEccentricity,
+    GearRipple,
+    EncoderSubdivision,
     AxisWobble,
     ObliqueBearing,
     LinkBending,

@@ -7,7 +7,7 @@ import numpy as np
 from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
 from pincal.model.conditions import COLUMN_UNITS, Conditions, Situation
-from pincal.model.effect import Candidate, Discoverable, Effect, Family
+from pincal.model.effect import Candidate, Discoverable, Effect, Family, Tone
 from pincal.model.effects import Compliance
 from pincal.model.model import Model
 from pincal.model.registry import EFFECTS
@@ -98,7 +98,8 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
 
     Args:
         text: NAME[:JOINT][:KEY=VALUE,...], such as ``gear_eccentricity:joint_3:order=2``, the keys those by which effects
-            differ (``order``, ``frame``, ``source``); the first of its likes where keys leave it open.
+            differ (``order``, ``frame``, ``source``); the first of its likes where keys leave it open. Waves of a gear
+            stage or of an encoder's lines have any order.
         chain: the chain on which it acts.
         conditions: the poses that there are to choose from.
 
@@ -117,6 +118,8 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
     keys = dict(_pair(text, pair) for part in parts if "=" in part for pair in part.split(","))
     situation = Situation(chain, conditions)
     judged = [*((effect, "") for effect in _compliances(situation)), *_judged(situation)]
+    if "order" in keys:
+        judged = [_tuned(text, pair, keys["order"], situation) for pair in judged]
     # Those that can be shown first.
     judged.sort(key=lambda pair: bool(pair[1]))
     likes = [(effect, reason) for effect, reason in judged if effect.name == name]
@@ -149,7 +152,19 @@ def _compliances(situation: Situation) -> list[Effect]:
 def _says(effect: Effect, key: str, value: str) -> bool:
     at = effect.locus
     said = {"order": at.order, "frame": at.frame, "source": at.source, "joint": at.joint, "shape": at.shape}
-    return str(said.get(key)) == value
+    return str(said.get(key)) == value or (key == "order" and isinstance(effect, Tone))
+
+
+def _tuned(text: str, pair: tuple[Effect, str], order: str, situation: Situation) -> tuple[Effect, str]:
+    """Return an effect and why it can't be tested, a wave of any order with the order that is named."""
+    effect = pair[0]
+    if not isinstance(effect, Tone):
+        return pair
+    try:
+        tuned = effect.tuned(float(order))
+    except ValueError:
+        raise BadInputError(f"effect {text!r}: order={order}; expected a number of waves a turn, such as 101") from None
+    return tuned, why_not_testable(Candidate(tuned), situation)
 
 
 def _at(text: str, joint: str | None, likes: list[tuple[Effect, str]]) -> list[tuple[Effect, str]]:

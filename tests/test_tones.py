@@ -1,0 +1,148 @@
+"""Waves of many periods a turn: searched for in one scan, paid for, and told from what positions on a grid can't tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays, run_discovery
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.discover import tones
+from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.errors import BadInputError
+from pincal.identify.calibrate import calibrate
+from pincal.identify.fit import Fit
+from pincal.measure.measurements import Measurements
+from pincal.model.catalogue import EncoderSubdivision, GearRipple
+from pincal.model.catalogue.candidates import find_effect
+from pincal.model.catalogue.candidates import testable as could_show
+from pincal.model.catalogue.tones import independent_orders
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Tone
+
+pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+
+SIGMA = 5e-5
+BAND = (20.0, 400.0)
+
+
+@pytest.fixture(scope="module")
+def machine() -> sim.TrueMachine:
+    """Return a stiff KUKA with errors of its geometry."""
+    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+    return machine.draw_errors(np.random.default_rng(1), sigma_length=3e-4, sigma_angle=1e-3, sigma_offset=1e-3)
+
+
+def measured(machine: sim.TrueMachine, *hidden: sim.HiddenEffect, grid: float = 0.0, n: int = 150) -> Measurements:
+    """Return noisy positions of the machine with hidden effects, its joints at multiples of a step [rad] if there is one."""
+    rng = np.random.default_rng(2)
+    q = sim.plan_poses(machine.nominal, n, rng)
+    q = np.round(q / grid) * grid if grid else q
+    tip = machine.with_effects(*hidden).tip(q)
+    position = tip[:, :3, 3] + tip[:, :3, :3] @ [0.1, 0.05, 0.2] + SIGMA * rng.standard_normal((n, 3))
+    return measurements_from_arrays(machine.names, q, position=position)
+
+
+def named(machine: sim.TrueMachine, rows: Measurements, *extra: Tone) -> list[tuple[str, str | None, float | None]]:
+    """Return what a discovery names, with its order."""
+    robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
+    found = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA), extra=extra)
+    return [(e.effect, e.joint, e.order) for e in found.findings.effects]
+
+
+def fitted(rows: Measurements) -> Fit:
+    """Return the geometric model of some rows."""
+    return calibrate(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, Options(effects=GEOMETRIC, sigma=SIGMA))
+
+
+def strongest(fit: Fit) -> list[Tone]:
+    """Return what the scan finds."""
+    return tones.strongest_tones(fit, could_show(situation_of(fit)), 15.0)
+
+
+def test_the_scan_is_least_squares_of_a_sine_and_a_cosine() -> None:
+    """On even steps, by products of two small matrices, it gives what lstsq gives order by order."""
+    rng = np.random.default_rng(0)
+    q, lever = rng.uniform(-2.0, 2.5, 60), rng.uniform(0.1, 1.0, (3, 60))
+    r = rng.standard_normal((3, 60))
+    orders, gains = tones._on_steps(q, (lever * r).sum(0), (lever**2).sum(0), start=20.0, step=0.7, end=150.0)
+    for k in range(0, len(orders), 11):
+        A = np.stack([lever * np.sin(orders[k] * q), lever * np.cos(orders[k] * q)]).reshape(2, -1).T
+        fit = A @ np.linalg.lstsq(A, r.ravel(), rcond=None)[0]
+        assert gains[k] == pytest.approx(fit @ fit, rel=1e-9)
+    assert orders[-1] <= 150.0 < orders[-1] + 0.7
+
+
+def test_what_was_searched_for_is_paid_for() -> None:
+    """Of noise alone the highest of the band passes a chance of 10 %, all orders paid, in at most 10 % of draws."""
+    rng = np.random.default_rng(3)
+    q, lever = rng.uniform(-2.6, 2.6, 200), rng.uniform(0.5, 1.0, 200)
+    step = 0.25 * 2 * np.pi / np.ptp(q)
+    draws = lever * rng.standard_normal((300, 200))
+    highest = [tones._on_steps(q, along, lever**2, start=BAND[0], step=step, end=BAND[1])[1].max() for along in draws]
+    chances = independent_orders(q, BAND) * np.exp(-0.5 * np.array(highest))
+
+    assert 0.01 < np.mean(chances < 0.1) < 0.1
+
+
+def test_the_price_is_in_the_test(machine: sim.TrueMachine) -> None:
+    """A searched order's p-value is that of a known order times the number of orders, its criterion dearer by as much."""
+    fit = fitted(measured(machine))
+    tests = score_test_beside_masses(fit, [GearRipple("joint_2", 90.0), GearRipple("joint_2", 90.0, 50.0)])
+    known, searched = tests.score([0], 1), tests.score([1], 1)
+
+    assert searched.gain == pytest.approx(known.gain, rel=1e-9)
+    assert searched.p_value == pytest.approx(min(1.0, 50.0 * known.p_value))
+    assert searched.ebic == pytest.approx(known.ebic + 2.0 * np.log(50.0))
+
+
+def test_a_stage_is_found_at_its_order(machine: sim.TrueMachine) -> None:
+    """A ripple of 60 urad is named with its joint, and its order to a tenth of what the range of the joint resolves."""
+    (found,) = named(machine, measured(machine, sim.GearRipple(joint="joint_2", size=6e-5, order=161.3)))
+
+    assert found[:2] == ("gear_ripple", "joint_2") and found[2] == pytest.approx(161.3, abs=0.3)
+
+
+def test_sound_residuals_show_no_wave(machine: sim.TrueMachine) -> None:
+    """Noise alone makes no candidate; nor does a wave that the model has."""
+    rows = measured(machine, sim.GearRipple(joint="joint_1", size=1e-4, order=77.0))
+    (tone, *_) = strongest(fitted(rows))
+    known = calibrate(fitted(rows).problem.chain.robot, rows, Options(effects=(*GEOMETRIC, tone), sigma=SIGMA))
+
+    assert tone.locus.joint == "joint_1" and not strongest(known) and not strongest(fitted(measured(machine)))
+
+
+def test_a_grid_of_positions_does_not_tell_orders_apart(machine: sim.TrueMachine) -> None:
+    """At multiples of 5 degrees 100 waves a turn are 28, 44, 116, ... as well: all are listed."""
+    rows = measured(machine, sim.GearRipple(joint="joint_3", size=1e-4, order=100.0), grid=np.deg2rad(5.0))
+    orders = sorted(tone.locus.order or 0.0 for tone in strongest(fitted(rows)) if tone.locus.joint == "joint_3")
+
+    assert len(orders) == 4
+    for order in orders:
+        assert min(abs((order - s * 100.0) / 72.0 - round((order - s * 100.0) / 72.0)) for s in (1, -1)) < 0.01
+
+
+@pytest.mark.long
+def test_a_known_order_shows_sooner(machine: sim.TrueMachine) -> None:
+    """A ripple too small for a search, and lines of an encoder beyond its band, are found where their orders are told."""
+    small = measured(machine, sim.GearRipple(joint="joint_2", size=1.15e-5, order=121.0))
+    lines = measured(machine, sim.EncoderSubdivision(joint="joint_1", size=4e-5, order=1024.0))
+
+    assert named(machine, small) == []
+    assert named(machine, small, GearRipple("joint_2", 121.0)) == [("gear_ripple", "joint_2", 121.0)]
+    assert named(machine, lines, EncoderSubdivision("joint_1", 1024.0)) == [("encoder_subdivision", "joint_1", 1024.0)]
+
+
+def test_an_order_is_named_by_the_user() -> None:
+    """A wave is found by name with any number of waves a turn; a word is none."""
+    chain = Chain.of(Robot.from_urdf(kuka_urdf_path(), tip="tool0"))
+    conditions = Conditions.at(chain.robot.random_configurations(20, np.random.default_rng(0)))
+
+    assert find_effect("gear_ripple:joint_3:order=100.5", chain, conditions) == GearRipple("joint_3", 100.5)
+    assert find_effect("encoder_subdivision:joint_1:order=512", chain, conditions) == EncoderSubdivision("joint_1", 512.0)
+    with pytest.raises(BadInputError, match="order=many; expected a number of waves a turn"):
+        find_effect("gear_ripple:joint_3:order=many", chain, conditions)
+    with pytest.raises(BadInputError, match="lines a turn are not known"):
+        find_effect("encoder_subdivision:joint_1", chain, conditions)
