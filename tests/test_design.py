@@ -458,6 +458,9 @@ def test_refining_makes_a_design_better_and_the_curve_falls(kuka):
 
     assert found.found.designed.error < 0.99 * plain.found.designed.error
     assert plain.found.designed.error > found.bound
+    # No joint takes a position twice: its drive is seen at as many places as there are poses.
+    spans = kuka.upper - kuka.lower
+    assert np.all(np.diff(np.sort(found.q, axis=0), axis=0).min(axis=0) > 1e-5 * spans)
     assert np.all(np.diff(designed) < 0.0) and np.all(np.array(designed) < drawn)
     assert [point.poses for point in found.curve][:5] == [10, 15, 20, 30, 40]
 

@@ -1,4 +1,8 @@
-"""Better poses than any candidate: a design's joint positions moved one at a time, as long as that helps."""
+"""Better poses than any candidate: a design's joint positions moved one at a time, as long as that helps.
+
+No position is taken that another pose has already: what a drive does there would be seen twice, and what it does elsewhere
+not at all.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,10 @@ log = logging.getLogger(__name__)
 # Positions tried of each joint, and the part of its range that they are spread over, sweep by sweep.
 _STEPS = 11
 _WINDOWS = (1.0, 0.4, 0.15)
+# Part of its range by which a joint's positions differ from pose to pose, and that of a pose's share of the range.
+_APART, _OF_SHARE = 2e-3, 0.25
+# Steps of one pose lie between those of the next, by this part of a step.
+_SHIFT = 0.5 * (5.0**0.5 - 1.0)
 # Relative gain below which a pose stays where it is.
 _WORTH = 1e-6
 
@@ -42,7 +50,7 @@ def refine(
         for place in range(len(q)):
             rest = np.delete(A, place, axis=0).reshape(-1, A.shape[2])
             C = covariance(H + rest.T @ rest)
-            trial = _neighbours(q[place], reach, window)
+            trial = _neighbours(q, place, reach, window)
             if not len(trial):
                 continue
             readings = design_model.readings(replace(design.select(np.full(len(trial), place)), q=trial))
@@ -55,13 +63,18 @@ def refine(
     return replace(design, q=q)
 
 
-def _neighbours(q: np.ndarray, reach: Reach, window: float) -> np.ndarray:
-    """Return the poses allowed, but for self-collision, that differ from q, shape (n,), in one joint."""
+def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.ndarray:
+    """Return the poses allowed, but for self-collision, that differ from one of q, shape (N, n), in one joint."""
     lower, upper = reach.range
     half = 0.5 * window * (upper - lower)
-    steps = np.linspace(np.maximum(lower, q - half), np.minimum(upper, q + half), _STEPS)
-    trial = np.tile(q, (len(q), _STEPS, 1))
-    for joint in range(len(q)):
+    low, high = np.maximum(lower, q[place] - half), np.minimum(upper, q[place] + half)
+    steps = low + (np.arange(_STEPS)[:, None] + place * _SHIFT % 1.0) / _STEPS * (high - low)
+    taken = np.delete(q, place, axis=0)
+    apart = min(_APART, _OF_SHARE / len(q)) * (upper - lower)
+    trial = np.tile(q[place], (q.shape[1], _STEPS, 1))
+    for joint in range(q.shape[1]):
         trial[joint, :, joint] = steps[:, joint]
-    trial = reach.robot.following(trial[reach.robot.own_joints].reshape(-1, len(q)))
+    is_new = np.all(np.abs(steps[:, None] - taken) > apart, axis=1).T
+    own = reach.robot.own_joints
+    trial = reach.robot.following(trial[own][is_new[own]])
     return np.asarray(trial[reach.allows_apart(trial)])
