@@ -20,8 +20,9 @@ from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.io.discovery_file import Disagreement
 from pincal.model.basis import spline_basis
+from pincal.model.catalogue.curves import most_pieces
 from pincal.model.chain import Chain
-from pincal.model.conditions import Situation, recorded_variable, varies
+from pincal.model.conditions import Situation, distinct_values, recorded_variable, varies
 from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS
 
@@ -33,8 +34,6 @@ _SHARE, _MOST_PLACES = 0.05, 3
 _SEEN = 1e-5
 # Pieces of curves: smooth ones, of a joint's own position also as fine as a gear's waves, of slow variables coarser.
 _SIZE, _OWN_SIZES, _SLOW_SIZE = 8, (24, 60), 5
-# Rows that each piece of a curve needs, as a drive curve in a discovery does.
-_ROWS = 6
 # What counts as sitting in one range: this part of it in less than that part of range and of rows.
 _MOST, _NARROW = 0.6, 0.4
 # Rows beyond this number are thinned, for time: a place worth a line shows in fewer.
@@ -278,7 +277,7 @@ def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
     conditions = fit.station.conditions
     q = _variable(fit, joint, joint)
     for size in _OWN_SIZES:
-        if np.ptp(q) and size <= len(q) // _ROWS:
+        if np.ptp(q) and size <= most_pieces(q):
             yield joint, _basis(q, size)
     if conditions.approach is not None and varies(approach := _variable(fit, joint, "approach")):
         yield "approach", approach[None]
@@ -294,13 +293,13 @@ def _variable(fit: Fit, joint: str | None, name: str) -> np.ndarray:
 
 def _basis(x: np.ndarray, size: int) -> np.ndarray:
     """Return curves of a variable, shape (k, N): splines, or powers where it takes few values; none of a constant."""
-    values = np.unique(x)
-    if len(values) < 2:
+    count, lower, upper = distinct_values(x), float(x.min()), float(x.max())
+    if count < 2:
         return np.zeros((0, len(x)))
-    if len(values) < 2 * size:
-        centred = 2.0 * (x - values.mean()) / np.ptp(values)
-        return np.stack([centred**k for k in range(1, min(len(values), 4))])
-    return spline_basis(x, float(values[0]), float(values[-1]), size)
+    if count < 2 * size:
+        centred = (2.0 * x - lower - upper) / (upper - lower)
+        return np.stack([centred**k for k in range(1, min(count, 4))])
+    return spline_basis(x, lower, upper, size)
 
 
 def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | None, float]:

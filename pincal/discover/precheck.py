@@ -10,6 +10,7 @@ import numpy as np
 
 from pincal.discover.policy import ALPHA
 from pincal.discover.power import FEWEST, POWER, Detectable, minimum_detectable
+from pincal.discover.resolution import notes_on_repeats
 from pincal.identify.calibrate import Tables, expected_fit, refit, tables_of
 from pincal.identify.explain import explain
 from pincal.identify.fit import Fit
@@ -18,6 +19,7 @@ from pincal.identify.reasons import Reason, Status
 from pincal.measure.admit import admit, unobservable_notes
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.catalogue.masses import notes_on_masses
+from pincal.model.conditions import distinct_values
 from pincal.model.effects import ELASTIC
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
@@ -26,13 +28,14 @@ from pincal.validate.agreement import check_agreement
 
 @dataclass(frozen=True)
 class JointRange:
-    """How much of a joint's range a table covers [rad or m]."""
+    """How much of a joint's range a table covers [rad or m], and at how many distinct positions."""
 
     joint: str
     low: float
     high: float
     lower_limit: float | None
     upper_limit: float | None
+    distinct: int
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     unseen = [list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()]
     notes = [*admitted.notes, *admitted.idle, *(n for n in unseen[0] if all(n in other for other in unseen))]
     notes += notes_on_masses(robot, options.effects)
+    notes += notes_on_repeats(robot, fit.problem.conditions.q)
     posterior = fit.solution.posterior
     unit = f"sigma_{fit.problem.blocks[0].unit}"
     nominal = (pose_error_sizes(station, fit.nominal.values[places]) for station, places, _ in fit.stations)
@@ -165,7 +169,7 @@ def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
     """Yield the coverage of each joint; an endless range has no limits."""
     for name, q, *limits in zip(robot.joint_names, poses.T, robot.lower, robot.upper, strict=True):
         lower, upper = (float(limit) if np.isfinite(limit) else None for limit in limits)
-        yield JointRange(name, float(q.min()), float(q.max()), lower, upper)
+        yield JointRange(name, float(q.min()), float(q.max()), lower, upper, distinct_values(q))
 
 
 def _expectations(fit: Fit) -> Iterator[Expectation]:

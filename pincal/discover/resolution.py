@@ -1,25 +1,44 @@
-"""How fine a drive curve the data can tell, judged by blocks of poses left out."""
+"""How fine a drive curve the data can tell: what distinct positions carry, judged by blocks of poses left out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit
-from pincal.model.catalogue.curves import POSES_PER_PIECE
+from pincal.model.catalogue.curves import most_pieces
+from pincal.model.conditions import distinct_values
 from pincal.model.effect import Curve
+from pincal.robot.robot import Robot
 
 # Numbers of basis functions that are tried.
 _SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180)
+# Distinct positions of a joint that are enough for most gears; fewer are worth a word where the poses carry more.
+_ENOUGH_VALUES = 44
+
+
+def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
+    """Yield what can't be told of joints that take the same positions again and again, q of shape (N, n)."""
+    for joint, kind, x in zip(robot.joint_names, robot.joint_types, q.T, strict=True):
+        values = distinct_values(x)
+        if 1 < values < _ENOUGH_VALUES and values == most_pieces(x):
+            step = 2.0 * float(np.ptp(x)) / (values - 1)
+            wave = f"{step:.3g} m" if kind == "prismatic" else f"{np.degrees(step):.3g} deg"
+            yield (
+                f"{joint} takes {values} distinct positions in {len(x)} rows: what its drive does between them can't be "
+                f"told, and a wave shorter than {wave} looks like a longer one; choose positions that don't repeat, as "
+                "pincal design does"
+            )
 
 
 def curves_over(fit: Fit, curve: Curve, sizes: Sequence[int]) -> list[Curve]:
-    """Return a drive curve in several resolutions, as fine as the number of poses allows."""
+    """Return a drive curve in several resolutions, as fine as the poses and their distinct positions allow."""
     situation = situation_of(fit)
-    return [curve.resized(situation, size) for size in sizes if size <= len(fit.problem) // POSES_PER_PIECE]
+    most = most_pieces(situation.positions(str(curve.locus.follows)))
+    return [curve.resized(situation, size) for size in sizes if size <= most]
 
 
 def resolved(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarray, np.ndarray]:

@@ -22,6 +22,7 @@ from pincal.discover.history import History
 from pincal.discover.judge import findings_of
 from pincal.discover.loop import discover_effects
 from pincal.discover.policy import POLICY, Policy
+from pincal.discover.resolution import notes_on_repeats
 from pincal.discover.shrink import PartialResidual, Stage, partial_residuals, stages_of
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
@@ -150,9 +151,12 @@ def _search(
     """Return what was found from a calibration on, and notes."""
     blocks = [row_groups(rows.train, split="blocked", seed=0) % _CV_BLOCKS for rows in first.stations]
     trail = discover_effects(first.fit, np.concatenate(blocks), frames=frames, extra=extra, policy=policy)
+    problem = trail.final.problem
+    notes = [*first.notes, *notes_on_repeats(problem.chain.robot, problem.conditions.q)]
     was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
-    better = f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}"
-    return trail, first.notes if frame == was else (*first.notes, better)
+    if frame != was:
+        notes.append(f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}")
+    return trail, tuple(notes)
 
 
 def _discovered(

@@ -20,6 +20,8 @@ COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time":
 TURN = 2.0 * np.pi
 # What else an effect may follow: the static moment on a joint.
 MOMENT = "moment"
+# Positions closer than this part of their range are one: a grid whose encoders were read is still a grid.
+_CLOSE = 1e-3
 # A moment below this part of the largest on the arm is there only because the base is not quite level.
 UNFELT = 1e-3
 
@@ -93,6 +95,23 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
 def varies(column: np.ndarray | None) -> bool:
     """Return whether a column is there and its rows are not all the same."""
     return column is not None and bool(np.any(column != column[:1]))
+
+
+def distinct_values(x: np.ndarray) -> int:
+    """Return how many values a variable takes, shape (N,); those closer than a thousandth of its range are one value.
+
+    Example:
+        >>> distinct_values(np.array([0.0, 1.0, 1.0, 2.0, 1.0 + 1e-4]))
+        3
+    """
+    values = np.sort(x)
+    width = _CLOSE * float(values[-1] - values[0])
+    if not width:
+        return 1
+    # Values that follow each other closely fill a stretch; one at least of each width of it.
+    last = np.append(np.flatnonzero(np.diff(values) > width), len(values) - 1)
+    first = np.append(0, last[:-1] + 1)
+    return len(last) + int(np.sum((values[last] - values[first]) // width))
 
 
 def into_range(angles: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.chain import Chain
-from pincal.model.conditions import TURN, Conditions, Situation, recorded_variable
+from pincal.model.conditions import TURN, Conditions, Situation, distinct_values, recorded_variable
 from pincal.model.effect import Candidate, Curve, Locus, Term
 from pincal.model.places import WAVE, drive_terms, drive_unit, parameters_of
 from pincal.model.symbols import held
@@ -23,7 +23,15 @@ _NEARLY_A_TURN = 0.9
 _SIZE = 24
 _SIZES = (8, 12, 18, 26, 44, 80)
 # Poses that each basis function needs to be fitted at all: six of position show the size of a bump and its scatter.
-POSES_PER_PIECE = 6
+_POSES_PER_PIECE = 6
+
+
+def most_pieces(x: np.ndarray) -> int:
+    """Return how many basis functions of a variable, shape (N,), as many poses and distinct values carry.
+
+    With more functions than values of the variable those between the values are anybody's guess: they alias.
+    """
+    return min(len(x) // _POSES_PER_PIECE, distinct_values(x))
 
 
 @dataclass(frozen=True)
@@ -83,8 +91,12 @@ class TransmissionError(Curve):
             q = situation.positions(joint)
             # A joint that stands still is reported as such; its curve only has to have some range.
             moving = q if np.ptp(q) else np.array([q[0] - 1.0, q[0] + 1.0])
-            sizes = (size for size in _SIZES if size <= len(q) // POSES_PER_PIECE)
-            yield Candidate(cls.over(joint, moving, _SIZE), variants=tuple(cls.over(joint, moving, size) for size in sizes))
+            most = most_pieces(moving if np.ptp(q) else np.arange(len(q)))
+            curves = tuple(cls.over(joint, moving, size) for size in _SIZES if size <= most)
+            values = distinct_values(q)
+            is_few = 1 < values < min(_SIZES[0], len(q) // _POSES_PER_PIECE)
+            few = f"{joint} takes {values} distinct positions, and the coarsest curve that is tried has {_SIZES[0]} pieces"
+            yield Candidate(cls.over(joint, moving, _SIZE), variants=curves, obstacle=few if is_few else "")
 
     @property
     def resolution(self) -> int:
