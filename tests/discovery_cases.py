@@ -23,17 +23,19 @@ from pincal.builtin import kuka_urdf_path
 from pincal.discover.history import History
 from pincal.discover.loop import discover_effects
 from pincal.discover.nuisance import MassError, compliances_of
+from pincal.discover.where import sure_compliances
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.identify.split import hold_out, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model import catalogue
+from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import ELASTIC, Effect
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.state import Deformation, Loads, Poses
 
 SIGMA = 5e-5  # standard deviation of one coordinate [m]
-ELASTICITY = ("joint_elasticity", "bearing_elasticity")
+ELASTICITY = ("joint_elasticity", "bearing_elasticity", "oblique_bearing", "bearing_place")
 Name = tuple[str, str | None, str | None]  # effect, joint, source
 
 # Standard DH: o, d, a, alpha of each joint; masses, share of the way to the next joint where they sit; range of each joint.
@@ -53,23 +55,55 @@ _LINK = '<link name="{0}"><inertial><origin xyz="{1}"/><mass value="{2!r}"/>'
 _LINK += '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
 _JOINT = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/><origin xyz="{4}" rpy="{5}"/>'
 _JOINT += '<axis xyz="0 0 1"/><limit lower="{6!r}" upper="{7!r}" effort="1" velocity="1"/></joint>'
+# Joint frames that a URDF may as well have are turned about their axes, and shifted along them by this part of a link.
+_SHIFTED = 0.15
+# Classes of arms by their frames and their kind, beside "heavy", "light" and the built-in "kuka", whose frames are those of
+# Denavit and Hartenberg, at right angles. "turned": anywhere about and along the axes; "skew": so too, and the axes meet at
+# any angle, with offsets anywhere.
+FRESH_ARMS = ("turned heavy", "turned light", "skew heavy", "skew light")
 
 
-def random_urdf(rng: np.random.Generator, *, heavy: bool) -> str:
-    """Return a 6R arm of a class, its lengths and masses drawn to +- 20 %."""
+def random_urdf(rng: np.random.Generator, *, heavy: bool, frames: str = "plain") -> str:
+    """Return a 6R arm of a class, its lengths and masses drawn to +- 20 %, its frames "plain", "turned" or "skew"."""
     rows, masses, ranges, middles = _HEAVY if heavy else _LIGHT
     text = ['<robot name="drawn"><link name="base"/>']
-    xyz, rpy, parent = np.zeros(3), np.zeros(3), "base"
+    T_link_joint, own, parent = np.eye(4), np.eye(4), "base"
+    size = 1.0 if heavy else 0.4
     for i, (o, d, a, quarter) in enumerate(rows):
         d, a = d * rng.uniform(0.8, 1.2), a * rng.uniform(0.8, 1.2)
         half, middle = np.deg2rad(ranges[i]), np.deg2rad(middles[i])
         limits = float(middle - half), float(middle + half)
-        text.append(_JOINT.format(f"axis_{i + 1}", "revolute", parent, f"link_{i + 1}", _row(xyz), _row(rpy), *limits))
+        before, own = own, np.eye(4) if frames == "plain" else _along_axis(rng, _SHIFTED * size)
+        placed = np.linalg.solve(before, T_link_joint @ own)
+        text.append(_JOINT.format(f"axis_{i + 1}", "revolute", parent, f"link_{i + 1}", *_origin(placed), *limits))
         xyz, rpy, parent = np.array([a, 0.0, d]), np.array([quarter * np.pi / 2, 0.0, o]), f"link_{i + 1}"
+        if frames == "skew":
+            xyz += rng.normal(0.0, 0.05 * size, 3)
+            rpy += rng.choice([-1.0, 1.0], 3) * rng.uniform(0.1, 0.6, 3)
+        T_link_joint = _placed(xyz, rpy)
         centre = rng.uniform(0.2, 0.7) * xyz + rng.normal(0.0, 0.04 if heavy else 0.015, 3)
+        centre = own[:3, :3].T @ (centre - own[:3, 3])
         text.append(_LINK.format(parent, _row(centre), float(masses[i] * rng.uniform(0.8, 1.2))))
-    text.append(_JOINT.format("flange", "fixed", parent, "tool0", _row(xyz), _row(rpy), 0.0, 0.0))
+    placed = np.linalg.solve(own, T_link_joint)
+    text.append(_JOINT.format("flange", "fixed", parent, "tool0", *_origin(placed), 0.0, 0.0))
     return "".join(text) + '<link name="tool0"/></robot>'
+
+
+def _along_axis(rng: np.random.Generator, shift: float) -> np.ndarray:
+    """Return a transform about and along z, which leaves a joint with this axis what it is."""
+    return _placed(np.array([0.0, 0.0, rng.normal(0.0, shift)]), np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
+
+
+def _placed(xyz: np.ndarray, rpy: np.ndarray) -> np.ndarray:
+    """Return the transform of a URDF's origin."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+    return T
+
+
+def _origin(T: np.ndarray) -> tuple[str, str]:
+    """Return the xyz and rpy of a URDF's origin."""
+    return _row(T[:3, 3]), _row(Rotation.from_matrix(T[:3, :3]).as_euler("xyz"))
 
 
 def _row(values: np.ndarray) -> str:
@@ -118,6 +152,17 @@ class Case:
     elastic: bool
     arm: str
     clean: np.ndarray
+    moment_frame: MomentFrame
+
+    @property
+    def plain(self) -> Options:
+        """How to calibrate the machine but for what is hidden."""
+        return _plain(self.options, moment_frame=self.moment_frame, elastic=self.elastic or self.is_soft)
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether elasticity is what is hidden; it is found as a whole, since every arm has it."""
+        return any(effect.effect in ELASTICITY for effect in self.hidden)
 
     @property
     def truth(self) -> tuple[Name, ...]:
@@ -138,33 +183,59 @@ class _Setting:
     com: tuple[float, float, float]
     arm: str
     moments: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    known: dict[tuple[HiddenEffect, ...], np.ndarray] = field(default_factory=dict)
 
     def positions(self, *effects: HiddenEffect) -> np.ndarray:
         """Return noise-free positions with effects."""
-        tracker = sim.Instrument(pose=self.hall, targets=self.tool)
-        table = tracker.measure(self.machine.with_effects(*effects), self.q, payload_com=self.com, **self.conditions)
-        return np.column_stack([table[axis] for axis in "xyz"])
+        if effects not in self.known:
+            tracker = sim.Instrument(pose=self.hall, targets=self.tool)
+            table = tracker.measure(self.machine.with_effects(*effects), self.q, payload_com=self.com, **self.conditions)
+            self.known[effects] = np.column_stack([table[axis] for axis in "xyz"])
+        return self.known[effects]
+
+
+def fresh(seed: int) -> dict[str, Any]:
+    """Return arm, moment frame and number of rows of a case on an arm whose frames are anywhere."""
+    n = int(np.random.default_rng(seed).integers(150, 301))
+    return {"n": n, "arm": FRESH_ARMS[seed % 4], "moment_frame": ("before", "after")[seed // 4 % 2]}
+
+
+def is_fresh(arm: str) -> bool:
+    """Return whether the frames of a class of arms are not those of Denavit and Hartenberg."""
+    return arm in FRESH_ARMS
 
 
 def _setting(
-    rng: np.random.Generator, n: int, *, arm: str, elastic: bool, masses: float, one_payload: bool, columns: set[str]
+    rng: np.random.Generator,
+    n: int,
+    *,
+    arm: str,
+    moment_frame: MomentFrame,
+    elastic: bool,
+    masses: float,
+    one_payload: bool,
+    columns: set[str],
 ) -> _Setting:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(kuka_urdf_path())
         if arm != "kuka":
             path = Path(folder) / "robot.urdf"
-            path.write_text(random_urdf(rng, heavy=arm == "heavy"), encoding="utf-8")
+            frames = arm.split()[0] if is_fresh(arm) else "plain"
+            path.write_text(random_urdf(rng, heavy=arm.endswith("heavy"), frames=frames), encoding="utf-8")
         robot = Robot.from_urdf(path, tip="tool0")
         machine = sim.TrueMachine.from_urdf(path, tip="tool0")
-    light = arm == "light"
+    light = arm.endswith("light")
     machine = machine.draw_errors(
         rng, sigma_length=2e-4 if light else 5e-4, sigma_angle=1e-3, sigma_offset=1e-3 if light else 2e-3
     ).draw_masses(rng, sigma=masses)
     if elastic:
         # The wrist is softer than the shoulder, as it is smaller.
         drive = np.array([1.0, 1.0, 1.5, 8.0, 8.0, 12.0]) * rng.uniform(0.7, 1.3, 6) * (5e-6 if light else 2e-7)
-        bearing = 0.15 * drive * rng.uniform(0.5, 1.5, 6)
-        machine = replace(machine, compliance=np.column_stack([bearing, bearing, drive]), moment_frame="after")
+        bearing = np.outer([0.15, 0.15], drive * rng.uniform(0.5, 1.5, 6))
+        if is_fresh(arm):
+            # Soft one way: where the frames of the URDF are turned, across none of Denavit and Hartenberg's axes.
+            bearing *= rng.uniform(0.4, 1.6, (2, 6))
+        machine = replace(machine, compliance=np.vstack([bearing, drive]).T, moment_frame=moment_frame)
     q = sim.plan_poses(machine.nominal, n, rng, min_height=-0.5 if light else 0.1)
     load = 6.0 if light else float(rng.choice([60.0, 100.0, 120.0]))
     payload = np.full(n, load)
@@ -194,12 +265,17 @@ def _setting(
     return setting
 
 
+def _plain(options: Options, *, moment_frame: MomentFrame, elastic: bool) -> Options:
+    """Return options for the whole machine but what is hidden."""
+    return replace(options, effects=ELASTIC if elastic else GEOMETRIC, moment_frame=moment_frame)
+
+
 class _Absorber:
     """Takes off a difference of positions what a refitted elastic model takes up, to first order."""
 
     def __init__(self, setting: _Setting, options: Options) -> None:
         rows = _table(setting, setting.positions())
-        fit = calibrate(setting.robot, rows, replace(options, effects=ELASTIC, loss="none"))
+        fit = calibrate(setting.robot, rows, replace(options, loss="none"))
         masses = MassError.of(fit.model, fit.values)
         model = fit.model.with_effects([*fit.model.effects, *([masses] if masses else [])])
         relative = [parameter.size for parameter in model.parameters[len(fit.values) :]]
@@ -227,8 +303,8 @@ class _Absorber:
         scale = np.linalg.norm(A, axis=0)
         target = np.append(d, np.zeros(len(held)))
         p = np.linalg.lstsq(A / scale, target, rcond=None)[0]
-        # With priors the least penalised square is what the score test can gain.
-        return float(np.sum((target - A / scale @ p) ** 2))
+        # Only what is left of the readings: parameters that leave their priors show nothing.
+        return float(np.sum((target - A / scale @ p)[: len(d)] ** 2))
 
 
 def _table(setting: _Setting, positions: np.ndarray) -> Measurements:
@@ -283,6 +359,8 @@ NAMED = (
     "gravity_compensator",
     "payload_error",
 )
+# One joint's drive or bearing of an arm that is rigid otherwise.
+SOFT = ("joint_elasticity", "bearing_elasticity")
 NEEDS = {"backlash": "approach", "thermal_expansion": "temperature", "thermal_offset": "temperature", "base_drift": "time"}
 _LOADED = ("load_backlash", "nonlinear_elasticity")
 
@@ -320,13 +398,18 @@ def _named(kind: str, rng: np.random.Generator, setting: _Setting) -> HiddenEffe
     elif kind == "base_elasticity":
         values |= {"joint": None, "size": 1e-9, "weights": (1.0, float(rng.choice([0.3, 1.0])), 0.0)}
     elif kind == "gravity_compensator":
-        light = setting.arm == "light"
+        light = setting.arm.endswith("light")
         compliance = float(setting.machine.compliance[1, 2]) or 1e-7
         values |= {"joint": names[1], "size": 1e3, "compliance": compliance}
         if light:
             values |= {"anchor": (-0.05, 0.12, 0.0), "lever": (0.08, 0.0, 0.0), "free_length": 0.06}
     elif kind == "payload_error":
-        values |= {"joint": None, "size": 0.1 if setting.arm == "light" else 1.0}
+        values |= {"joint": None, "size": 0.1 if setting.arm.endswith("light") else 1.0}
+    elif kind == "joint_elasticity":
+        values |= {"joint": names[int(rng.integers(1, 6))], "size": 1e-8}
+    elif kind == "bearing_elasticity":
+        soft = float(rng.uniform(0.2, 0.7))
+        values |= {"size": 1e-8, "size_y": 1e-8 * soft, "moment_frame": setting.machine.moment_frame}
     return sim.hidden_effect(kind, **values)
 
 
@@ -343,10 +426,15 @@ def _scaled(
             return effect, got, np.inf
         if abs(got / wanted - 1.0) < 0.02:
             break
-        effect = replace(effect, size=effect.size * float(np.sqrt(wanted / got)))
+        effect = _times(effect, float(np.sqrt(wanted / got)))
         if raw * np.sqrt(wanted / got) > 1e-2:
             return effect, got, np.inf
     return effect, got, raw
+
+
+def _times(effect: HiddenEffect, factor: float) -> HiddenEffect:
+    sizes = {name: factor * size for name, size in vars(effect).items() if name in ("size", "size_y")}
+    return replace(effect, **sizes)
 
 
 # Largest rms of what a hidden effect does to the tool [m]; beyond it nobody would look for it in the residuals.
@@ -364,6 +452,7 @@ def draw_case(
     masses: float = 0.03,
     noise: str = "normal",
     one_payload: bool = False,
+    moment_frame: MomentFrame = "after",
 ) -> Case:
     """Draw a case.
 
@@ -372,24 +461,40 @@ def draw_case(
         seed: of everything.
         strength: lambda of each effect; from 60 to 300 unless given.
         n: rows; from 150 to 500 unless given.
-        arm: "kuka", "heavy" or "light"; in turn unless given.
-        elastic: whether the arm is elastic.
+        arm: "kuka", "heavy", "light" or one of ``FRESH_ARMS``; of the first three in turn unless given.
+        elastic: whether the arm is elastic; one whose elasticity is hidden has no other.
         masses: relative error of the URDF's masses and centres.
         noise: "normal", "outliers" (3 % of the rows off by millimetres) or "heavy" (Student t4).
         one_payload: the same load in all rows.
+        moment_frame: where the moments on its bearings bend the arm.
     """
     rng = np.random.default_rng([seed, crc32(kind.encode())])
     arm = ("kuka", "heavy", "light")[seed % 3] if arm is None else arm
     n = int(rng.integers(150, 501)) if n is None else n
     parts = [] if kind == "null" else kind.split("+")
     columns = {NEEDS[part] for part in parts if part in NEEDS}
-    options = Options(effects=GEOMETRIC, sigma=SIGMA, moment_frame="after")
+    elastic = elastic and not set(parts) & set(ELASTICITY)
+    if "base_elasticity" in parts:
+        # What tilts with the link before the first joint is the base.
+        moment_frame = "after"
+    options = Options(effects=GEOMETRIC, sigma=SIGMA, moment_frame="paper" if is_fresh(arm) else "after")
     for _ in range(30):
-        setting = _setting(rng, n, arm=arm, elastic=elastic, masses=masses, one_payload=one_payload, columns=columns)
+        setting = _setting(
+            rng,
+            n,
+            arm=arm,
+            moment_frame=moment_frame,
+            elastic=elastic,
+            masses=masses,
+            one_payload=one_payload,
+            columns=columns,
+        )
         options = replace(options, payload_centre=setting.com)
         hidden: list[HiddenEffect] = []
         got, raw, seen = 0.0, 0.0, np.inf
-        absorber = _Absorber(setting, options) if parts and kind != "measurement_scale" else None
+        # Also where the machine is rigid, moments may absorb what they can.
+        plain = _plain(options, moment_frame=moment_frame, elastic=not set(parts) & set(ELASTICITY))
+        absorber = _Absorber(setting, plain) if parts and kind != "measurement_scale" else None
         for part in parts:
             if part == "measurement_scale":
                 hidden.append(sim.hidden_effect(part, size=4e-5))
@@ -409,7 +514,7 @@ def draw_case(
         raise ValueError(f"{kind}: no arm on which it is seen without moving the tool by {_RAW} m")
     clean = setting.positions(*hidden)
     rows = _table(setting, clean + _noise(noise, clean.shape, rng))
-    return Case(kind, seed, setting.robot, rows, options, tuple(hidden), got, seen, elastic, arm, clean)
+    return Case(kind, seed, setting.robot, rows, options, tuple(hidden), got, seen, elastic, arm, clean, moment_frame)
 
 
 def _noise(noise: str, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
@@ -426,17 +531,18 @@ def discover(case: Case) -> History:
     """Discover as the command does: every fifth row held out by regions, the geometric model to start from."""
     training, _ = hold_out(case.rows, 0.2, split="blocked", seed=0)
     groups = row_groups(training, split="blocked", seed=0) % 8
-    return discover_effects(calibrate(case.robot, training, case.options), groups)
+    frames = MOMENT_FRAMES if is_fresh(case.arm) else ()
+    return discover_effects(calibrate(case.robot, training, case.options), groups, frames=frames)
 
 
 def gap_over_oracle(case: Case, trail: History) -> float:
     """Return the error on held-out rows without noise, over that of a fit that is told what is hidden."""
     training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
     clean = case.clean[held.rows - case.rows.rows[0]]
-    told = calibrate(case.robot, training, replace(case.options, effects=ELASTIC if case.elastic else GEOMETRIC))
+    told = calibrate(case.robot, training, case.plain)
     fits = [told]
-    for hidden in case.hidden:
-        fits = [refit(fit, [*fit.options.effects, effect]) for fit in fits for effect in _known_form(hidden, fit)]
+    for hidden in case.hidden if not case.is_soft else ():
+        fits = [refit(fit, [*fit.options.effects, effect]) for fit in fits for effect in _known_forms(hidden, fit)]
     return _gap(trail.final, held, clean) / min(_gap(fit, held, clean) for fit in fits)
 
 
@@ -446,7 +552,7 @@ def _gap(fit: Fit, held: Measurements, clean: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum((poses[:, :, 3] - clean) ** 2, axis=1))))
 
 
-def _known_form(hidden: HiddenEffect, fit: Fit) -> list[Effect]:
+def _known_forms(hidden: HiddenEffect, fit: Fit) -> list[Effect]:
     """Return the catalogue's effect that a hidden one is, a drive curve in several resolutions."""
     values, conditions = vars(hidden), fit.station.conditions
     joint = str(hidden.joint)
@@ -558,6 +664,10 @@ def judge(case: Case, trail: History | None = None) -> Verdict:
         names = tuple(name_of(e) for e in (step.effects[0], *step.equivalent))
         if names[0][0] in ELASTICITY:
             elastic = True
+            if case.is_soft:
+                sure = [name_of(effect) for effect, *_ in sure_compliances(trail.final)]
+                named += [(name, *names[1:]) for name in sure]
+                details += [_words(name) for name in sure]
             continue
         named.append(names)
         extra = {
@@ -568,7 +678,7 @@ def judge(case: Case, trail: History | None = None) -> Verdict:
         words = _words(names[0]) + "".join(f" {k}={v}" for k, v in extra.items())
         words += f" T={step.score.gain:.0f}/{step.score.rank}"
         details.append(words + (f" ~ {', '.join(_words(n) for n in names[1:])}" if names[1:] else ""))
-    sound = elastic == case.elastic
+    sound = elastic == (case.elastic or case.is_soft)
     where = case.kind, case.seed, case.strength, case.seen, case.arm, len(case.rows)
     return Verdict(*where, case.truth, tuple(named), tuple(details), elastic, sound)
 
