@@ -294,7 +294,23 @@ def test_discovery_finds_what_both_days_show(
     tmp_path: Path, days: list[Path], machine: sim.TrueMachine, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Elasticity is found from the sum of both tables, and each day is predicted by what was found on the other."""
-    assert run("discover", URDF, *days, "--split", "station", "--noise", "0.05mm", "--quiet", "--out", tmp_path) == 0
+    assert (
+        run(
+            "discover",
+            URDF,
+            *days,
+            "--split",
+            "station",
+            "--noise",
+            "0.05mm",
+            "--stability",
+            "0",
+            "--quiet",
+            "--out",
+            tmp_path,
+        )
+        == 0
+    )
     first = capsys.readouterr().out.splitlines()[0]
     assert re.fullmatch(r"On a set-up that it never saw: mean 0\.\d+ mm; geometry alone \d\.\d+ mm", first)
     found = json.loads((tmp_path / "discovery.json").read_text())
@@ -313,7 +329,7 @@ def test_an_offset_that_jumped_is_named_with_its_station(tmp_path: Path, machine
     days["we"] = dict(sim.Instrument(targets=(0.1, 0.0, 0.2), sigma=NOISE).measure(machine, q + jump, rng=rng))
     days["we"] |= dict(zip(machine.names, q.T, strict=True))
     files = written(tmp_path, days)
-    assert run("discover", URDF, *files, "--noise", "0.05mm", "--quiet", "--out", tmp_path / "out") == 0
+    assert run("discover", URDF, *files, "--noise", "0.05mm", "--stability", "0", "--quiet", "--out", tmp_path / "out") == 0
     found = json.loads((tmp_path / "out" / "discovery.json").read_text())
     named = [entry for entry in found["effects"] if entry["effect"] != "joint_elasticity"]
     assert [(e["effect"], e["joint"], e.get("station")) for e in named] == [("joint_offset", "joint_3", "we")]

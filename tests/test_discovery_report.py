@@ -358,7 +358,7 @@ def test_discover_shows_the_gap_shrink(tmp_path: Path, case: Case, capsys: pytes
     (tmp_path / "robot.urdf").write_bytes(case.robot.urdf)
     files = (tmp_path / "robot.urdf", tmp_path / "data.csv", "--out", tmp_path / "out", "--tip", case.robot.tip)
     options = ("--noise", "0.05mm", "--payload-com", *case.options.payload_centre, "--moment-frame", "after", "--quiet")
-    assert _run("discover", *files, *options, "--verbose") == 0
+    assert _run("discover", *files, *options, "--verbose", "--stability", "0") == 0
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     assert f"+ backlash of {case.hidden[0].joint}" in printed and "noise alone" in printed

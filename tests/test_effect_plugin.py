@@ -66,7 +66,7 @@ def test_an_effect_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureF
     """Its detectable size is told; it is found, named and reported; its model validates, predicts and is drawn."""
     scene.run("check", "robot.urdf", "fit.csv", "--noise", "0.05mm", "--verbose")
     assert "hose_pull" in capsys.readouterr().out
-    scene.run("discover", "robot.urdf", "fit.csv", "--out", "out", "--noise", "0.05mm", "--view")
+    scene.run("discover", "robot.urdf", "fit.csv", "--out", "out", "--noise", "0.05mm", "--stability", "0", "--view")
     (found,) = scene.read("out/discovery.json")["effects"]  # type: ignore[misc]
     assert (found["effect"], found["joint"], found["source"]) == ("hose_pull", "joint_5", "joint_4")
     pull = found["parameters"]["joint_5.hose"]

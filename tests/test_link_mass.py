@@ -319,7 +319,7 @@ def test_a_name_is_found_beside_unknown_masses(tmp_path: Path) -> None:
     urdf.write_bytes(without_inertials(Path(kuka_urdf_path())))
     hidden = ("--effect", "gear_eccentricity:joint_4:size=2e-4,order=1")
     assert run("simulate", urdf, "--poses", "400", "--noise", "0.05mm", *hidden, "--out", table) == 0
-    assert run("discover", urdf, table, "--noise", "0.05mm", "--out", tmp_path / "found", "--quiet") == 0
+    assert run("discover", urdf, table, "--noise", "0.05mm", "--stability", "0", "--out", tmp_path / "found", "--quiet") == 0
     found = json.loads((tmp_path / "found" / "discovery.json").read_text(encoding="utf-8"))
     named = {(of["effect"], of["joint"]) for of in found["effects"] if not of["effect"].endswith("_elasticity")}
 

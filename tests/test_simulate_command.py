@@ -47,6 +47,8 @@ def test_a_hidden_effect_is_found_again(tmp_path, capsys):
     out = ["--out", tmp_path / "out", "--noise", "0.05mm", "--payload-com", ".02", ".01", ".1", "--json", "--quiet"]
     assert run("discover", URDF, tmp_path / "data.csv", *out) == 0
     report = json.loads(capsys.readouterr().out)
+    often = {entry["effect"]: entry["stability"] for entry in report["effects"]}
+    assert often["gear_eccentricity"]["named"] >= 18 and often["gear_eccentricity"]["of"] == 20
 
     named = [(entry["effect"], entry["joint"]) for entry in report["effects"]]
     assert named[-1] == ("gear_eccentricity", "joint_1")

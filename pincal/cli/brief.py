@@ -15,6 +15,7 @@ from pincal.calibration.tables import moved_words
 from pincal.cli.tables import held_out_words, print_left_out
 from pincal.discover.precheck import DataReport
 from pincal.discover.run import Discovery
+from pincal.io.discovery_file import FoundEffect
 from pincal.measure.registry import blocks_of
 from pincal.report.tables import show_chance
 from pincal.report.verdict import next_steps, verdict_of
@@ -114,9 +115,16 @@ def _found(discovery: Discovery) -> str:
     effects = discovery.findings.effects
     if not effects:
         return "these data show no missing effect"
-    named = [f"{effect_words(entry)} (p {show_chance(entry.p_value)})" for entry in effects[:_EFFECTS]]
+    # Those that may be chance come last, named as what they are.
+    named = [_named(entry) for entry in sorted(effects, key=lambda entry: entry.is_hint)[:_EFFECTS]]
     more = len(effects) - _EFFECTS
     return ", ".join([*named, *([f"{more} more"] if more > 0 else [])])
+
+
+def _named(entry: FoundEffect) -> str:
+    chance = f"p {show_chance(entry.p_value)}"
+    words = chance if entry.stability is None else f"{entry.stability} halves, {chance}"
+    return f"{'perhaps ' if entry.is_hint else ''}{effect_words(entry)} ({words})"
 
 
 def _line(out: Console, name: str, text: str) -> None:

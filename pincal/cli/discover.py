@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import click
+
 from pincal.cli.arguments import option, verb
 from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit, side_by_side
 from pincal.errors import Exit
@@ -36,6 +38,12 @@ class DiscoverArguments(FitArguments):
         metavar="EFFECT",
         name="--try",
     )
+    stability: int = option(
+        "Halves of the poses on which the search is repeated, to tell how often each name comes up; 0 for none.",
+        20,
+        type=click.IntRange(min=0),
+        metavar="N",
+    )
 
 
 @verb(DiscoverArguments, examples=_EXAMPLES, exits=EXITS, defaults=_DEFAULTS)
@@ -47,10 +55,11 @@ def discover(arguments: DiscoverArguments) -> Exit:
     from pincal.cli.inputs import named_effects
     from pincal.discover.run import run_discovery
 
-    with side_by_side(arguments) as executor:
+    with side_by_side(arguments, repeats=arguments.stability > 0) as executor:
 
         def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
             extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
-            return run_discovery(robot, tables, options, extra=extra, executor=executor, **choice)
+            choice |= {"extra": extra, "stability": arguments.stability, "executor": executor}
+            return run_discovery(robot, tables, options, **choice)
 
         return run_fit(arguments, run)

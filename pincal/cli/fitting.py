@@ -54,9 +54,9 @@ class FitArguments:
 
 
 @contextmanager
-def side_by_side(arguments: FitArguments) -> Iterator[Executor | None]:
-    """Yield what makes the models that leave a station out, a process each; None if none is left out."""
-    if arguments.split.split != "station":
+def side_by_side(arguments: FitArguments, *, repeats: bool = False) -> Iterator[Executor | None]:
+    """Yield what makes the models that leave a station out, and what else repeats, a process each; None if nothing does."""
+    if arguments.split.split != "station" and not repeats:
         yield None
         return
     from concurrent.futures import ProcessPoolExecutor

@@ -29,7 +29,7 @@ from pincal.report.tables import (
     stage_table,
 )
 from pincal.report.verdict import verdict_of
-from pincal.report.words import effect_words, noise_words
+from pincal.report.words import HINTS, effect_words, noise_words, only_in_halves_words
 from pincal.tables import hanging, one_line
 from pincal.units import Quantity, format_small
 from pincal.validate.lack_of_fit import LackOfFit
@@ -135,7 +135,13 @@ def print_discovery(found: Discovery, out: Console) -> None:
     out.print(hanging("Verdict:", f"{findings.verdict}. {verdict_of(found.calibration.result, found).reason}"))
     if findings.where:
         out.print(location_table(findings.where))
-    out.print(effect_table(findings.effects) if findings.effects else "These data show no missing effect.")
+    named, hints = ([e for e in findings.effects if e.is_hint == is_hint] for is_hint in (False, True))
+    if named or not hints:
+        out.print(effect_table(named) if named else "These data show no missing effect.")
+    if hints:
+        out.print(effect_table(hints, HINTS))
+    if findings.only_in_halves:
+        out.print(one_line(only_in_halves_words(findings)), markup=False)
     out.print(stage_table(findings.noise_floor_mm, found.gaps))
     for entry in findings.effects:
         if entry.tell_apart:

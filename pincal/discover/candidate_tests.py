@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,7 @@ class Search:
         all_groups: shape (all rows,), blocks of its rows for cross-validation.
         groups: shape (N,), those of the rows from which effects are chosen.
         frames: conventions of where moments bend the arm to choose from.
+        nameless: identities of the dependences without a name that take part; default: all.
     """
 
     policy: Policy
@@ -39,17 +40,19 @@ class Search:
     all_groups: np.ndarray
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
+    nameless: Collection[object] | None = None
 
 
 def choose(fit: Fit, search: Search) -> Decision | None:
     """Return the best explanation of what a fit leaves, if it is more than chance."""
+    names = _table(fit, addable(fit, search), search, {})
 
     def contest_of(close: Sequence[Row]) -> CandidateTable:
-        near = close[0].effect.locus.joint if close else None
-        together = [*(row.effect for row in close), *_nameless(fit, near)]
-        return _table(fit, together, search, {id(row.effect): row.cost for row in close})
+        nameless = _nameless(fit, close[0].effect.locus.joint if close else None, search)
+        together = [*(row.effect for row in close), *nameless]
+        return _table(fit, together, search, {id(row.effect): row.cost for row in close}) if nameless else names
 
-    return decide(_table(fit, addable(fit, search), search, {}), contest_of, search.policy)
+    return decide(names, contest_of, search.policy)
 
 
 def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[int, float]) -> CandidateTable:
@@ -129,14 +132,17 @@ def _forms(fit: Fit, tested: Sequence[Candidate]) -> Iterator[Effect]:
         yield from (form for form in candidate.forms if is_alone or form.scope == "robot")
 
 
-def _nameless(fit: Fit, near: str | None) -> list[Effect]:
-    """Return dependences without a name that the model does not have; near one joint or everywhere."""
+def _nameless(fit: Fit, near: str | None, search: Search) -> list[Effect]:
+    """Return dependences without a name that take part and the model does not have; near one joint or everywhere."""
+    if search.nameless is not None and not search.nameless:
+        return []
     names = fit.problem.chain.robot.joint_names
     at = names.index(near) if near in names else None
     joints = names if at is None else names[max(at - 1, 0) : at + 2]
     present = {effect.identity for effect in fit.problem.effects}
     every = nameless_candidates(fit.problem.chain, fit.problem.conditions, joints)
-    return [effect for effect in every if effect.identity not in present]
+    wanted = (effect for effect in every if search.nameless is None or effect.identity in search.nameless)
+    return [effect for effect in wanted if effect.identity not in present]
 
 
 def sampled(fit: Fit, policy: Policy) -> tuple[Fit, np.ndarray]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from scipy.special import chdtrc
 
 from pincal.calibration.run import Calibration
@@ -12,9 +13,20 @@ from pincal.discover.history import History, Step
 from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import find_excess
 from pincal.discover.shrink import PartialResidual, gap_of, period_of
+from pincal.discover.stability import Halves, Heading
 from pincal.discover.where import noise_floor, sure_compliances, where_of
 from pincal.identify.fit import Fit
-from pincal.io.discovery_file import EffectName, Findings, FoundEffect, FoundParameter, Untestable, Verdict
+from pincal.io.discovery_file import (
+    SURE,
+    EffectName,
+    Findings,
+    FoundEffect,
+    FoundParameter,
+    Repeated,
+    Stability,
+    Untestable,
+    Verdict,
+)
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect
 from pincal.parameters import Estimate
@@ -23,13 +35,16 @@ from pincal.parameters import Estimate
 _MISFIT = 1e-3
 
 
-def findings_of(calibration: Calibration, trail: History, traces: tuple[PartialResidual, ...]) -> Findings:
+def findings_of(
+    calibration: Calibration, trail: History, traces: tuple[PartialResidual, ...], halves: Halves | None = None
+) -> Findings:
     """Return what a discovery found.
 
     Args:
         calibration: the calibration with all that was found.
         trail: how it was found.
         traces: what each effect explains.
+        halves: what the search named in halves of the poses; default: nobody looked.
     """
     final = trail.final
     excess = find_excess(final)
@@ -38,16 +53,41 @@ def findings_of(calibration: Calibration, trail: History, traces: tuple[PartialR
     # Residuals that are larger than the declared noise allows.
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < _MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
+    effects = tuple(found for step in trail.steps for found in _found(calibration, trail, step, periods))
+    if halves:
+        effects = tuple(replace(entry, stability=_stability(entry, halves)) for entry in effects)
     return Findings(
         noise_floor_mm=floor,
         gap={"before": gap_of(trail.first, calibration.stations), "after": gap_of(final, calibration.stations)},
         where=where_of(trail, excess, is_misfit=is_misfit),
-        effects=tuple(found for step in trail.steps for found in _found(calibration, trail, step, periods)),
+        effects=effects,
         scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
         verdict=Verdict.NOT_ADEQUATE if is_misfit or excess else Verdict.ADEQUATE,
         unexplained_mm=left,
+        hints=tuple(_repeated(entry, entry.stability) for entry in effects if entry.stability and entry.is_hint),
+        only_in_halves=tuple(_only_in_halves(effects, halves)) if halves else (),
+        poses_in_a_half=halves.poses if halves else None,
     )
+
+
+def _heading(entry: EffectName) -> Heading:
+    return entry.effect, entry.joint, entry.source
+
+
+def _stability(entry: EffectName, halves: Halves) -> Stability:
+    return Stability(halves.count(_heading(entry)), len(halves))
+
+
+def _repeated(name: EffectName, stability: Stability) -> Repeated:
+    return Repeated(**{field: getattr(name, field) for field in EffectName.__struct_fields__}, stability=stability)
+
+
+def _only_in_halves(effects: Sequence[FoundEffect], halves: Halves) -> Iterator[Repeated]:
+    """Yield names that most halves bring up and that all rows neither have nor list among what could be theirs."""
+    known = [_heading(name) for entry in effects for name in (entry, *entry.equivalent)]
+    for (effect, joint, source), named in halves.others(known, SURE):
+        yield Repeated(effect=effect, joint=joint, source=source, stability=Stability(named, len(halves)))
 
 
 def _errors_of(fit: Fit) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +32,7 @@ def discover_effects(
     frames: Sequence[MomentFrame] = (),
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
+    nameless: Collection[object] | None = None,
 ) -> History:
     """Find the effects that a fit misses.
 
@@ -42,9 +43,10 @@ def discover_effects(
             another fits better beyond chance.
         extra: effects of the user's own, which take part like those of the catalogue.
         policy: thresholds and limits.
+        nameless: identities of the dependences without a name that take part; default: all.
     """
     few, rows = sampled(fit, policy)
-    search = Search(policy, tuple(extra), fit, groups, groups[rows], tuple(frames))
+    search = Search(policy, tuple(extra), fit, groups, groups[rows], tuple(frames), nameless)
     state = State(few)
     for step_on in PASSES:
         state = step_on(state, search)

@@ -24,6 +24,8 @@ from pincal.discover.loop import discover_effects
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import notes_on_repeats
 from pincal.discover.shrink import PartialResidual, Stage, partial_residuals, stages_of
+from pincal.discover.stability import repeat_on_halves
+from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
@@ -82,6 +84,7 @@ def run_discovery(
     holdout: Tables | None = None,
     moment_frames: Sequence[MomentFrame] = (),
     policy: Policy = POLICY,
+    stability: int = 0,
     executor: Executor | None = None,
 ) -> Discovery:
     """Calibrate, find what the model misses, name it, add it and show the gap shrink on rows that criticism never saw.
@@ -99,13 +102,14 @@ def run_discovery(
         moment_frames: conventions of where moments bend the arm to choose from by the data; that of the options unless
             given. The first stays unless another fits better beyond chance.
         policy: thresholds and limits.
-        executor: makes the discoveries that leave a station out; default: one after the other, here.
+        stability: halves of the poses on which the search is repeated, to tell how often each name comes up; default: none.
+        executor: makes these searches, and the discoveries that leave a station out; default: one after the other, here.
 
     Returns:
         The calibration with all that was found, and how it was found.
 
     Raises:
-        BadInputError: as :func:`run_calibration`.
+        BadInputError: as :func:`run_calibration`, and if there are to be fewer than no halves.
 
     Example:
         >>> import numpy as np
@@ -122,6 +126,8 @@ def run_discovery(
         >>> [(entry.effect, entry.joint) for entry in found.findings.effects]
         [('gear_eccentricity', 'joint_4')]
     """
+    if stability < 0:
+        raise BadInputError(f"stability is {stability}; expected a number of halves of the poses, 0 for none")
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
     frames = tuple(moment_frames) or (MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,))
@@ -137,26 +143,32 @@ def run_discovery(
         robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout
     )
     trail, notes = search(first)
+    halves = repeat_on_halves(trail, _regions(first), stability, extra=extra, policy=policy, executor=executor)
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
     result = result_of(trail.final, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(trail.final), result=result, notes=notes)
     gaps, traces = stages_of(trail, final.stations), partial_residuals(trail)
-    return Discovery(final, trail, findings_of(final, trail, traces), gaps, traces)
+    return Discovery(final, trail, findings_of(final, trail, traces, halves), gaps, traces)
 
 
 def _search(
     first: Calibration, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
 ) -> tuple[History, tuple[str, ...]]:
     """Return what was found from a calibration on, and notes."""
-    blocks = [row_groups(rows.train, split="blocked", seed=0) % _CV_BLOCKS for rows in first.stations]
-    trail = discover_effects(first.fit, np.concatenate(blocks), frames=frames, extra=extra, policy=policy)
+    blocks = np.concatenate(_regions(first)) % _CV_BLOCKS
+    trail = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
     problem = trail.final.problem
     notes = [*first.notes, *notes_on_repeats(problem.chain.robot, problem.conditions.q)]
     was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
     if frame != was:
         notes.append(f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}")
     return trail, tuple(notes)
+
+
+def _regions(first: Calibration) -> list[np.ndarray]:
+    """Return the region of joint space of each training row, station by station."""
+    return [row_groups(rows.train, split="blocked", seed=0) for rows in first.stations]
 
 
 def _discovered(

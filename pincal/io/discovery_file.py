@@ -9,6 +9,9 @@ import msgspec
 
 from pincal.model.effect import Effect
 
+# Part of the halves of the poses in which a name has to come up to be more than a hint.
+SURE = 0.6
+
 
 class Verdict(StrEnum):
     """Whether the model, with all that was found, explains the data."""
@@ -70,6 +73,27 @@ class FoundParameter(msgspec.Struct, frozen=True):
     unit: str
 
 
+class Stability(msgspec.Struct, frozen=True):
+    """How often a name came up: in ``named`` of ``of`` halves of the poses."""
+
+    named: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        """The part of the halves, 0 to 1."""
+        return self.named / self.of
+
+    def __str__(self) -> str:
+        return f"in {self.named} of {self.of}"
+
+
+class Repeated(EffectName, frozen=True, kw_only=True, omit_defaults=True):
+    """A name, and how often it came up in halves of the poses."""
+
+    stability: Stability
+
+
 class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """An effect that was found; of elasticity that of one joint.
 
@@ -80,6 +104,7 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
         gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and with it.
         equivalent: effects that the data can't tell from it.
         tell_apart: the cheapest measurement that would tell it from the first of them; empty without one.
+        stability: how often the search names it in halves of the poses; None where nobody looked.
     """
 
     period: float | None = None
@@ -89,6 +114,12 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     gap_after_mm: float
     equivalent: tuple[EffectName, ...]
     tell_apart: str
+    stability: Stability | None = None
+
+    @property
+    def is_hint(self) -> bool:
+        """Whether it comes up so seldom in halves of the poses that nobody should bet on it."""
+        return self.stability is not None and self.stability.share < SURE
 
 
 class Disagreement(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -133,7 +164,7 @@ class Untestable(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     reason: str
 
 
-class Findings(msgspec.Struct, frozen=True, kw_only=True):
+class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What a discovery found, the whole of ``discovery.json``.
 
     Attributes:
@@ -145,6 +176,9 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True):
         not_testable: what these data can't show.
         verdict: whether the model explains the data in the end.
         unexplained_mm: what is left beyond the noise.
+        hints: which of the effects come up in less than 60 % of the halves of the poses.
+        only_in_halves: names that come up in at least 60 % of the halves, but not in all poses.
+        poses_in_a_half: how many poses each half has; None where nobody looked.
     """
 
     noise_floor_mm: float
@@ -155,3 +189,6 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True):
     not_testable: tuple[Untestable, ...]
     verdict: Verdict
     unexplained_mm: float
+    hints: tuple[Repeated, ...] = ()
+    only_in_halves: tuple[Repeated, ...] = ()
+    poses_in_a_half: int | None = None

@@ -10,11 +10,13 @@ from matplotlib.figure import Figure
 
 from pincal.calibration.parameters import ParameterRow
 from pincal.discover.run import Discovery
+from pincal.io.discovery_file import SURE, Findings
 from pincal.io.result_file import MovedParameter, StationRecord
 from pincal.report.blocks import group, picture
 from pincal.report.evidence import Evidence
 from pincal.report.plots import errors, found, stations
 from pincal.report.svg import inline_svg
+from pincal.report.words import effect_words
 
 # Parameters whose course is drawn.
 _MOST_COURSES = 4
@@ -102,6 +104,21 @@ def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]
     for unit, what in (("m", "lengths"), ("rad", "angles")):
         with contextlib.suppress(ValueError):
             yield found.correction_figure(parameters, unit), f"Corrections of {what} with their uncertainty", caption
+
+
+def stability_drawings(findings: Findings) -> Iterator[Drawing]:
+    """Yield in how many halves of the poses each name came up; nothing where nobody looked."""
+    pairs = [(effect_words(entry), entry.stability) for entry in findings.effects]
+    pairs += [(effect_words(entry), entry.stability) for entry in findings.only_in_halves]
+    often = {words: stability for words, stability in pairs if stability is not None}
+    if not often:
+        return
+    counts, of = {words: stability.named for words, stability in often.items()}, max(s.of for s in often.values())
+    caption = (
+        f"The search repeated on {of} halves of the poses, {findings.poses_in_a_half} each, whole regions of joint space "
+        "left out. What stays left of the line is a hint: other poses may well give it another name."
+    )
+    yield found.stability_figure(counts, of, SURE), "In how many halves of the poses each name comes up", caption
 
 
 def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:

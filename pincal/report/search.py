@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from markupsafe import Markup
 
-from pincal.io.discovery_file import FoundEffect, FoundParameter
+from pincal.io.discovery_file import Findings, FoundEffect, FoundParameter
 from pincal.report.blocks import Block, Section, bullets, card, code, group, heading, joined, paragraph, rich
-from pincal.report.illustrations import discovery_drawings, figures
+from pincal.report.illustrations import discovery_drawings, figures, stability_drawings
 from pincal.report.subject import Subject
 from pincal.report.tables import by_reason, location_table, show_chance, stage_table
-from pincal.report.words import effect_meaning, effect_words
+from pincal.report.words import HINTS, effect_meaning, effect_words, only_in_halves_words
 from pincal.units import format_digits, small_unit
 
 # An effect with more parameters than this is a curve; its numbers stand in discovery.json.
@@ -33,8 +35,7 @@ def missing(subject: Subject) -> Section | None:
         text = "Shares of what exceeds the noise. They may overlap: the same error can be described by joint and by region."
         blocks += [heading("Where model and data disagreed"), location_table(found.where), paragraph(text, "mute")]
     blocks.append(heading("Effects found"))
-    cards = tuple(_card(entry) for entry in found.effects)
-    blocks.append(group("cards", *cards) if cards else paragraph("These data show no missing effect."))
+    blocks += _named(found)
     blocks += [
         paragraph(
             f"{entry.joint} scatters by {1e3 * entry.sigma_rad:.3f} mrad from pose to pose, independently of "
@@ -52,6 +53,20 @@ def missing(subject: Subject) -> Section | None:
     return Section("missing", "What was missing", tuple(blocks), "What was missing")
 
 
+def _named(found: Findings) -> Iterator[Block]:
+    """Yield the effects, those that are hints apart, and in how many halves of the poses each comes up."""
+    sure, hints = (tuple(_card(entry) for entry in found.effects if entry.is_hint == is_hint) for is_hint in (False, True))
+    if sure or not hints:
+        yield group("cards", *sure) if sure else paragraph("These data show no missing effect.")
+    if hints:
+        yield paragraph(f"{HINTS}. They are in the model; do not order parts because of them.", "care")
+        yield group("cards", *hints)
+    if found.only_in_halves:
+        yield paragraph(f"{only_in_halves_words(found)}.", "note")
+    if drawings := [*stability_drawings(found)]:
+        yield figures("stability", drawings)
+
+
 def _card(entry: FoundEffect) -> Markup:
     """Return an effect with its parameters, what it explained, and what it could also be."""
     values = entry.parameters
@@ -60,10 +75,11 @@ def _card(entry: FoundEffect) -> Markup:
         'mean held-out error {} → <b>{} mm</b>; chance that noise looks like this: <span class="nw">{}</span>',
         *(f"{entry.gap_before_mm:.4f}", f"{entry.gap_after_mm:.4f}", show_chance(entry.p_value)),
     )
+    often = f" The search names it {entry.stability} halves of the poses." if entry.stability else ""
     blocks = [
         paragraph(effect_meaning(entry.effect), "mute"),
         paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
-        paragraph(explained),
+        paragraph(joined((explained, rich("{}", often)), "")),
     ]
     if entry.equivalent:
         others = "; ".join(effect_words(other) for other in entry.equivalent)

@@ -32,28 +32,34 @@ def location_table(where: Sequence[Disagreement]) -> Table:
     return Table("Where model and data disagreed, before anything was named", columns, rows)
 
 
-def effect_table(effects: Sequence[FoundEffect]) -> Table:
-    """Return the effects found, the chance that noise looks like them, and the mean held-out error before and after."""
+def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -> Table:
+    """Return effects with the chance that noise looks like them and the mean held-out error before and after.
+
+    If anybody looked, it is told in how many halves of the poses they come up.
+    """
+    is_repeated = any(entry.stability for entry in effects)
     columns = (
         Column("effect"),
         Column("joint", kind=Kind.NAME),
         Column("p", kind=Kind.NUMBER, show=show_chance),
+        *([Column("halves")] if is_repeated else []),
         Column("mean before", "mm", Kind.NUMBER, fixed(4)),
         Column("after", "mm", Kind.NUMBER, fixed(4)),
         Column("could also be"),
     )
-    rows = tuple(
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
         (
             effect_words(entry, joint=False),
             entry.joint or "whole arm",
             entry.p_value,
+            *([str(entry.stability or "")] if is_repeated else []),
             entry.gap_before_mm,
             entry.gap_after_mm,
             "; ".join(effect_words(other) for other in entry.equivalent),
         )
         for entry in effects
     )
-    return Table("Effects found", columns, rows)
+    return Table(title, columns, rows)
 
 
 def show_chance(p_value: float) -> str:

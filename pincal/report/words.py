@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pincal.io.discovery_file import EffectName
+from pincal.io.discovery_file import EffectName, Findings
 from pincal.model.registry import meaning_of
 from pincal.units import readable_unit
 
@@ -74,6 +74,15 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     elif (entry.order or 1) != 1:
         words.append(f"order {entry.order}")
     return " ".join(words)
+
+
+HINTS = "Hints: named in less than 60 % of the halves of the poses"
+
+
+def only_in_halves_words(found: Findings) -> str:
+    """Return which names most halves of the poses bring up and all poses don't."""
+    names = ", ".join(f"{effect_words(entry)} ({entry.stability})" for entry in found.only_in_halves)
+    return f"Named in most halves of the poses, but not by all poses: {names}"
 
 
 def noise_words(noise: Mapping[str, Any]) -> str:

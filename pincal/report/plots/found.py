@@ -101,6 +101,26 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
     return figure
 
 
+def stability_figure(counts: Mapping[str, int], of: int, sure: float) -> Figure:
+    """Draw in how many halves of the poses each name came up.
+
+    Args:
+        counts: name -> number of halves.
+        of: how many halves there were.
+        sure: part of them from which a name is more than a hint.
+    """
+    names = [plain(name) for name in counts][::-1]
+    figure, axes = panel(1.1 + _PER_ROW * len(names), left=0.3 + _LETTER * max(map(len, names)))
+    numbers = list(counts.values())[::-1]
+    colours = [AFTER if n >= sure * of else MUTED for n in numbers]
+    axes.barh(range(len(names)), numbers, height=0.6, color=colours)
+    axes.axvline(sure * of, color=INK, linewidth=1.0, linestyle="--")
+    axes.set(xlim=(0, of), ylim=(-0.7, len(names) - 0.3))
+    dress(axes, x=f"named in so many of {of} halves")
+    axes.set_yticks(range(len(names)), names, fontsize=SMALL, color=INK)
+    return figure
+
+
 def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]], floor: float) -> Figure:
     """Draw how the error on held-out rows shrinks, model by model, down to the noise.
 

@@ -1,0 +1,103 @@
+"""How often names come up in halves of the poses, and what a discovery says of it."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import msgspec
+import numpy as np
+import pytest
+from discovery_cases import Case, draw_case
+
+from pincal.discover.judge import findings_of
+from pincal.discover.policy import POLICY
+from pincal.discover.run import Discovery, run_discovery
+from pincal.discover.stability import Halves, _halves, repeat_on_halves
+from pincal.errors import BadInputError
+from pincal.identify.split import row_groups
+from pincal.io.discovery_file import Findings, Repeated, Stability
+from pincal.report.illustrations import stability_drawings
+from pincal.report.search import _named
+
+COUNT = 2
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    return draw_case("backlash", 3, n=130, arm="kuka", strength=300.0)
+
+
+@pytest.fixture(scope="module")
+def found(case: Case) -> Discovery:
+    return run_discovery(case.robot, case.rows, case.options, stability=COUNT)
+
+
+def test_halves_are_complementary_pairs_of_whole_regions() -> None:
+    """Of two stations each half has about half of the rows of each, and the next one has the rest of the regions."""
+    rng = np.random.default_rng(0)
+    regions = np.concatenate([rng.integers(0, 20, 400), rng.integers(20, 32, 100)])
+    stations = [np.arange(20), np.arange(20, 32)]
+    halves = list(_halves(stations, regions, 6))
+
+    for one, other in zip(halves[::2], halves[1::2], strict=True):
+        assert sorted([*one, *other]) == list(range(32))
+        for rows in (regions[:400], regions[400:]):
+            assert np.isin(rows, one).mean() == pytest.approx(0.5, abs=0.1)
+    assert len({tuple(sorted(half)) for half in halves}) == 6
+
+
+def test_a_name_counts_where_it_is_named_or_could_be_meant() -> None:
+    """The source of a coupling is part of its name; what came up first in most halves and is not known is told."""
+    by_2, by_3 = (("joint_coupling", "a", source) for source in ("joint_2", "joint_3"))
+    gear = ("gear_ratio", "b", None)
+    halves = Halves((((by_2, gear),), ((by_3,), (gear, by_2)), ((gear,),)), 50)
+
+    assert [halves.count(name) for name in (by_2, by_3, gear)] == [2, 1, 3]
+    assert halves.others([by_2], 0.6) == [(gear, 2)]
+    assert halves.others([by_2, gear], 0.6) == []
+
+
+def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discovery) -> None:
+    """And the file says so; it is the same without the repetition but for that."""
+    alone = msgspec.to_builtins(findings_of(found.calibration, found.trail, found.traces))
+    report = json.loads(json.dumps(found.report, allow_nan=False))
+    often = {(e["effect"], e["joint"]): e.pop("stability") for e in report["effects"]}
+
+    assert often["backlash", case.hidden[0].joint] == {"named": COUNT, "of": COUNT}
+    assert 0.4 * 104 < report.pop("poses_in_a_half") < 0.6 * 104
+    hints = [(e["effect"], e["joint"]) for e in report.pop("hints", [])]
+    assert hints == [name for name, stability in often.items() if stability["named"] < 0.6 * COUNT]
+    report.pop("only_in_halves", None)
+    assert report == json.loads(json.dumps(alone))
+    assert msgspec.convert(found.report, Findings) == found.findings
+
+
+def test_an_executor_brings_the_same(case: Case, found: Discovery) -> None:
+    """Here threads; the order of the halves is kept."""
+    regions = [row_groups(found.calibration.train, split="blocked", seed=0)]
+    with ThreadPoolExecutor(2) as pool:
+        spread, here = (repeat_on_halves(found.trail, regions, 2, policy=POLICY, executor=e) for e in (pool, None))
+
+    assert spread == here and len(here) == 2
+
+
+def test_hints_stand_apart_and_all_are_drawn(found: Discovery) -> None:
+    """With what only the halves name; without a repetition there is nothing to draw."""
+    first, *others = (msgspec.structs.replace(entry, stability=Stability(4, 4)) for entry in found.findings.effects)
+    few = msgspec.structs.replace(first, stability=Stability(1, 4))
+    more = Repeated(effect="gear_ratio", joint="joint_4", stability=Stability(3, 4))
+    findings = msgspec.structs.replace(found.findings, effects=(few, *others), only_in_halves=(more,))
+    page = "".join(str(block) for block in _named(findings))
+    bare = tuple(msgspec.structs.replace(entry, stability=None) for entry in findings.effects)
+
+    assert few.is_hint and not others[0].is_hint
+    assert page.index(others[0].effect) < page.index("Hints") < page.index("in 1 of 4 halves")
+    assert "gear_ratio of joint_4 (in 3 of 4)" in page
+    ((figure, _, _),) = stability_drawings(findings)
+    assert len(figure.axes[0].patches) == len(findings.effects) + 1
+    assert not list(stability_drawings(msgspec.structs.replace(findings, effects=bare, only_in_halves=())))
+
+
+def test_fewer_than_no_halves_are_refused(case: Case) -> None:
+    """Before anything is fitted."""
+    with pytest.raises(BadInputError, match="stability is -1"):
+        run_discovery(case.robot, case.rows, case.options, stability=-1)
