@@ -33,6 +33,7 @@ from pincal.model.catalogue import (
     GearRipple,
     GravityCompensator,
     JointCoupling,
+    JointCreep,
     LinkBending,
     LinkMass,
     LoadBacklash,
@@ -41,6 +42,7 @@ from pincal.model.catalogue import (
     ObliqueBearing,
     PayloadError,
     ThermalExpansion,
+    ThermalGrowth,
     ThermalOffset,
     TransmissionError,
     candidates,
@@ -97,6 +99,10 @@ EFFECTS: dict[str, Make] = {
     "thermal_expansion of a link": lambda j: ThermalExpansion(j[1]),
     "thermal_expansion of the last": lambda j: ThermalExpansion(j[-1], reference=23.0),
     "thermal_offset": lambda j: ThermalOffset(j[2]),
+    "joint_creep": lambda j: JointCreep(j[2], 7e3, 1e3),
+    "joint_creep expanded": lambda j: JointCreep(j[2], 7e3, 1e3, expected=2e-4),
+    "thermal_growth": lambda j: ThermalGrowth(7e3),
+    "thermal_growth of a link, expanded": lambda j: ThermalGrowth(7e3, j[1], expected=1e-4),
     "base_drift": lambda j: BaseDrift(1500.0),
     "base_drift without turning": lambda j: BaseDrift(turns=False),
     "measurement_scale": lambda j: MeasurementScale(),
@@ -241,7 +247,7 @@ def test_parameters_and_terms_fit_each_other(robot: Robot, name: str, rng: np.ra
         if parameter.unit in ("kg", "kg m"):
             assert 0.0 <= parameter.nominal < 1e3 and 0.0 < parameter.size < 1e3
         else:
-            assert parameter.nominal == 0.0 and 0.0 < parameter.size < 1e-2
+            assert (parameter.nominal == 0.0) == (parameter.unit != "s") and 0.0 < parameter.size < 1e-2
     for term in terms:
         assert 0 <= term.coordinate < chain.size and term.basis is not None and term.basis.shape == (7,)
         assert term.moment is None or (0 <= term.moment < n and effect.uses_moments)
@@ -440,6 +446,13 @@ SAME_FORM: dict[str, tuple[*Pair, list[float] | None]] = {
         [1e-5],
     ),
     "thermal_offset": (lambda j: sim.ThermalOffset(joint=j[1], size=1e-5), lambda j: ThermalOffset(j[1]), [1e-5]),
+    "joint_creep": (lambda j: sim.JointCreep(joint=j[1], size=1e-4), lambda j: JointCreep(j[1], 3e3), [1e-4]),
+    "thermal_growth": (lambda j: sim.ThermalGrowth(size=1e-4), lambda j: ThermalGrowth(3e3), [1e-4]),
+    "thermal_growth of a link": (
+        lambda j: sim.ThermalGrowth(joint=j[1], size=1e-4),
+        lambda j: ThermalGrowth(3e3, j[1]),
+        [1e-4],
+    ),
     "base_drift": (
         lambda j: sim.BaseDrift(size=1e-8, rotation=(0.1, 0.2, 0.3)),
         lambda j: BaseDrift(),
@@ -607,6 +620,7 @@ def test_load_backlash_changes_sides_within_two_percent_of_the_load() -> None:
         (lambda: NonlinearElasticity("joint_1", -1.0), "stiffening -1.0 N m; expected more than 0"),
         (lambda: Unnamed("joint_1", "drive", "joint_2", "waves"), "waves need an order"),
         (lambda: Unnamed("joint_1", "drive", "joint_1", "step"), "a step needs a place"),
+        (lambda: JointCreep("joint_1", 0.0), "joint_creep of joint_1: time constant 0 s; expected more than 0"),
         (lambda: LoadBacklash("joint_1", 0.0), "transition 0.0 N m; expected more than 0"),
     ],
 )
@@ -632,6 +646,7 @@ def test_effects_that_do_not_fit_the_arm_are_refused(kuka: Robot) -> None:
         (ThermalOffset("joint_2"), "temperature"),
         (ThermalExpansion(), "temperature"),
         (BaseDrift(), "time"),
+        (JointCreep("joint_2", 1e3), "time"),
     ],
 )
 def test_a_column_that_is_not_there_is_named(kuka: Robot, effect: Effect, column: str) -> None:
@@ -691,7 +706,8 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     counts = {name: sum(effect.name == name for effect in found) for name in {effect.name for effect in found}}
 
     # In the paper moment and tilt of a bearing have different axes, so that none is oblique; lines of encoders are unknown.
-    others = {"unnamed", "link_mass", "oblique_bearing", "encoder_subdivision"}
+    # Where temperatures are known they are what lengths follow.
+    others = {"unnamed", "link_mass", "oblique_bearing", "encoder_subdivision", "thermal_growth"}
     assert set(counts) == {name.split()[0] for name in EFFECTS} - others
     assert counts["joint_coupling"] == n * (n - 1) and counts["gear_eccentricity"] == 2 * n
     assert counts["axis_wobble"] == 4 * n and counts["backlash"] == counts["thermal_offset"] == n

@@ -30,6 +30,8 @@ EFFECTS: list[HiddenEffect] = [
     sim.LoadBacklash(joint="joint_3", size=2e-4),
     sim.ThermalExpansion(size=1.2e-5),
     sim.ThermalOffset(joint="joint_2", size=1e-5),
+    sim.JointCreep(joint="joint_3", size=2e-4),
+    sim.ThermalGrowth(size=1e-4),
     sim.BaseDrift(size=1e-8),
     sim.MeasurementScale(size=2e-5),
     sim.JointScatter(joint="joint_2", size=1e-4),
@@ -193,6 +195,17 @@ def test_zero_shift_and_drift_follow_temperature_and_time() -> None:
     np.testing.assert_allclose(shift, [0, 7e-5], rtol=0, atol=1e-15)
     drift = planar(effects=(sim.BaseDrift(size=1e-8),)).tip(q, time=[0.0, 1e4]) - planar().tip(q)
     np.testing.assert_allclose(drift[:, :3, 3], [[0, 0, 0], [0.8e-4, 0.6e-4, 0]], rtol=0, atol=1e-15)
+
+
+def test_creep_and_growth_die_away() -> None:
+    """After a time constant 63 % are over; before the start nothing has happened."""
+    q, t = np.zeros((3, 2)), np.array([-5.0, 2e3, 1e6])
+    part = np.array([0.0, 1.0 - np.exp(-1.0), 1.0])
+    creep = planar(effects=(sim.JointCreep(joint="lift", size=1e-4, time_constant=2e3),))
+    np.testing.assert_allclose(angles(creep, q, time=t), 1e-4 * part, rtol=0, atol=1e-15)
+    grown = planar(effects=(sim.ThermalGrowth(size=1e-4, time_constant=2e3),)).tip(q, time=t)[:, :3, 3]
+    cold = planar().tip(q)[:, :3, 3]
+    np.testing.assert_allclose(grown, cold * (1.0 + 1e-4 * part[:, None]), rtol=0, atol=1e-14)
 
 
 def test_payload_error_adds_to_what_is_carried() -> None:

@@ -67,9 +67,9 @@ def beside_changes(model: Model, situation: Situation) -> tuple[Effect, ...]:
 
 
 def _is_beside(effect: Effect) -> bool:
-    """Return whether an effect is the station's, or the whole arm's at its temperature."""
+    """Return whether an effect is the station's, or the whole arm's at its temperature or as it warms up."""
     at = effect.locus
-    return effect.scope == "station" or (at.joint is None and at.follows == "temperature")
+    return effect.scope == "station" or (at.joint is None and at.follows in ("temperature", "time"))
 
 
 def _of_effect(effect: Effect, model: Model) -> Change:

@@ -20,9 +20,12 @@ from pincal.identify.fit import Fit, without
 from pincal.identify.moment_frames import FRAME_BETTER
 from pincal.model.catalogue.candidates import elasticity
 from pincal.model.chain import MomentFrame
-from pincal.model.effect import Curve, Effect, Family
+from pincal.model.effect import Curve, Effect, Family, Settling
 
 log = logging.getLogger(__name__)
+
+# Times that an effect with a time constant is linearised anew: each step is Newton's.
+_MOST_EXPANSIONS = 8
 
 
 def discover_effects(
@@ -117,7 +120,34 @@ def _decided(fit: Fit, decision: Decision, search: Search) -> Step:
     else:
         start = estimate = score_test_beside_masses(fit, [tested]).estimate([0])
     after = refit(fit, [*fit.options.effects, effect], start={effect: start})
+    if isinstance(effect, Settling):
+        after, effect = linearised_about_itself(after, effect)
     return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate)
+
+
+def linearised_about_itself(fit: Fit, effect: Settling) -> tuple[Fit, Settling]:
+    """Return a fit in which an effect stands linearised about its own parameters, and the effect."""
+    for _ in range(_MOST_EXPANSIONS):
+        values = fit.values[fit.problem.places_at(effect)]
+        about = effect.about(values)
+        if about == effect:
+            break
+        others = [other for other in fit.options.effects if other != effect]
+        start = np.zeros(len(about.parameters(fit.problem.chain)))
+        start[0] = values[0]
+        fit, effect = refit(fit, [*others, about], start={about: start}), about
+    return fit, effect
+
+
+def settle(state: State, search: Search) -> State:
+    """Linearise each effect with a time constant about its parameters as they are beside all others."""
+    for step in state.steps:
+        for effect in step.effects:
+            if isinstance(effect, Settling):
+                fit, about = linearised_about_itself(state.fit, effect)
+                steps = tuple(replace(s, effects=(about,)) if s is step else s for s in state.steps)
+                state = State(fit, steps)
+    return state
 
 
 def name_again(state: State, search: Search) -> State:
@@ -257,6 +287,7 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     name_again,
     drop_needless,
     fit_all_rows,
+    settle,
     merge_parts,
     suggest_whole_curves,
 )

@@ -248,3 +248,11 @@ class Tone(Discoverable):
     @abstractmethod
     def tuned(self, order: float, chosen_among: float = 1.0) -> Tone:
         """Return the wave of another number of waves a turn, chosen among so many by what the data show."""
+
+
+class Settling(Discoverable):
+    """An effect with a time constant, linearised about what is expected of its parameters."""
+
+    @abstractmethod
+    def about(self, values: np.ndarray) -> Settling:
+        """Return the effect linearised about values of its parameters (less nominal); itself once they hardly move."""

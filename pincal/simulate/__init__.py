@@ -13,6 +13,7 @@ from pincal.simulate.drive import (
     GearRatio,
     GearRipple,
     JointCoupling,
+    JointCreep,
     JointOffset,
     JointScatter,
     ThermalOffset,
@@ -37,7 +38,7 @@ from pincal.simulate.planning import plan_poses
 from pincal.simulate.sensors import SENSORS, SetupOptions, draw_setup
 from pincal.simulate.setup import SensorSetup
 from pincal.simulate.state import Poses
-from pincal.simulate.surroundings import BaseDrift, MeasurementScale, PayloadError, ThermalExpansion
+from pincal.simulate.surroundings import BaseDrift, MeasurementScale, PayloadError, ThermalExpansion, ThermalGrowth
 
 __all__ = [
     "HIDDEN_EFFECTS",
@@ -60,6 +61,7 @@ __all__ = [
     "HiddenEffect",
     "Instrument",
     "JointCoupling",
+    "JointCreep",
     "JointElasticity",
     "JointOffset",
     "JointScatter",
@@ -73,6 +75,7 @@ __all__ = [
     "SensorSetup",
     "SetupOptions",
     "ThermalExpansion",
+    "ThermalGrowth",
     "ThermalOffset",
     "TransmissionError",
     "TrueMachine",

@@ -246,6 +246,23 @@ class ThermalOffset(DriveEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointCreep(DriveEffect):
+    """Joint zero that relaxes after the start; ``size`` is how far in the end [rad].
+
+    Attributes:
+        time_constant: Time after which 63 % of it are over [s].
+    """
+
+    effect: ClassVar[str] = "joint_creep"
+    typical_size: ClassVar[float] = 2e-4
+    column: ClassVar[str | None] = "time"
+    time_constant: float = 3000.0
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(-self.size * np.expm1(-np.maximum(poses.time, 0.0) / self.time_constant))
+
+
+@dataclass(frozen=True, kw_only=True)
 class JointScatter(DriveEffect):
     """Joint that does not repeat; ``size`` is the standard deviation [rad]."""
 

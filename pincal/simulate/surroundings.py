@@ -28,13 +28,37 @@ class ThermalExpansion(DeformingEffect):
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Scale the distance from each joint to the next."""
-        growth = self.size * poses.temperature[:, None]
-        joints = range(len(arm.names)) if self.joint is None else [arm.index(self.joint)]
-        for joint in joints:
-            shift = growth * arm.placements[joint + 1][:3, 3]
-            deformation.add_at_end_of_link(arm, joint, np.hstack((shift, np.zeros_like(shift))))
-        if self.joint is None:
-            deformation.base[:, :3] += growth * arm.placements[0][:3, 3]
+        _grow(arm, deformation, self.joint, self.size * poses.temperature)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalGrowth(DeformingEffect):
+    """Links that grow as the arm warms up by itself; ``size`` is their relative growth in the end [-].
+
+    Attributes:
+        joint: Only the link that this joint moves grows; None for all links, base and tool flange included.
+        time_constant: Time after which 63 % of it are over [s].
+    """
+
+    effect: ClassVar[str] = "thermal_growth"
+    unit: ClassVar[str] = "1"
+    typical_size: ClassVar[float] = 1.2e-4
+    column: ClassVar[str | None] = "time"
+    scope: ClassVar[Scope] = Scope.LINK_OR_ARM
+    time_constant: float = 3000.0
+
+    def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
+        """Scale the distance from each joint to the next."""
+        _grow(arm, deformation, self.joint, -self.size * np.expm1(-np.maximum(poses.time, 0.0) / self.time_constant))
+
+
+def _grow(arm: Arm, deformation: Deformation, joint: str | None, growth: np.ndarray) -> None:
+    """Scale the link that a joint moves, or all, base and flange included, by relative growths, shape (N,)."""
+    for i in range(len(arm.names)) if joint is None else [arm.index(joint)]:
+        shift = growth[:, None] * arm.placements[i + 1][:3, 3]
+        deformation.add_at_end_of_link(arm, i, np.hstack((shift, np.zeros_like(shift))))
+    if joint is None:
+        deformation.base[:, :3] += growth[:, None] * arm.placements[0][:3, 3]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,6 +29,7 @@ from pincal.model.catalogue.elasticity import (
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
 from pincal.model.catalogue.masses import LinkMass
+from pincal.model.catalogue.settling import JointCreep, ThermalGrowth
 from pincal.model.catalogue.tones import EncoderSubdivision, GearRipple
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.registry import EFFECTS
@@ -44,6 +45,7 @@ __all__ = [
     "GearRipple",
     "GravityCompensator",
     "JointCoupling",
+    "JointCreep",
     "LinkBending",
     "LinkMass",
     "LoadBacklash",
@@ -52,6 +54,7 @@ __all__ = [
     "ObliqueBearing",
     "PayloadError",
     "ThermalExpansion",
+    "ThermalGrowth",
     "ThermalOffset",
     "TransmissionError",
     "Unnamed",
@@ -66,9 +69,11 @@ for _effect in (
     JointCoupling,
     Backlash,
     ThermalOffset,
+    JointCreep,
     BaseElasticity,
     PayloadError,
     ThermalExpansion,
+    ThermalGrowth,
     LinkMass,
     NonlinearElasticity,
     LoadBacklash,

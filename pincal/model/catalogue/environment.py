@@ -51,8 +51,7 @@ class ThermalExpansion(Discoverable):
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add nominal length times temperature to d and a, and to base and tool."""
         warm = recorded(self, "temperature", conditions.temperature) - self.reference
-        lengths = _whole(chain) if self.joint is None else _link(chain, joint_index(chain, self.joint))
-        return tuple(Term(0, k, length * warm) for k, length in lengths.items() if length)
+        return tuple(Term(0, k, length * warm) for k, length in lengths_that_grow(chain, self.joint).items() if length)
 
 
 @dataclass(frozen=True)
@@ -133,6 +132,11 @@ class MeasurementScale(Discoverable):
         ways = {int(k): conditions.q[:, i] for i, k in enumerate(chain.drives) if types[i] == "prismatic"}
         lengths = {k: length * ones + ways.get(k, 0.0) for k, length in _lengths(chain).items()}
         return tuple(Term(0, k, length) for k, length in lengths.items() if np.any(length))
+
+
+def lengths_that_grow(chain: Chain, joint: str | None) -> dict[int, float]:
+    """Return the lengths of the link that a joint moves, or of the whole arm, by coordinate [m]."""
+    return _whole(chain) if joint is None else _link(chain, joint_index(chain, joint))
 
 
 def _lengths(chain: Chain) -> dict[int, float]:
