@@ -15,6 +15,8 @@ import pytest
 from pincal.errors import BadInputError, WorkersLostError
 from pincal.spread import spread
 
+TASK = 0.1  # how long a nap is [s]
+
 
 class Parcel:
     """Something that notes in a folder which process opened it, and how often."""
@@ -34,6 +36,11 @@ def opened(parcel: Parcel, item: int) -> int:
 
 def late_first(item: int) -> int:
     time.sleep(0.1 if item == 0 else 0.0)
+    return item
+
+
+def nap(item: int) -> int:
+    time.sleep(TASK)
     return item
 
 

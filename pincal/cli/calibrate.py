@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from pincal.cli.arguments import verb
 from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit
+from pincal.cli.workers import workers
 from pincal.errors import Exit
 
 _EXAMPLES = f"""
@@ -24,4 +27,5 @@ def calibrate(arguments: FitArguments) -> Exit:
     """
     from pincal.calibration.run import run_calibration
 
-    return run_fit(arguments, run_calibration)
+    with workers(arguments.dask, repeats=arguments.split.split == "station", processes=False) as executor:
+        return run_fit(arguments, partial(run_calibration, executor=executor))

@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from pincal.cli.arguments import option, verb
-from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit, side_by_side
+from pincal.cli.fitting import EXITS, FILES, FitArguments, run_fit
+from pincal.cli.workers import workers
 from pincal.errors import Exit
 
 _EXAMPLES = f"""
@@ -16,6 +17,7 @@ Examples:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
   pincal discover robot.urdf tracker.csv --out results --try gear_ripple:joint_2:order=101
   pincal discover robot.urdf monday.csv tuesday.csv --split station --out results
+  pincal discover robot.urdf tracker.csv --out results --dask tcp://10.0.0.5:8786
 
 {FILES},
 all for the model with the effects that were found, and discovery.json.
@@ -55,7 +57,8 @@ def discover(arguments: DiscoverArguments) -> Exit:
     from pincal.cli.inputs import named_effects
     from pincal.discover.run import run_discovery
 
-    with side_by_side(arguments, repeats=arguments.stability > 0) as executor:
+    repeats = arguments.stability > 0 or arguments.split.split == "station"
+    with workers(arguments.dask, repeats=repeats) as executor:
 
         def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
             extra = named_effects(arguments.tried, options, robot=robot, tables=tables)

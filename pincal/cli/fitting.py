@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,17 +16,15 @@ from pincal.cli.common import (
     GeneralOptions,
     InputOptions,
     SplitOptions,
-    load_plugins,
     max_error_option,
     verbose_option,
 )
 from pincal.cli.outputs import print_json, provenance, require_accuracy
+from pincal.cli.workers import dask_option
 from pincal.errors import Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from pincal.calibration.run import Calibration
     from pincal.discover.run import Discovery
 
@@ -50,22 +47,8 @@ class FitArguments:
     view: bool = option(f"Also write {VIEW}: the robot and its errors in 3D.", False)
     chosen: CalibrationOptions = group("Model")
     split: SplitOptions = group("Validation")
+    dask: str | None = dask_option()
     general: GeneralOptions = group("General")
-
-
-@contextmanager
-def side_by_side(arguments: FitArguments, *, repeats: bool = False) -> Iterator[Executor | None]:
-    """Yield what makes the models that leave a station out, and what else repeats, a process each; None if nothing does."""
-    if arguments.split.split != "station" and not repeats:
-        yield None
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    # A process that is forked from one with threads may hang.
-    plugins = (arguments.general.plugins,)
-    with ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=load_plugins, initargs=plugins) as executor:
-        yield executor
 
 
 def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
