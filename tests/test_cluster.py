@@ -120,8 +120,8 @@ def test_a_worker_is_no_scheduler(client: Any, tmp_path: Path, capsys: pytest.Ca
 
 def test_the_example_makes_its_draws_on_dask(client: Any, tmp_path: Path) -> None:
     """Each as a loop would make it."""
-    printed = run_example("on_a_cluster.py", "--dask", client.scheduler.address, folder=tmp_path)
-    assert "200 draws; the first 4 as one loop makes them: True" in printed
+    printed = run_example("on_a_cluster.py", "--draws", "20", "--dask", client.scheduler.address, folder=tmp_path)
+    assert "20 draws; the first 4 as one loop makes them: True" in printed
 
 
 def test_the_example_makes_its_draws_by_mpi(tmp_path: Path) -> None:
@@ -131,9 +131,9 @@ def test_the_example_makes_its_draws_by_mpi(tmp_path: Path) -> None:
     if mpiexec is None:
         pytest.skip("no MPI here: no mpiexec")
     command = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", str(EXAMPLES / "on_a_cluster.py"), "--mpi"]
-    done = subprocess.run([*command, "--draws", "40"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([*command, "--draws", "20"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert "40 draws; the first 4 as one loop makes them: True" in done.stdout
+    assert "20 draws; the first 4 as one loop makes them: True" in done.stdout
 
 
 class Killer(logging.Handler):
