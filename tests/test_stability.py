@@ -2,19 +2,26 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
 from discovery_cases import Case, draw_case
+from scipy.stats import kstest
 
+from pincal.calibration.fit import Fit as CalibratedFit
+from pincal.discover.bootstrap import chance_of_best
 from pincal.discover.judge import findings_of
 from pincal.discover.policy import POLICY
 from pincal.discover.run import Discovery, run_discovery
+from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.discover.stability import Halves, _halves, repeat_on_halves
+from pincal.discover.widened import of_candidates
 from pincal.errors import BadInputError
 from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings, Repeated, Stability
+from pincal.parameters import root_of
 from pincal.report.illustrations import stability_drawings
 from pincal.report.search import _named
 
@@ -67,6 +74,7 @@ def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discover
     hints = [(e["effect"], e["joint"]) for e in report.pop("hints", [])]
     assert hints == [name for name, stability in often.items() if stability["named"] < 0.6 * COUNT]
     report.pop("only_in_halves", None)
+    assert report.pop("bootstrap")["draws"] == 200
     assert report == json.loads(json.dumps(alone))
     assert msgspec.convert(found.report, Findings) == found.findings
 
@@ -95,6 +103,62 @@ def test_hints_stand_apart_and_all_are_drawn(found: Discovery) -> None:
     ((figure, _, _),) = stability_drawings(findings)
     assert len(figure.axes[0].patches) == len(findings.effects) + 1
     assert not list(stability_drawings(msgspec.structs.replace(findings, effects=bare, only_in_halves=())))
+
+
+def test_a_bootstrap_of_noise_has_any_chance_alike(found: Discovery) -> None:
+    """Of sixty tables of nothing but noise the p-values are uniform."""
+    tests = score_test(found.trail.final, found.trail.last.effects[:12])
+    rng, root = np.random.default_rng(5), root_of(tests.S)
+    root, unseen = root[:, np.linalg.norm(root, axis=0) > 0.0], tests.readings
+    chances = []
+    for seed in range(60):
+        noise = rng.standard_normal(root.shape[1])
+        b, squares = root @ noise, float(noise @ noise + rng.chisquare(unseen - len(noise)))
+        # Noise about a fit of the model, which takes its part of the squares.
+        N = slice(0, tests.n_model)
+        b[N] += tests.pull
+        squares -= float((b[N] - tests.pull) @ np.linalg.solve(tests.S[N, N] + tests.known, b[N] - tests.pull))
+        table = replace(tests, blocks_S=tests.S[None], blocks_b=b[None], squares=squares)
+        chances.append(chance_of_best(table, 100, seed))
+
+    assert kstest(chances, "uniform").pvalue > 1e-3
+
+
+def test_what_is_there_is_no_chance(case: Case, found: Discovery) -> None:
+    """None of the tables without the effect that was accepted last looks as good."""
+    bootstrap = found.findings.bootstrap
+
+    assert bootstrap is not None and bootstrap.p_value == pytest.approx(1 / 201)
+    assert (bootstrap.effect, bootstrap.joint) == ("backlash", case.hidden[0].joint)
+
+
+def test_standard_deviations_pay_for_what_is_not_in_the_model(found: Discovery) -> None:
+    """By one factor in the noise, priors left alone; values, the noise and what is identified stay."""
+    fit, last = found.calibration.fit, found.trail.final
+    ratio = fit.solution.posterior.covariance.diagonal() / last.solution.posterior.covariance.diagonal()
+    others = fit.readings(found.calibration.test).conditions
+
+    assert np.all(ratio > 1.0 - 1e-9) and 1.05 < ratio.max() < 2.0
+    assert np.all(fit.estimate.sigma <= fit.priors.sizes * (1.0 + 1e-9))
+    assert np.all(fit.position_sigma(others) > CalibratedFit.of(last).position_sigma(others))
+    assert np.array_equal(fit.values, last.values) and np.array_equal(fit.solution.sigma, last.solution.sigma)
+    assert fit.solution.posterior.identifiable_rank == last.solution.posterior.identifiable_rank
+
+
+def test_candidates_weigh_as_likely_as_they_are(found: Discovery) -> None:
+    """One that should have been accepted counts whole, those that explain nothing not at all."""
+    tests = score_test(found.trail.final, found.trail.last.effects[:25])
+    N, chosen = slice(0, tests.n_model), tests.columns[3][:1]
+
+    def left(gain: float) -> ScoreTests:
+        """Residuals that are the third candidate's, of so large a gain."""
+        b = tests.S[:, tests.n_model + chosen[0]] * np.sqrt(gain / tests.projected[0][chosen[0], chosen[0]])
+        b[N] += tests.pull
+        return replace(tests, blocks_S=tests.S[None], blocks_b=b[None], squares=tests.dof + gain)
+
+    assert of_candidates(left(0.0)) == pytest.approx(0.0, abs=1e-9)
+    assert of_candidates(left(3.0)) < 0.5
+    assert of_candidates(left(100.0)) == pytest.approx(100.0, rel=0.05)
 
 
 def test_fewer_than_no_halves_are_refused(case: Case) -> None:

@@ -29,7 +29,7 @@ from pincal.report.tables import (
     stage_table,
 )
 from pincal.report.verdict import verdict_of
-from pincal.report.words import HINTS, effect_words, noise_words, only_in_halves_words
+from pincal.report.words import HINTS, bootstrap_words, effect_words, noise_words, only_in_halves_words
 from pincal.tables import hanging, one_line
 from pincal.units import Quantity, format_small
 from pincal.validate.lack_of_fit import LackOfFit
@@ -140,6 +140,8 @@ def print_discovery(found: Discovery, out: Console) -> None:
         out.print(effect_table(named) if named else "These data show no missing effect.")
     if hints:
         out.print(effect_table(hints, HINTS))
+    if findings.bootstrap:
+        out.print(one_line(bootstrap_words(findings.bootstrap)), markup=False)
     if findings.only_in_halves:
         out.print(one_line(only_in_halves_words(findings)), markup=False)
     out.print(stage_table(findings.noise_floor_mm, found.gaps))

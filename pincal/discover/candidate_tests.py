@@ -10,6 +10,7 @@ import numpy as np
 from pincal.discover.decisions import CandidateTable, Decision, Row, decide
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
+from pincal.discover.score_tests import ScoreTests
 from pincal.discover.tones import strongest_tones
 from pincal.identify.fit import Fit
 from pincal.model.at_station import changed_effects, own_effects
@@ -98,11 +99,22 @@ def _surcharge(effect: Effect, policy: Policy) -> float:
 
 def addable(fit: Fit, search: Search) -> list[Effect]:
     """Return what may be added by name: what the data can test and the model does not have yet."""
+    return _addable(fit, search.extra, search.policy)
+
+
+def named_tests(fit: Fit, extra: Sequence[Effect], policy: Policy, others: Sequence[Effect] = ()) -> ScoreTests:
+    """Test all that may be added by name, and others if they are not among them, on the rows that effects are chosen by."""
+    few, _ = sampled(fit, policy)
+    every = _addable(fit, extra, policy)
+    return score_test_beside_masses(few, [*every, *(effect for effect in others if effect not in every)])
+
+
+def _addable(fit: Fit, extra: Sequence[Effect], policy: Policy) -> list[Effect]:
     present = {effect.identity for effect in fit.problem.effects}
     has_loads = has_compliance(fit.problem.effects)
     tested = testable(situation_of(fit))
-    tones = strongest_tones(sampled(fit, search.policy)[0], tested, search.policy.near_tie)
-    every = [*_forms(fit, tested), *_of_stations(fit), *tones, *search.extra]
+    tones = strongest_tones(sampled(fit, policy)[0], tested, policy.near_tie)
+    every = [*_forms(fit, tested), *_of_stations(fit), *tones, *extra]
     return [e for e in every if e.identity not in present and (has_loads or not e.is_of_loads)]
 
 

@@ -18,6 +18,7 @@ from pincal.discover.where import noise_floor, sure_compliances, where_of
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import (
     SURE,
+    Bootstrap,
     EffectName,
     Findings,
     FoundEffect,
@@ -36,7 +37,12 @@ _MISFIT = 1e-3
 
 
 def findings_of(
-    calibration: Calibration, trail: History, traces: tuple[PartialResidual, ...], halves: Halves | None = None
+    calibration: Calibration,
+    trail: History,
+    traces: tuple[PartialResidual, ...],
+    *,
+    halves: Halves | None = None,
+    bootstrap: Bootstrap | None = None,
 ) -> Findings:
     """Return what a discovery found.
 
@@ -45,6 +51,7 @@ def findings_of(
         trail: how it was found.
         traces: what each effect explains.
         halves: what the search named in halves of the poses; default: nobody looked.
+        bootstrap: whether the effect that was accepted last may be chance; likewise.
     """
     final = trail.final
     excess = find_excess(final)
@@ -68,6 +75,7 @@ def findings_of(
         hints=tuple(_repeated(entry, entry.stability) for entry in effects if entry.stability and entry.is_hint),
         only_in_halves=tuple(_only_in_halves(effects, halves)) if halves else (),
         poses_in_a_half=halves.poses if halves else None,
+        bootstrap=bootstrap,
     )
 
 
@@ -113,12 +121,15 @@ def _found(
 ) -> Iterator[FoundEffect]:
     """Yield what entered in one step; elasticity joint by joint."""
     before, after = (gap_of(fit, calibration.stations).mean_mm for fit in (step.before, step.after))
+    # Standard deviations that pay for the choice, too.
+    known = calibration.fit.estimate
     if step.is_elastic:
-        found = [(effect, e, e.fitted_sigma, p_value, "") for effect, e, p_value in sure_compliances(trail.final)]
+        bent = sure_compliances(trail.final)
+        found = [(effect, e, known.take(e.names).fitted_sigma, p_value, "") for effect, e, p_value in bent]
     else:
         rivals = step.equivalent[:1]
         decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
-        estimate = trail.final.estimate.take(trail.final.names_of([step.effect]))
+        estimate = known.take(trail.final.names_of([step.effect]))
         found = [(step.effect, estimate, estimate.sigma, step.score.p_value, decide)]
     for effect, estimate, sigma, p_value, decide in found:
         yield FoundEffect.of(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, addable, choose, has_compliance, sampled, variants
+from pincal.discover.candidate_tests import Search, addable, choose, has_compliance, named_tests, sampled, variants
 from pincal.discover.decisions import Decision, each_heading_once, is_own_curve
 from pincal.discover.history import History, State, Step
 from pincal.discover.moment_frames import best_frame, fit_cost, in_frame, is_brought, likeliest_frame
@@ -53,8 +53,7 @@ def discover_effects(
     state = State(few)
     for step_on in PASSES:
         state = step_on(state, search)
-    few, _ = sampled(state.fit, policy)
-    last = score_test_beside_masses(few, addable(state.fit, search))
+    last = named_tests(state.fit, search.extra, policy)
     return History(in_frame(fit, state.fit.problem.chain.moment_frame), state.steps, state.fit, last)
 
 

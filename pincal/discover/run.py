@@ -18,6 +18,7 @@ from pincal.calibration.left_out import leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.rows import LeftOut, Validation
 from pincal.calibration.run import Calibration, run_calibration
+from pincal.discover.bootstrap import bootstrap_last
 from pincal.discover.history import History
 from pincal.discover.judge import findings_of
 from pincal.discover.loop import discover_effects
@@ -25,6 +26,7 @@ from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import notes_on_repeats
 from pincal.discover.shrink import PartialResidual, Stage, partial_residuals, stages_of
 from pincal.discover.stability import repeat_on_halves
+from pincal.discover.widened import widened
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
@@ -102,7 +104,8 @@ def run_discovery(
         moment_frames: conventions of where moments bend the arm to choose from by the data; that of the options unless
             given. The first stays unless another fits better beyond chance.
         policy: thresholds and limits.
-        stability: halves of the poses on which the search is repeated, to tell how often each name comes up; default: none.
+        stability: halves of the poses on which the search is repeated, to tell how often each name comes up; then a
+            bootstrap also says whether the name accepted last may be chance; default: none.
         executor: makes these searches, and the discoveries that leave a station out; default: one after the other, here.
 
     Returns:
@@ -144,12 +147,14 @@ def run_discovery(
     )
     trail, notes = search(first)
     halves = repeat_on_halves(trail, _regions(first), stability, extra=extra, policy=policy, executor=executor)
+    bootstrap = bootstrap_last(trail, extra, policy) if stability else None
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
-    result = result_of(trail.final, first.stations, seconds=seconds, notes=notes, left_out=left_out)
-    final = replace(first, fit=CalibratedFit.of(trail.final), result=result, notes=notes)
+    fit = widened(trail, policy)
+    result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
+    final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
     gaps, traces = stages_of(trail, final.stations), partial_residuals(trail)
-    return Discovery(final, trail, findings_of(final, trail, traces, halves), gaps, traces)
+    return Discovery(final, trail, findings_of(final, trail, traces, halves=halves, bootstrap=bootstrap), gaps, traces)
 
 
 def _search(

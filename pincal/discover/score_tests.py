@@ -115,13 +115,16 @@ class ScoreTests:
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together."""
-        S, b = self.projected
+        j, whitening = self.whitening(which)
+        return float(np.sum((self.projected[1][j] @ whitening) ** 2)), whitening.shape[1]
+
+    def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
         j = self.columns_of(which)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.S)[self.n_model + j], 1e-300))
-        values, vectors = np.linalg.eigh(S[np.ix_(j, j)] * np.outer(scale, scale))
+        values, vectors = np.linalg.eigh(self.projected[0][np.ix_(j, j)] * np.outer(scale, scale))
         seen = values > _SEEN
-        along = (vectors[:, seen].T @ (scale * b[j])) ** 2
-        return float(np.sum(along / values[seen])), int(seen.sum())
+        return j, scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
 
     def score(self, which: Sequence[int], groups: int) -> Score:
         """Return the test of some candidates taken as one, of so many groups that are tested."""

@@ -109,7 +109,7 @@ class Fit:
             nominal, solution = (_part(of, places, blocks, rows) for of in (self.nominal, self.solution))
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
             noise = Noise(self.noise.declared[blocks])
-            solution = replace(solution, posterior=_posterior(problem, solution, priors))
+            solution = replace(solution, posterior=posterior_of(problem, solution, priors))
             yield Fit(problem, nominal, solution, priors, noise, self.stages, options)
 
     @property
@@ -143,8 +143,8 @@ def _part(solution: Solution, places: np.ndarray, blocks: slice, rows: slice) ->
     )
 
 
-def _posterior(problem: Problem, part: Solution, priors: Priors) -> Posterior:
-    """Return what the rows of a station say by themselves."""
+def posterior_of(problem: Problem, part: Solution, priors: Priors) -> Posterior:
+    """Return what the rows of a problem say with the values, the rows' weights and the noise of a solution."""
     return Linearised(problem, part.values, part.free, part.weights, priors.sizes).equations(part.sigma).posterior()
 
 

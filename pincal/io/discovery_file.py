@@ -94,6 +94,18 @@ class Repeated(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     stability: Stability
 
 
+class Bootstrap(EffectName, frozen=True, kw_only=True, omit_defaults=True):
+    """How likely the effect that was accepted last is chance, the choice among all candidates included.
+
+    Attributes:
+        p_value: part of the tables drawn from the model without it in which some candidate looks as good, this one counted.
+        draws: how many were drawn.
+    """
+
+    p_value: float
+    draws: int
+
+
 class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """An effect that was found; of elasticity that of one joint.
 
@@ -179,6 +191,7 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         hints: which of the effects come up in less than 60 % of the halves of the poses.
         only_in_halves: names that come up in at least 60 % of the halves, but not in all poses.
         poses_in_a_half: how many poses each half has; None where nobody looked.
+        bootstrap: whether the effect that was accepted last may be chance; None where nobody looked, or none was.
     """
 
     noise_floor_mm: float
@@ -192,3 +205,4 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     hints: tuple[Repeated, ...] = ()
     only_in_halves: tuple[Repeated, ...] = ()
     poses_in_a_half: int | None = None
+    bootstrap: Bootstrap | None = None

@@ -12,7 +12,7 @@ from pincal.report.blocks import Block, Section, bullets, card, code, group, hea
 from pincal.report.illustrations import discovery_drawings, figures, stability_drawings
 from pincal.report.subject import Subject
 from pincal.report.tables import by_reason, location_table, show_chance, stage_table
-from pincal.report.words import HINTS, effect_meaning, effect_words, only_in_halves_words
+from pincal.report.words import HINTS, bootstrap_words, effect_meaning, effect_words, only_in_halves_words
 from pincal.units import format_digits, small_unit
 
 # An effect with more parameters than this is a curve; its numbers stand in discovery.json.
@@ -63,6 +63,8 @@ def _named(found: Findings) -> Iterator[Block]:
         yield group("cards", *hints)
     if found.only_in_halves:
         yield paragraph(f"{only_in_halves_words(found)}.", "note")
+    if found.bootstrap:
+        yield paragraph(bootstrap_words(found.bootstrap), "mute")
     if drawings := [*stability_drawings(found)]:
         yield figures("stability", drawings)
 

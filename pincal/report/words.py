@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pincal.io.discovery_file import EffectName, Findings
+from pincal.io.discovery_file import Bootstrap, EffectName, Findings
 from pincal.model.registry import meaning_of
 from pincal.units import readable_unit
 
@@ -83,6 +83,19 @@ def only_in_halves_words(found: Findings) -> str:
     """Return which names most halves of the poses bring up and all poses don't."""
     names = ", ".join(f"{effect_words(entry)} ({entry.stability})" for entry in found.only_in_halves)
     return f"Named in most halves of the poses, but not by all poses: {names}"
+
+
+def bootstrap_words(last: Bootstrap) -> str:
+    """Return how likely the effect that was accepted last is chance.
+
+    Example:
+        >>> bootstrap_words(Bootstrap(effect="base_drift", joint=None, p_value=2 / 201, draws=200))
+        'Of 200 tables drawn from the model without base_drift, accepted last, 1 has a candidate that looks as good.'
+    """
+    as_good = round(last.p_value * (last.draws + 1)) - 1
+    count = f"{as_good or 'none'} has" if as_good < 2 else f"{as_good} have"
+    words = f"Of {last.draws} tables drawn from the model without {effect_words(last)}, accepted last, {count}"
+    return f"{words} a candidate that looks as good."
 
 
 def noise_words(noise: Mapping[str, Any]) -> str:

@@ -1,0 +1,72 @@
+r"""Standard deviations that pay for the choice of a model: for what a discovery may have missed, and for masses.
+
+A fit's covariance holds if its effects are all there are. After a discovery they are those that were chosen, and two
+things are left out that move other poses as well: masses and centres of mass are a few per cent off, which the score tests
+grant and the model does not have; and among the candidates that were refused some may be there. What either adds to the
+variance of a prediction follows, on average over the rows, from the projected products of the score tests,
+
+.. math:: e_m = m^T S' m + \operatorname{tr} S' C, \qquad C = (S' + D^{-2})^{-1}, \quad m = C b' ,
+
+for masses known to D, in units of the noise and summed over the readings, and the mean over candidates,
+:math:`e_c = \sum_g w_g T_g`, with weights from the information criterion, :math:`w_g \propto \exp(-\mathrm{EBIC}_g/2)`, 1
+for no candidate (Bayesian model averaging: Hoeting et al. 1999, Stat. Sci. 14, 382-417). What the fit's own parameters add
+is their effective number p. So the covariance is that of noise whose variance is :math:`1 + (e_m + e_c) / p` times as
+large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pincal.discover.candidate_tests import sampled
+from pincal.discover.history import History
+from pincal.discover.nuisance import MassError
+from pincal.discover.policy import Policy
+from pincal.discover.score_tests import ScoreTests, score_test
+from pincal.identify.fit import Fit, posterior_of
+
+
+def widened(trail: History, policy: Policy) -> Fit:
+    """Return the last fit of a discovery with a covariance that pays for what the model does not have.
+
+    Args:
+        trail: the discovery.
+        policy: how many rows are enough to judge by.
+    """
+    fit = trail.final
+    few, _ = sampled(fit, policy)
+    rows = len(fit.problem) / max(len(few.problem), 1)
+    noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
+    beyond = (of_masses(few) + of_candidates(trail.last)) * rows * noise
+    factor = 1.0 + beyond / max(fit.solution.posterior.effective, 1.0)
+    solution = fit.solution
+    wide = posterior_of(fit.problem, replace(solution, sigma=solution.sigma * np.sqrt(factor)), fit.priors)
+    # What the data identify stays as it is.
+    posterior = replace(solution.posterior, covariance=wide.covariance, own=wide.own)
+    return replace(fit, solution=replace(solution, posterior=posterior))
+
+
+def of_masses(fit: Fit) -> float:
+    """Return what masses that are off add to the variance of the rows, summed over readings, in units of the noise."""
+    masses = MassError.of(*fit.arm)
+    if masses is None:
+        return 0.0
+    S, b = score_test(fit, [masses]).projected
+    sizes = np.array([parameter.size for parameter in masses.parameters(fit.problem.chain)])
+    S, b = S * np.outer(sizes, sizes), b * sizes
+    C = np.linalg.inv(S + np.eye(len(S)))
+    most_probable = C @ b
+    return float(most_probable @ S @ most_probable + np.sum(S * C))
+
+
+def of_candidates(tests: ScoreTests) -> float:
+    """Return the same of the candidates that were refused, each weighed by how likely it is there all the same."""
+    groups = len({effect.identity for effect in tests.effects})
+    scores = [tests.score([i], groups) for i in range(len(tests.effects))]
+    gains, costs = np.array([score.gain for score in scores]), np.array([score.ebic for score in scores])
+    # Odds against no candidate, which costs nothing.
+    best = min(float(costs.min(initial=0.0)), 0.0)
+    odds = np.exp(-0.5 * (costs - best))
+    return float(odds @ gains / (odds.sum() + np.exp(0.5 * best)))
