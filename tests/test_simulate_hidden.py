@@ -28,6 +28,7 @@ EFFECTS: list[HiddenEffect] = [
     sim.AxisWobble(joint="joint_1", size=5e-5),
     sim.Backlash(joint="joint_2", size=2e-4),
     sim.LoadBacklash(joint="joint_3", size=2e-4),
+    sim.Hysteresis(joint="joint_2", size=1e-7),
     sim.ThermalExpansion(size=1.2e-5),
     sim.ThermalOffset(joint="joint_2", size=1e-5),
     sim.JointCreep(joint="joint_3", size=2e-4),
@@ -121,6 +122,18 @@ def test_backlash_without_a_record_follows_the_order_of_the_poses() -> None:
     drive = np.array([0.0, 0.5, 0.4995, 0.4, 0.4])
     lag = angles(machine, np.column_stack((drive, 0 * drive)))
     np.testing.assert_allclose(lag, [0, -1e-3, -5e-4, 1e-3, 1e-3], rtol=0, atol=1e-14)
+
+
+def test_hysteresis_lags_by_friction_under_the_load() -> None:
+    """Stretched out, the drive lags by the wind-up under friction from either side; upright by that of the preload."""
+    machine = planar(effects=(sim.Hysteresis(joint="lift", size=1e-6, preload=2.0),))
+    q = np.array([[0.0, 0.0], [0.0, 0.0], [np.pi / 2, 0.0]])
+    lag = np.angle(np.exp(1j * angles(machine, q, approach={"lift": [-1, 1, 1]})))
+    load = G * (10 * 0.5 + 5 * 1.25)
+    np.testing.assert_allclose(lag, [1e-6 * (load + 2.0), -1e-6 * (load + 2.0), -2e-6], rtol=1e-3, atol=1e-9)
+    drive = np.array([0.0, 0.5, 0.2])
+    in_order = angles(machine, np.column_stack((drive, 0 * drive)))
+    assert in_order[0] == 0.0 and in_order[1] < 0.0 < in_order[2], "without a record, the pose before tells the side"
 
 
 def test_load_backlash_lies_on_the_side_of_the_load() -> None:

@@ -120,6 +120,35 @@ class LoadBacklash(DriveEffect, SizedByLoad):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Hysteresis(DriveEffect, SizedByLoad):
+    """Drive that stops wound up against Coulomb friction; ``size`` is the wind-up per moment on the axis [rad/(N m)].
+
+    The joint lags behind its last motion. Where the approach was not recorded, that is from the pose before.
+
+    Attributes:
+        preload: Moment by which friction is larger than that of the load alone [N m].
+    """
+
+    effect: ClassVar[str] = "hysteresis"
+    unit: ClassVar[str] = "rad/(N m)"
+    column: ClassVar[str | None] = "approach"
+    needs_order: ClassVar[bool] = True
+    preload: float = 0.0
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return 0.2 mrad at the largest moment, a fifth of it of the preload."""
+        return {"size": 1.6e-4 / site.moment, "preload": 0.25 * site.moment}
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        if poses.approach is not None:
+            came = poses.approach[:, joint]
+        else:
+            came = np.sign(np.diff(poses.q[:, joint], prepend=poses.q[:1, joint]))
+        return np.asarray(-self.size * came * (np.abs(loads.drive[:, joint]) + self.preload))
+
+
+@dataclass(frozen=True, kw_only=True)
 class GravityCompensator(DriveEffect, SizedByLoad):
     """Spring between two adjacent links; ``size`` is its rate [N/m].
 

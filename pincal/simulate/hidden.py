@@ -29,6 +29,7 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
         drive.AxisWobble,
         drive.Backlash,
         elastic.LoadBacklash,
+        elastic.Hysteresis,
         surroundings.ThermalExpansion,
         surroundings.ThermalGrowth,
         drive.ThermalOffset,

@@ -28,6 +28,7 @@ from pincal.model.catalogue.elasticity import (
     PayloadError,
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
+from pincal.model.catalogue.friction import Hysteresis
 from pincal.model.catalogue.masses import LinkMass
 from pincal.model.catalogue.settling import JointCreep, ThermalGrowth
 from pincal.model.catalogue.tones import EncoderSubdivision, GearRipple
@@ -44,6 +45,7 @@ __all__ = [
     "GearRatio",
     "GearRipple",
     "GravityCompensator",
+    "Hysteresis",
     "JointCoupling",
     "JointCreep",
     "LinkBending",
@@ -77,6 +79,7 @@ for _effect in (
     LinkMass,
     NonlinearElasticity,
     LoadBacklash,
+    Hysteresis,
     GravityCompensator,
     GearEccentricity,
     GearRipple,
