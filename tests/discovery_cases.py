@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.discover.elastic_rivals import instead_of
 from pincal.discover.history import History
 from pincal.discover.loop import discover_effects
 from pincal.discover.nuisance import MassError, compliances_of
@@ -580,6 +581,7 @@ class Verdict:
         kind, seed, strength, seen, arm, n: the case.
         truth: what is hidden.
         named: each accepted effect with its equivalents, elasticity left out.
+        instead: what could be in the place of some compliance.
         details: the same in words, for people.
         elastic: whether joint or bearing elasticity was named.
         sound: whether that is right.
@@ -593,19 +595,20 @@ class Verdict:
     n: int
     truth: tuple[Name, ...]
     named: tuple[tuple[Name, ...], ...]
+    instead: tuple[Name, ...]
     details: tuple[str, ...]
     elastic: bool
     sound: bool
 
     @property
     def detected(self) -> bool:
-        """Whether anything was found."""
-        return bool(self.named)
+        """Whether anything was found, or told to be perhaps in the place of some compliance."""
+        return bool(self.named) or any(_agrees(true, self.instead) for true in self.truth)
 
     @property
     def right(self) -> bool:
         """Whether each hidden effect stands in some class (a nameless one: its joint)."""
-        return all(any(_agrees(true, c) for c in self.named) for true in self.truth)
+        return all(any(_agrees(true, c) for c in (*self.named, self.instead)) for true in self.truth)
 
     @property
     def first_right(self) -> bool:
@@ -660,14 +663,17 @@ def judge(case: Case, trail: History | None = None) -> Verdict:
     """Return what a discovery made of a case; of a new one unless its trail is given."""
     trail = discover(case) if trail is None else trail
     named, details, elastic = [], [], False
+    sure = [(effect, estimate) for effect, estimate, _ in sure_compliances(trail.final)]
+    instead = {(name_of(c), name_of(other)) for c, estimate in sure for other in instead_of(trail.last, c, estimate)}
     for step in trail.steps:
         names = tuple(name_of(e) for e in (step.effects[0], *step.equivalent))
         if names[0][0] in ELASTICITY:
             elastic = True
             if case.is_soft:
-                sure = [name_of(effect) for effect, *_ in sure_compliances(trail.final)]
-                named += [(name, *names[1:]) for name in sure]
-                details += [_words(name) for name in sure]
+                named += [(name_of(compliance),) for compliance, _ in sure]
+                details += [_words(name_of(compliance)) for compliance, _ in sure]
+            else:
+                details += [f"({_words(compliance)} ~ {_words(other)})" for compliance, other in sorted(instead)]
             continue
         named.append(names)
         extra = {
@@ -680,7 +686,8 @@ def judge(case: Case, trail: History | None = None) -> Verdict:
         details.append(words + (f" ~ {', '.join(_words(n) for n in names[1:])}" if names[1:] else ""))
     sound = elastic == (case.elastic or case.is_soft)
     where = case.kind, case.seed, case.strength, case.seen, case.arm, len(case.rows)
-    return Verdict(*where, case.truth, tuple(named), tuple(details), elastic, sound)
+    others = tuple(other for _, other in instead)
+    return Verdict(*where, case.truth, tuple(named), others, tuple(details), elastic, sound)
 
 
 def summary(verdicts: list[Verdict]) -> str:

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from scipy.special import chdtrc
 
 from pincal.calibration.run import Calibration
+from pincal.discover.elastic_rivals import instead_of, without_compliance
 from pincal.discover.history import History, Step
 from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import find_excess
@@ -124,14 +125,16 @@ def _found(
     # Standard deviations that pay for the choice, too.
     known = calibration.fit.estimate
     if step.is_elastic:
-        bent = sure_compliances(trail.final)
-        found = [(effect, e, known.take(e.names).fitted_sigma, p_value, "") for effect, e, p_value in bent]
+        found = [
+            (effect, e, known.take(e.names).fitted_sigma, p_value, *_in_its_place(trail, effect, e))
+            for effect, e, p_value in sure_compliances(trail.final)
+        ]
     else:
         rivals = step.equivalent[:1]
         decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
         estimate = known.take(trail.final.names_of([step.effect]))
-        found = [(step.effect, estimate, estimate.sigma, step.score.p_value, decide)]
-    for effect, estimate, sigma, p_value, decide in found:
+        found = [(step.effect, estimate, estimate.sigma, step.score.p_value, step.equivalent, decide)]
+    for effect, estimate, sigma, p_value, equivalent, decide in found:
         yield FoundEffect.of(
             effect,
             period=periods.get(effect),
@@ -139,9 +142,19 @@ def _found(
             p_value=p_value,
             gap_before_mm=before,
             gap_after_mm=after,
-            equivalent=tuple(EffectName.of(other) for other in step.equivalent),
+            equivalent=tuple(EffectName.of(other) for other in equivalent),
             tell_apart=decide,
         )
+
+
+def _in_its_place(trail: History, compliance: Effect, estimate: Estimate) -> tuple[tuple[Effect, ...], str]:
+    """Return what could give way in the place of one joint's compliance, and what decides."""
+    rivals = instead_of(trail.last, compliance, estimate)
+    if not rivals:
+        return (), ""
+    rest = without_compliance(trail.final, compliance)
+    own = np.array([estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)])
+    return rivals, deciding_measurement(rest, compliance, own, rivals[0])
 
 
 def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParameter]:

@@ -102,10 +102,9 @@ def _next_step(fit: Fit, search: Search) -> Step | None:
     if not has_compliance(fit.problem.effects):
         block = elasticity(situation_of(fit))
         found = score_test_beside_masses(fit, block)
-        score = found.score(range(len(block)), 1)
-        if score.p_value < search.policy.elastic:
+        if found.p_value_of_any(range(len(block))) < search.policy.elastic:
             after = refit(fit, [*fit.options.effects, *block])
-            return Step(tuple(block), score, (), fit, after, block[0], np.zeros(0))
+            return Step(tuple(block), found.score(range(len(block)), 1), (), fit, after, block[0], np.zeros(0))
     decision = choose(fit, search)
     return None if decision is None else _decided(fit, decision, search)
 
@@ -178,7 +177,7 @@ def drop_needless(state: State, search: Search) -> State:
             smaller = without(smaller, effect)
         tested = score_test_beside_masses(smaller, step.effects)
         limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
-        if tested.score(range(len(step.effects)), 1).p_value > limit:
+        if tested.p_value_of_any(range(len(step.effects))) > limit:
             log.info("dropped %s: what was found later explains it", _listed(step.effects))
             state = replace(state.without_step(step), fit=refit(state.fit, smaller.options.effects))
     return state

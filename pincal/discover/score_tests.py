@@ -12,7 +12,7 @@ k_g degrees of freedom if g is not there). One pass over the data serves all can
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -58,7 +58,8 @@ class ScoreTests:
     Attributes:
         effects: the candidates.
         columns: for each candidate, its columns, counted from the first column of all candidates.
-        n_model: the columns before, those of the model and of nuisance effects.
+        names: the parameters of the columns before these, those of the model and of nuisance effects.
+        values: their values, shape (len(names),).
         sizes: shape (P,), standard deviations of the priors.
         known: shape (n_model, n_model), inverse covariance of what was known of the model's parameters before.
         pull: shape (n_model,), slope of the sum of squares by it at the present values.
@@ -70,7 +71,8 @@ class ScoreTests:
 
     effects: tuple[Effect, ...]
     columns: tuple[np.ndarray, ...]
-    n_model: int
+    names: tuple[str, ...]
+    values: np.ndarray
     sizes: np.ndarray
     known: np.ndarray
     pull: np.ndarray
@@ -89,6 +91,11 @@ class ScoreTests:
     def b(self) -> np.ndarray:
         """Products with the residuals of all blocks, shape (P,)."""
         return np.asarray(self.blocks_b.sum(axis=0))
+
+    @property
+    def n_model(self) -> int:
+        """Number of columns of the model and of nuisance effects."""
+        return len(self.names)
 
     @property
     def precision(self) -> np.ndarray:
@@ -137,6 +144,14 @@ class ScoreTests:
         alone, rank_alone = self.gain([given])
         return self._judged(both - alone, max(rank_both - rank_alone, 0), 1)
 
+    def p_value_of_any(self, which: Sequence[int]) -> float:
+        """Return the p-value of some candidates, of all as one or of one of them alone, its choice paid for.
+
+        One joint's drive that gives way is lost among as many parameters as all drives and bearings have.
+        """
+        alone = (len(which) * self.score([i], 1).p_value for i in which)
+        return min(self.score(which, 1).p_value, *alone)
+
     def _judged(self, gain: float, rank: int, groups: int, looks: float = 1.0) -> Score:
         if rank == 0:
             return Score(0.0, 0, 1.0, np.inf)
@@ -174,6 +189,28 @@ class ScoreTests:
         beside = S[j, N] @ change + S[own] @ step
         left = b[N] - S[N, N] @ model_step, b[j] - S[j, N] @ model_step
         return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
+
+    def costs_instead(self, which: Sequence[int], names: Collection[str]) -> list[float]:
+        """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
+
+        Both are in the model first, priors included, and these parameters are then held at zero, to first order.
+        """
+        j = np.array([i for i, name in enumerate(self.names) if name in names], int)
+        N = slice(0, self.n_model)
+        scale, factor = _scaled_factor(self.S[N, N] + self.known)
+        units = np.eye(self.n_model)[:, j]
+        columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
+        values = self.values[j] + columns.T @ (self.b[N] - self.pull)
+        spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
+        S, b = self.projected
+        costs = []
+        for c in (self.columns[i] for i in which):
+            inverse = np.linalg.inv(S[np.ix_(c, c)] + np.diag(self.precision[self.n_model + c]))
+            cross = columns.T @ self.S[N, self.n_model + c]
+            left = values - cross @ inverse @ b[c]
+            loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b[c] @ inverse @ b[c]
+            costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
+        return costs
 
     @cached_property
     def _without_block(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -231,7 +268,8 @@ def score_test(
     return ScoreTests(
         effects=tuple(candidates),
         columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
-        n_model=n_model,
+        names=tuple(problem.parameters[i].name for i in model),
+        values=values[model],
         sizes=sizes[kept],
         known=np.diag(sizes[model] ** -2.0) + beyond,
         pull=values[model] * sizes[model] ** -2.0 - slope,

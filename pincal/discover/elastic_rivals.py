@@ -1,0 +1,49 @@
+"""What else could give way in the place of one joint's drive or bearing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pincal.discover.decisions import each_heading_once
+from pincal.discover.policy import POLICY, Policy
+from pincal.discover.score_tests import ScoreTests
+from pincal.identify.calibrate import refit
+from pincal.identify.fit import Fit
+from pincal.model.effect import Effect, Family
+from pincal.model.effects import Compliance
+from pincal.parameters import Estimate
+
+
+def instead_of(tests: ScoreTests, compliance: Effect, estimate: Estimate, policy: Policy = POLICY) -> tuple[Effect, ...]:
+    """Return the effects of loads that explain the data as well as one joint's compliances do.
+
+    A bearing that tilts with the link before is, at the first joint, the foundation that tilts, and at others the end of a
+    link that bends; all bearings came in together, so that none of them was ever judged against these.
+
+    Args:
+        tests: those against the last model, in which the compliance is.
+        compliance: the effect, of one joint.
+        estimate: its parameters.
+        policy: what counts as a tie.
+    """
+    names = {parameter.name for parameter in estimate.parameters}
+    # What acts in the same place is a finer form of it.
+    others = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
+    costs = sorted(zip(tests.costs_instead(others, names), others, strict=True))
+    rivals = [tests.effects[i] for cost, i in costs if cost < policy.tie]
+    return each_heading_once(rivals, compliance, policy)
+
+
+def without_compliance(fit: Fit, compliance: Effect) -> Fit:
+    """Return a fit without the compliance of one joint."""
+    effects: list[Effect] = []
+    for effect in fit.options.effects:
+        if isinstance(effect, Compliance) and effect.name == compliance.name:
+            joints = fit.problem.chain.robot.joint_names if effect.joints is None else effect.joints
+            effect = replace(effect, joints=tuple(joint for joint in joints if joint != compliance.locus.joint))
+        effects.append(effect)
+    return refit(fit, effects)
+
+
+def _place(effect: Effect) -> tuple[str | None, str, str | None]:
+    return effect.locus.joint, effect.locus.acts_on, effect.locus.follows

@@ -1,0 +1,66 @@
+"""What gives way in the place of a bearing: told where data can't tell, and only there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from discovery_cases import SIGMA, random_urdf
+from placed_arms import FIRST, TOOL
+
+import pincal.simulate as sim
+from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
+from pincal.discover.elastic_rivals import instead_of
+from pincal.discover.score_tests import score_test
+from pincal.discover.where import sure_compliances
+from pincal.identify.calibrate import refit
+from pincal.identify.fit import Fit
+from pincal.identify.moment_frames import misfit
+from pincal.model.catalogue import BaseElasticity, LinkBending
+from pincal.model.effects import BearingElasticity, Effect, JointElasticity
+from pincal.parameters import Estimate
+
+
+def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect) -> Fit:
+    """Return an elastic fit, bearings tilting with the link before, of an arm with soft drives and what is hidden."""
+    path, rng = tmp_path / "arm.urdf", np.random.default_rng(3)
+    path.write_text(random_urdf(rng, heavy=True, frames="skew"))
+    robot, machine = Robot.from_urdf(path), sim.TrueMachine.from_urdf(path, tip="tool0", compliance=[0.0, 0.0, 2e-7])
+    q = sim.plan_poses(machine.nominal, 150, rng)
+    tracker = sim.Instrument(pose=FIRST, targets=TOOL)
+    table = tracker.measure(machine.with_effects(*hidden), q)
+    position = np.column_stack([table[axis] for axis in "xyz"]) + SIGMA * rng.standard_normal((150, 3))
+    rows = measurements_from_arrays(robot.joint_names, q, position=position)
+    return calibrate(robot, rows, Options(effects=ELASTIC, sigma=SIGMA, moment_frame="before"))
+
+
+def bearing_of(fit: Fit, joint: str) -> tuple[Effect, Estimate]:
+    """Return the compliance of one joint's bearing, which is sure, and its parameters."""
+    sure = {effect.heading[:2]: (effect, estimate) for effect, estimate, _ in sure_compliances(fit)}
+    return sure["bearing_elasticity", joint]
+
+
+def test_a_foundation_is_told_beside_the_first_bearing(tmp_path: Path) -> None:
+    """A base that tilts, taken for a bearing, stands beside it; the cost is that of a fit without the bearing."""
+    fit = fit_of(tmp_path, sim.BaseElasticity(size=5e-7))
+    tests = score_test(fit, [BaseElasticity(), LinkBending("axis_3")])
+    found = bearing_of(fit, "axis_1")
+
+    assert instead_of(tests, *found) == (BaseElasticity(),)
+
+    others = fit.problem.chain.robot.joint_names[1:]
+    swapped = refit(fit, [*GEOMETRIC, JointElasticity(), BearingElasticity(others), BaseElasticity()])
+    spent = np.log(3 * len(fit.problem)) * (swapped.solution.posterior.effective - fit.solution.posterior.effective)
+    expected = misfit(swapped) - misfit(fit) + spent
+    assert tests.costs_instead([0], {parameter.name for parameter in found[1].parameters})[0] == pytest.approx(
+        expected, abs=6.0
+    )
+
+
+def test_a_bearing_that_gives_way_has_no_rival(tmp_path: Path) -> None:
+    """Not at the second joint, soft in one direction: no link before it bends so, and the base turns about other axes."""
+    fit = fit_of(tmp_path, sim.BearingElasticity(joint="axis_2", size=1e-6, size_y=2e-7, moment_frame="before"))
+    tests = score_test(fit, [BaseElasticity(), *(LinkBending(joint) for joint in fit.problem.chain.robot.joint_names[:-1])])
+
+    assert instead_of(tests, *bearing_of(fit, "axis_2")) == ()
