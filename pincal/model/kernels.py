@@ -150,7 +150,7 @@ class _Announcement(event.Listener):
         """Say so at the first of the loops."""
         if self._is_due and event.data["dispatcher"].py_func.__module__ == __name__:
             self._is_due = False
-            log.info("compiling once for this machine, about 20 s")
+            log.info("compiling once for this machine, about 15 s")
 
     def on_end(self, event: event.Event) -> None:
         """Say nothing more."""
@@ -166,14 +166,14 @@ _INNER = _COMPILE | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 @njit(**_INNER)
 def _set(out, value):
     """Out = value, for an array of one axis."""
-    for i in range(len(out)):
+    for i in range(LANES):
         out[i] = value
 
 
 @njit(**_INNER)
 def _copy(values, out):
     """Out = values, each of one axis. An assignment would bring its check of shapes, which takes seconds to compile."""
-    for i in range(len(out)):
+    for i in range(LANES):
         out[i] = values[i]
 
 
@@ -187,7 +187,7 @@ def _copy_rows(values, out):
 @njit(**_INNER)
 def _add(values, out):
     """Out += values, each of one axis."""
-    for i in range(len(out)):
+    for i in range(LANES):
         out[i] += values[i]
 
 
@@ -224,7 +224,7 @@ def _identity(R, p):
 def _apply(R, p, F):
     """Multiply the frames (R, p) by a fixed transform from the right."""
     for r in range(3):
-        for i in range(R.shape[2]):
+        for i in range(LANES):
             a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
             p[r, i] += a * F[0, 3] + b * F[1, 3] + d * F[2, 3]
             R[r, 0, i] = a * F[0, 0] + b * F[1, 0] + d * F[2, 0]
@@ -238,7 +238,7 @@ def _turn(rotations, index, start, m, R):
     if len(rotations) == 1:
         A = rotations[0]
         for r in range(3):
-            for i in range(R.shape[2]):
+            for i in range(LANES):
                 a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
                 R[r, 0, i] = a * A[0, 0] + b * A[1, 0] + d * A[2, 0]
                 R[r, 1, i] = a * A[0, 1] + b * A[1, 1] + d * A[2, 1]
@@ -262,17 +262,17 @@ def _walk(layout, first, last, x, c, s, R, p, W, O):
         axis = kind if kind < 3 else kind - 3
         j, l = (axis + 1) % 3, (axis + 2) % 3
         for r in range(3):
-            for i in range(R.shape[2]):
+            for i in range(LANES):
                 W[k, r, i] = R[r, axis, i]
                 O[k, r, i] = p[r, i]
             if kind >= 3:
-                for i in range(R.shape[2]):
+                for i in range(LANES):
                     p[r, i] += R[r, axis, i] * x[k, i]
                 if layout.less[k] >= 0:
-                    for i in range(R.shape[2]):
+                    for i in range(LANES):
                         p[r, i] -= R[r, axis, i] * x[layout.less[k], i]
             else:
-                for i in range(R.shape[2]):
+                for i in range(LANES):
                     a, b = R[r, j, i], R[r, l, i]
                     R[r, j, i] = c[k, i] * a + s[k, i] * b
                     R[r, l, i] = c[k, i] * b - s[k, i] * a
@@ -298,7 +298,7 @@ def _walk_arm(layout, places, start, m, x, c, s, R, p, W, O):
 def _add_body(R, p, mass, centre, B):
     """Add mass times the place of its centre to B."""
     for r in range(3):
-        for i in range(R.shape[2]):
+        for i in range(LANES):
             place = p[r, i] + R[r, 0, i] * centre[0] + R[r, 1, i] * centre[1] + R[r, 2, i] * centre[2]
             B[r, i] += mass[i] * place
 
@@ -307,7 +307,7 @@ def _add_body(R, p, mass, centre, B):
 def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F):
     """Walk the arm from its base; M[j] is the mass beyond joint j, B[j] the sum of mass times centre there.
 
-    The link frames are noted in F, rotation and then origin, where it has room for them.
+    The link frames are noted in F, the three rows of the rotation and then the origin, where it has room for them.
     """
     n = len(layout.masses)
     _identity(R, p)
@@ -316,8 +316,8 @@ def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F):
         _walk(layout, first, first + BLOCK, x, c, s, R, p, W, O)
         if len(F) > 0:
             for r in range(3):
-                _copy_rows(R[r], F[j, r])
-            _copy_rows(p, F[j, 3])
+                _copy_rows(R[r], F[4 * j + r])
+            _copy_rows(p, F[4 * j + 3])
         _set(mass, layout.masses[j])
         _set(M[j], layout.masses[j])
         for r in range(3):
@@ -338,7 +338,7 @@ def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F):
 @njit(**_INNER)
 def _cross(a, b, out):
     """Out = a x b, each of shape (3, lanes)."""
-    for i in range(a.shape[1]):
+    for i in range(LANES):
         out[0, i] = a[1, i] * b[2, i] - a[2, i] * b[1, i]
         out[1, i] = a[2, i] * b[0, i] - a[0, i] * b[2, i]
         out[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
@@ -347,7 +347,7 @@ def _cross(a, b, out):
 @njit(**_INNER)
 def _turned_gravity(g, w, out):
     """Out = g x w."""
-    for i in range(w.shape[1]):
+    for i in range(LANES):
         out[0, i] = g[1] * w[2, i] - g[2] * w[1, i]
         out[1, i] = g[2] * w[0, i] - g[0] * w[2, i]
         out[2, i] = g[0] * w[1, i] - g[1] * w[0, i]
@@ -357,7 +357,7 @@ def _turned_gravity(g, w, out):
 def _lever(B, M, o, D):
     """D = B - M o: first moment of mass of what is beyond, about the point o."""
     for r in range(3):
-        for i in range(D.shape[1]):
+        for i in range(LANES):
             D[r, i] = B[r, i] - M[i] * o[r, i]
 
 
@@ -383,7 +383,7 @@ def _moment_levers(layout, W, O, M, B, A, H, D):
 def _add_scaled(a, v, out):
     """Out += a v, with a a number a lane and v of shape (3, lanes)."""
     for r in range(3):
-        for i in range(v.shape[1]):
+        for i in range(LANES):
             out[r, i] += a[i] * v[r, i]
 
 
@@ -413,13 +413,13 @@ def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
                 _cross(W[k], u, h)
                 _turned_gravity(layout.gravity, W[k], u)
                 for r in range(rows):
-                    for i in range(h.shape[1]):
+                    for i in range(LANES):
                         before = ahead[r, 0, i] * u[0, i] + ahead[r, 1, i] * u[1, i] + ahead[r, 2, i] * u[2, i]
                         after = behind[r, 0, i] * h[0, i] + behind[r, 1, i] * h[1, i] + behind[r, 2, i] * h[2, i]
                         V[r, k, i] = before + after
             else:
                 for r in range(rows):
-                    for i in range(h.shape[1]):
+                    for i in range(LANES):
                         along = behind[r, 0, i] * W[k, 0, i] + behind[r, 1, i] * W[k, 1, i]
                         V[r, k, i] = M[j, i] * (along + behind[r, 2, i] * W[k, 2, i])
                     _take_back(layout, k, V[r])
@@ -428,7 +428,7 @@ def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
                     _turned_gravity(layout.gravity, A[l], u)
                     for r in range(rows):
                         for q in range(3):
-                            for i in range(h.shape[1]):
+                            for i in range(LANES):
                                 behind[r, q, i] += a[r, l, i] * u[q, i]
                                 ahead[r, q, i] -= a[r, l, i] * H[l, q, i]
 
@@ -441,7 +441,7 @@ def _pull_back(compliances, start, m, J, a):
         k, l = compliances.coordinate[e], compliances.moment[e]
         for r in range(len(a)):
             if constant:
-                for i in range(a.shape[2]):
+                for i in range(LANES):
                     a[r, l, i] += J[r, k, i] * compliances.rate[e, 0]
             else:
                 for i in range(m):
@@ -461,7 +461,7 @@ def _kinematic_columns(layout, W, O, p, J):
             for r in range(3):
                 _take_back(layout, k, J[r])
             continue
-        for i in range(p.shape[1]):
+        for i in range(LANES):
             dx, dy, dz = p[0, i] - O[k, 0, i], p[1, i] - O[k, 1, i], p[2, i] - O[k, 2, i]
             J[0, k, i] = W[k, 1, i] * dz - W[k, 2, i] * dy
             J[1, k, i] = W[k, 2, i] * dx - W[k, 0, i] * dz
@@ -515,17 +515,23 @@ def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
                 column, mass, H = out[bodies.parameter[e], r], bodies.mass[e], bodies.moment[e]
                 for q in range(3):
                     for i in range(m):
-                        turned = F[j, q, 0, i] * H[0] + F[j, q, 1, i] * H[1] + F[j, q, 2, i] * H[2]
-                        column[start + i] += U[q, i] * (mass * F[j, 3, q, i] + turned)
+                        turned = F[4 * j + q, 0, i] * H[0] + F[4 * j + q, 1, i] * H[1] + F[4 * j + q, 2, i] * H[2]
+                        column[start + i] += U[q, i] * (mass * F[4 * j + 3, q, i] + turned)
                 for i in range(m):
                     column[start + i] -= mass * S[i]
 
 
 @njit(**_INNER)
+def _room(a, b):
+    """Return room for a x b rows of lanes. Each number of axes that is allocated takes half a second to compile."""
+    return np.empty((a, b, LANES))
+
+
+@njit(**_INNER)
 def _buffers(K):
     """Return room for x, c, s (see _load) and R, p, W, O (see _walk) of one group of poses."""
-    x, c, s = np.zeros((K, LANES)), np.zeros((K, LANES)), np.zeros((K, LANES))
-    return x, c, s, np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((K, 3, LANES)), np.empty((K, 3, LANES))
+    coordinates = np.zeros((3, K, LANES))
+    return coordinates[0], coordinates[1], coordinates[2], _room(3, 3), _room(1, 3)[0], _room(K, 3), _room(K, 3)
 
 
 @njit(**_INNER)
@@ -542,9 +548,9 @@ def static_moments(layout, values, payload):
     """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
     N, K, n = len(payload.mass), len(values.constant), len(layout.masses)
     x, c, s, R, p, W, O = _buffers(K)
-    M, B, mass, D = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES), np.empty((3, LANES))
-    A, H, F = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES)), np.empty((0, 4, 3, LANES))
-    out = np.empty((3 * n, N))
+    M, B, mass, D = _room(1, n)[0], _room(n, 3), _room(1, 1)[0, 0], _room(1, 3)[0]
+    A, H, F = _room(3 * n, 3), _room(3 * n, 3), _room(0, 3)
+    out = np.empty((1, 3 * n, N))[0]
     g = layout.gravity
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
@@ -595,15 +601,15 @@ def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, bod
     N, K, n = len(places.tool), len(values.constant), len(layout.masses)
     x, c, s, R, p, W, O = _buffers(K)
     y, cy, sy, Rb, q, Wb, Ob = _buffers(K)
-    M, B, mass = np.empty((n, LANES)), np.empty((n, 3, LANES)), np.empty(LANES)
-    h, u = np.empty((3, LANES)), np.empty((3, LANES))
-    A, H = np.empty((3 * n, 3, LANES)), np.empty((3 * n, 3, LANES))
-    a0, a = np.empty((rows, 3 * n, LANES)), np.empty((rows, 3 * n, LANES))
-    ahead, behind = np.empty((rows, 3, LANES)), np.empty((rows, 3, LANES))
-    J, V = np.empty((rows, K, LANES)), np.zeros((rows, K, LANES))
+    M, B, mass, S = _room(1, n)[0], _room(n, 3), _room(1, 1)[0, 0], _room(1, 1)[0, 0]
+    h, u, U = _room(1, 3)[0], _room(1, 3)[0], _room(1, 3)[0]
+    A, H = _room(3 * n, 3), _room(3 * n, 3)
+    a0, a = _room(rows, 3 * n), _room(rows, 3 * n)
+    ahead, behind = _room(rows, 3), _room(rows, 3)
+    J, V = _room(rows, K), np.zeros((rows, K, LANES))
     poses, out = np.empty((3, 4, N)), np.zeros((n_parameters, rows, N))
     through, weighs = len(compliances.coordinate) > 0, len(bodies.joint) > 0
-    F, U, S = np.empty((n if weighs else 0, 4, 3, LANES)), np.empty((3, LANES)), np.empty(LANES)
+    F = _room(4 * n if weighs else 0, 3)
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
         _load(layout, values, start, m, x, c, s, start == 0)
