@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from discovery_cases import SIGMA, random_urdf
 from placed_arms import FIRST, TOOL
+from scipy.special import chdtri
 
 import pincal.simulate as sim
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
-from pincal.discover.elastic_rivals import instead_of
+from pincal.discover.elastic_rivals import instead_of, without_compliance
 from pincal.discover.score_tests import score_test
 from pincal.discover.where import sure_compliances
 from pincal.identify.calibrate import refit
@@ -64,3 +65,16 @@ def test_a_bearing_that_gives_way_has_no_rival(tmp_path: Path) -> None:
     tests = score_test(fit, [BaseElasticity(), *(LinkBending(joint) for joint in fit.problem.chain.robot.joint_names[:-1])])
 
     assert instead_of(tests, *bearing_of(fit, "axis_2")) == ()
+
+
+def test_a_compliance_is_as_sure_as_a_fit_without_it_is_bad(tmp_path: Path) -> None:
+    """Its chance is that of the score test on the fit without it, whatever k_x and k_y trade with each other."""
+    fit = fit_of(tmp_path, sim.BaseElasticity(size=1.5e-7))
+    sure = [(effect, p_value) for effect, _, p_value in sure_compliances(fit) if effect.name == "bearing_elasticity"]
+    compliance, p_value = sure[0]
+    rest = without_compliance(fit, compliance)
+    score = score_test(rest, [compliance]).score([0], 1)
+    # In units of the noise that the whole fit leaves.
+    gain = score.gain * float(rest.solution.estimated[0] / fit.solution.estimated[0]) ** 2
+
+    assert chdtri(score.rank, p_value) == pytest.approx(gain, rel=0.2)

@@ -126,7 +126,9 @@ def sure_compliances(fit: Fit) -> list[tuple[Effect, Estimate, float]]:
         for joint in dict.fromkeys(p.name.rsplit(".", 1)[0] for p in effect.parameters(fit.problem.chain)):
             single = replace(effect, joints=(joint,))
             estimate = fit.estimate.take(parameter.name for parameter in single.parameters(fit.problem.chain))
-            z2 = float(np.sum((estimate.values / estimate.fitted_sigma) ** 2))
+            # Two that trade with each other may be sure together and neither of them alone.
+            known = np.linalg.pinv(estimate.dense_covariance(), hermitian=True)
+            z2 = float(estimate.values @ known @ estimate.values)
             found.append((z2, single, estimate))
     found.sort(key=lambda item: -item[0])
     sure = [item for item in found if item[0] > _SIGNIFICANT**2 * len(item[2])] or found[:1]
