@@ -9,7 +9,7 @@ from discovery_cases import SIGMA
 from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays, run_discovery
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.loop import linearised_about_itself
+from pincal.discover.settling import linearised_about_itself
 from pincal.identify.calibrate import calibrate
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import JointCreep, ThermalGrowth

@@ -318,7 +318,7 @@ def test_score_tests_of_a_table_in_two_parts_are_the_same(machine: sim.TrueMachi
     one, two = (_score_tests(calibrate(kuka, tables, options), candidates, groups) for tables in (table, parts))
     for k in range(len(candidates)):
         assert one.gain([k]) == pytest.approx(two.gain([k]), rel=1e-9)
-        assert one.cross_validated_gain([k]) == pytest.approx(two.cross_validated_gain([k]), rel=1e-8)
+        assert one.gains_by_block([k]) == pytest.approx(two.gains_by_block([k]), rel=1e-8)
 
 
 def test_one_table_by_a_name_needs_no_name(machine: sim.TrueMachine, kuka: Robot) -> None:

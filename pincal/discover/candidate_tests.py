@@ -10,7 +10,7 @@ import numpy as np
 from pincal.discover.decisions import CandidateTable, Decision, Row, decide
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
-from pincal.discover.score_tests import ScoreTests
+from pincal.discover.score_tests import ScoreTests, standard_errors
 from pincal.discover.tones import strongest_tones
 from pincal.identify.fit import Fit
 from pincal.model.at_station import changed_effects, own_effects
@@ -69,17 +69,18 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
     # Blocks of rows would take as many times the memory, so they wait for the few of which it is asked what they predict.
     tests = score_test_beside_masses(fit, effects)
     count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
+    is_small = is_small_table(fit, policy)
     rows = []
     for i, effect in enumerate(effects):
-        n = count[effect.is_nameless]
-        score = tests.score([i], n)
-        rows.append(
-            Row(effect, score, costs.get(id(effect), score.ebic + _surcharge(effect, policy)), policy.false_name / n)
-        )
+        n, more = count[effect.is_nameless], _surcharge(effect, policy)
+        score, limit = tests.score([i], n), policy.false_name / n
+        if is_small and tests.log_evidence([i]) < 0.5 * more - np.log(limit):
+            limit = 0.0
+        rows.append(Row(effect, score, costs.get(id(effect), score.ebic + more), limit))
 
     def predicts(i: int) -> bool:
-        gain, error = score_test_beside_masses(fit, [effects[i]], search.groups).cross_validated_gain([0])
-        return gain > error
+        tests = score_test_beside_masses(fit, [effects[i]], search.groups)
+        return standard_errors(tests.gains_by_block([0])) > 1.0
 
     return CandidateTable(
         rows,
@@ -88,6 +89,11 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
         cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
         predicts=predicts,
     )
+
+
+def is_small_table(fit: Fit, policy: Policy) -> bool:
+    """Return whether a table has so few rows for the parameters that they determine that priors decide."""
+    return len(fit.problem) < policy.rows_each * fit.solution.posterior.effective
 
 
 def _surcharge(effect: Effect, policy: Policy) -> float:

@@ -21,7 +21,7 @@ class Row:
         score: its test.
         cost: what it costs to believe it: the extended Bayesian information criterion, and a surcharge without a name;
             negative is better than nothing.
-        limit: what the p-value has to stay below.
+        limit: what the p-value has to stay below; 0 where the priors on effects speak against it.
     """
 
     effect: Effect

@@ -43,12 +43,35 @@ class Step:
         return self.effect.family is Family.ELASTICITY
 
 
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change of the model on the way from the first fit to the last.
+
+    Attributes:
+        fit: the fit after it.
+        entered, left: the effects that came in and went out; neither where all was only fitted again.
+    """
+
+    fit: Fit
+    entered: tuple[Effect, ...] = ()
+    left: tuple[Effect, ...] = ()
+
+
 @dataclass(frozen=True)
 class State:
-    """Where a discovery stands: the model so far, and what was accepted, in order."""
+    """Where a discovery stands: the model so far, what was accepted, in order, and every change on the way."""
 
     fit: Fit
     steps: tuple[Step, ...] = ()
+    changes: tuple[Change, ...] = ()
+
+    def changed(self, fit: Fit, steps: tuple[Step, ...], entered: tuple[Effect, ...], left: tuple[Effect, ...]) -> State:
+        """Return the state after a change of the model, which is told."""
+        return State(fit, steps, (*self.changes, Change(fit, entered, left)))
+
+    def with_step(self, step: Step) -> State:
+        """Return the state with one more step."""
+        return self.changed(step.after, (*self.steps, step), step.effects, ())
 
     def with_replaced(self, step: Step, by: Step) -> State:
         """Return the state with another step in the place of one."""
@@ -68,9 +91,11 @@ class History:
         steps: the accepted effects, in order.
         final: the fit of everything that stayed.
         last: the tests against the final fit, none of which passed.
+        changes: every change of the model between the two, also what was taken out again.
     """
 
     first: Fit
     steps: tuple[Step, ...]
     final: Fit
     last: ScoreTests
+    changes: tuple[Change, ...]

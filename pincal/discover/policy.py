@@ -18,6 +18,7 @@ _PAIRS = _RATES + "test_two_hidden_effects_are_both_named"
 _SOUND = _RATES + "test_sound_data_bring_in_no_name"
 _NO_NAME = _RATES + "test_effects_outside_the_catalogue_get_no_name"
 _EXAMPLES = "test_discovery_report.py::test_hidden_examples_come_out_right"
+_SMALL = "test_selection.py::test_priors_on_effects_decide_on_small_tables"
 _DECISIONS = "test_discovery_decisions.py::"
 _CRITERION = "information criterion (-2 log likelihood)"
 
@@ -68,6 +69,9 @@ class Policy:
     drop: float = _number(0.1, "ratio", _SOUND,
         "part of the chance of a false name at which an effect is taken out again",
         "an effect that entered by chance among many is tested once more alone, so more is asked of it")
+    rows_each: float = _number(3.0, "rows per parameter", _SMALL,
+        "below which priors on effects have to speak for an effect, too",
+        "with fewer, the model of so many parameters bends to a few rows, and p-values count that as evidence")
     share: float = _number(0.01, "ratio", _DECISIONS + "test_what_matters_to_nobody_is_left_out",
         "part of the weighted squares that an effect has to take off to matter; twice if the noise is not declared",
         "0.5 % of the error: less than any user would act on")

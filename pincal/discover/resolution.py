@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
-from pincal.discover.score_tests import ScoreTests
+from pincal.discover.score_tests import ScoreTests, standard_errors
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import most_pieces
 from pincal.model.conditions import distinct_values
@@ -61,7 +61,7 @@ def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarr
     tests, gains = _tested(fit, curves, groups)
     more = gains - gains[0]
     best = int(np.argmax(more.sum(axis=1)))
-    best = best if more[best].sum() > more[best].std() * np.sqrt(more.shape[1]) else 0
+    best = best if standard_errors(more[best]) > 1.0 else 0
     return curves[best], tests.estimate([best])
 
 

@@ -162,10 +162,17 @@ class ScoreTests:
         ebic = self.readings * np.log(left / self.squares) + price
         return Score(gain, rank, p_value, float(ebic))
 
-    def cross_validated_gain(self, which: Sequence[int]) -> tuple[float, float]:
-        """Return the gain in squared prediction error on blocks left out, and its standard error."""
-        gains = self.gains_by_block(which)
-        return float(gains.sum()), float(gains.std(ddof=1) * np.sqrt(len(gains)))
+    def log_evidence(self, which: Sequence[int]) -> float:
+        """Return the log of how much likelier the data are with some candidates, whatever their values, than without.
+
+        Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order).
+        """
+        S, b = self.projected
+        j = self.columns_of(which)
+        size = self.sizes[self.n_model + j]
+        information = np.outer(size, size) * S[np.ix_(j, j)] + np.eye(len(j))
+        step = np.linalg.solve(information, size * b[j])
+        return float(0.5 * (size * b[j]) @ step - 0.5 * np.linalg.slogdet(information)[1])
 
     def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
         """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).
@@ -212,6 +219,23 @@ class ScoreTests:
             costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
         return costs
 
+    def losses_by_block(self, names: Collection[str]) -> np.ndarray:
+        """Return by how much the squared error on each block left out grows without some of the model, shape (B,).
+
+        Their values are held at zero and all others refitted, to first order, without each block.
+
+        Args:
+            names: parameters of the model.
+        """
+        j = np.array([i for i, name in enumerate(self.names) if name in names], int)
+        units, N, losses = np.eye(self.n_model)[:, j], slice(0, self.n_model), np.zeros(len(self.blocks_S))
+        for k, (scale, factor, step) in enumerate(self._without_block if len(j) else ()):
+            columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
+            held = step - columns @ np.linalg.solve(columns[j], step[j] + self.values[j])
+            S, b = self.blocks_S[k, N, N], self.blocks_b[k, N]
+            losses[k] = held @ S @ held - step @ S @ step - 2.0 * b @ (held - step)
+        return losses
+
     @cached_property
     def _without_block(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Scale and factor of the model's information without each block, and the step of its parameters."""
@@ -227,6 +251,14 @@ class ScoreTests:
         S, b = self.projected
         j = self.columns_of(which)
         return np.asarray(np.linalg.inv(S[np.ix_(j, j)] + np.diag(self.precision[self.n_model + j])) @ b[j])
+
+
+def standard_errors(gains: np.ndarray) -> float:
+    """Return the sum of what blocks of poses left out gain, in its standard errors as the blocks differ.
+
+    More than one is what it takes, here and everywhere in a discovery, to call a prediction better.
+    """
+    return float(gains.sum() / max(gains.std(ddof=1) * np.sqrt(len(gains)), 1e-300)) if len(gains) > 1 else 0.0
 
 
 def _scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

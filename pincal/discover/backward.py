@@ -1,0 +1,143 @@
+"""Backward: judge each effect once more beside all the others, and take out again what does not earn its place."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from pincal.discover.candidate_tests import Search, choose
+from pincal.discover.decisions import each_heading_once
+from pincal.discover.forward import decided, listed
+from pincal.discover.history import State, Step
+from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.policy import Policy
+from pincal.discover.score_tests import standard_errors
+from pincal.identify.calibrate import refit
+from pincal.identify.fit import Fit, without
+from pincal.model.effect import Effect, Family
+
+log = logging.getLogger(__name__)
+
+
+def name_again(state: State, search: Search) -> State:
+    """Name each effect once more beside all the others, which were not there when it was named."""
+    named = [step for step in state.steps if not step.is_elastic]
+    for step in named if len(named) > 1 else []:
+        (effect,) = step.effects
+        rest = without(state.fit, effect)
+        decision = choose(rest, search)
+        if decision is None:
+            continue
+        if decision.effect.identity == effect.identity:
+            state = state.with_replaced(step, replace(step, equivalent=decision.equivalent))
+            continue
+        new = decided(rest, decision, search)
+        if _predicts_better(effect, new.effect, rest, search):
+            continue
+        log.info("%s is %s beside what was found later", listed([effect]), listed([decision.effect]))
+        steps = state.with_replaced(step, replace(new, before=step.before, after=step.after)).steps
+        state = state.changed(new.after, steps, (decision.effect,), (effect,))
+    return state
+
+
+def _predicts_better(effect: Effect, other: Effect, fit: Fit, search: Search) -> bool:
+    """Return whether an effect predicts blocks of poses left out better than another, by more than chance."""
+    tests = score_test_beside_masses(fit, [effect, other], search.groups)
+    return standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > 1.0
+
+
+def drop_needless(state: State, search: Search) -> State:
+    """Take out again, one by one, what does not predict blocks of poses left out better beside all the others.
+
+    What the whole model loses without a step has to be more than its standard error over the blocks, as it had to be when
+    the step entered; and chance must not explain it. Elasticity, which every arm has, need only lose something, and of
+    several that fail it goes last, the others the least missed first. What is needed only once another has left could as
+    well be that other.
+    """
+    while state.steps:
+        worth = _worths(state, search)
+        failed = [step for step in state.steps if _fails(state, step, worth[step], search.policy)]
+        if not failed:
+            break
+        least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
+        log.info("dropped %s: the others predict blocks left out as well without it", listed(least.effects))
+        smaller = _without_all(state.fit, least)
+        rest = state.without_step(least)
+        state = state.changed(refit(state.fit, smaller.options.effects), rest.steps, (), least.effects)
+        state = _with_rivals(state, least, [step for step in failed if step is not least], search)
+    return state
+
+
+def _fails(state: State, step: Step, worth: float, policy: Policy) -> bool:
+    if worth <= (0.0 if step.is_elastic else 1.0):
+        return True
+    return len(state.steps) > 1 and _may_be_chance(state.fit, step, policy)
+
+
+def _worths(state: State, search: Search) -> dict[Step, float]:
+    """Return what the model loses on blocks of poses left out without each step, in standard errors of it."""
+    tests, found = score_test_beside_masses(state.fit, (), search.groups), {}
+    for step in state.steps:
+        losses = tests.losses_by_block(set(state.fit.names_of(step.effects)))
+        found[step] = standard_errors(losses)
+    return found
+
+
+def _with_rivals(state: State, gone: Step, failed: list[Step], search: Search) -> State:
+    """Return the state in which those are told to be perhaps what has left that are needed since it left."""
+    worth = _worths(state, search) if failed else {}
+    for step in failed:
+        if worth[step] > 1.0:
+            rivals = each_heading_once([*gone.effects[:1], *step.equivalent], step.effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=rivals))
+    return state
+
+
+def _without_all(fit: Fit, step: Step) -> Fit:
+    for effect in step.effects:
+        fit = without(fit, effect)
+    return fit
+
+
+def _may_be_chance(fit: Fit, step: Step, policy: Policy) -> bool:
+    """Return whether chance explains a step beside the others: suspected by Wald's test, judged by the score test."""
+    found = fit.estimate.take(fit.names_of(step.effects))
+    values = found.values[found.free]
+    wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
+    if wald > policy.sure * len(values):
+        return False
+    tested = score_test_beside_masses(_without_all(fit, step), step.effects)
+    limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
+    return tested.p_value_of_any(range(len(step.effects))) > limit
+
+
+def merge_parts(state: State, search: Search) -> State:
+    """Take a name and a term without one that follow the same variable in the same place as one effect without a name.
+
+    A name that leaves something of its own variable unexplained where it acts is only the nearest that the catalogue has.
+    """
+    for rest in [step for step in state.steps if step.effect.is_nameless]:
+        part = next((s for s in state.steps if s is not rest and _is_part(s.effect, rest.effect, state.fit)), None)
+        if part is None:
+            continue
+        before, after = sorted((part, rest), key=state.steps.index)
+        equivalent = [*rest.equivalent, part.effect, *part.equivalent]
+        whole = replace(
+            before,
+            effects=(rest.effect, *part.effects),
+            equivalent=each_heading_once(equivalent, rest.effect, search.policy),
+            after=before.after,
+        )
+        state = state.with_replaced(before, whole).without_step(after)
+    return state
+
+
+def _is_part(effect: Effect, nameless: Effect, fit: Fit) -> bool:
+    """Return whether a name follows the same variable, on the same joint or a neighbour, as a term without a name."""
+    at, term, names = effect.locus, nameless.locus, fit.problem.chain.robot.joint_names
+    if effect.family is not Family.CAUSE or at.joint is None or term.joint is None or at.follows not in names:
+        return False
+    apart = abs(names.index(term.joint) - names.index(at.joint))
+    return apart <= 1 and term.follows == at.follows
