@@ -31,7 +31,10 @@ def name_again(state: State, search: Search) -> State:
         if decision is None:
             continue
         if decision.effect.identity == effect.identity:
-            state = state.with_replaced(step, replace(step, equivalent=decision.equivalent))
+            # A rival that has come in since may go again.
+            rivals = [*decision.equivalent, *(other for other in step.equivalent if _is_in(other, state.fit))]
+            told = each_heading_once(rivals, effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=told))
             continue
         new = decided(rest, decision, search)
         if _predicts_better(effect, new.effect, rest, search):
@@ -67,7 +70,14 @@ def drop_needless(state: State, search: Search) -> State:
         rest = state.without_step(least)
         state = state.changed(refit(state.fit, smaller.options.effects), rest.steps, (), least.effects)
         state = _with_rivals(state, least, [step for step in failed if step is not least], search)
+    for step in state.steps:
+        told = tuple(other for other in step.equivalent if not _is_in(other, state.fit))
+        state = state.with_replaced(step, replace(step, equivalent=told))
     return state
+
+
+def _is_in(effect: Effect, fit: Fit) -> bool:
+    return effect.identity in {other.identity for other in fit.problem.effects}
 
 
 def _fails(state: State, step: Step, worth: float, policy: Policy) -> bool:
