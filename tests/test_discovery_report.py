@@ -66,6 +66,7 @@ def test_discovery_json_has_the_fields_of_the_contract(found: Discovery) -> None
     assert set(report) == {
         "noise_floor_mm",
         "gap",
+        "chain",
         "where",
         "effects",
         "scatter",
@@ -86,6 +87,20 @@ def test_discovery_json_has_the_fields_of_the_contract(found: Discovery) -> None
             assert set(parameter) == {"value", "sigma", "unit"} and isinstance(parameter["value"], float)
     assert all(entry["effect"] and entry["reason"] for entry in report["not_testable"])
     assert report["verdict"] in ("adequate", "not adequate")
+
+
+def test_the_gap_is_a_chain_whose_shares_add_up(found: Discovery) -> None:
+    """Each effect begins where the row above ended, the last row is the gap, and nothing that is shared counts twice."""
+    chain, report = found.findings.chain, found.report
+
+    assert (chain[0].gap, chain[-1].gap) == (found.findings.gap["before"], found.findings.gap["after"])
+    for entry in report["effects"]:
+        place = next(i for i, row in enumerate(chain) if entry["effect"] in [effect.effect for effect in row.entered])
+        before, after = chain[place - 1 : place + 1]
+        assert (entry["gap_before_mm"], entry["gap_after_mm"]) == (before.mean_mm, after.mean_mm)
+    assert sum(row.share or 0.0 for row in chain) == pytest.approx(1.0)
+    squares = [row.rms_mm**2 for row in chain]
+    assert chain[1].share == pytest.approx((squares[0] - squares[1]) / (squares[0] - squares[-1]))
 
 
 def test_tell_apart_stands_exactly_where_there_are_equivalents(found: Discovery) -> None:

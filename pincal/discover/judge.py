@@ -13,7 +13,7 @@ from pincal.discover.elastic_rivals import instead_of, without_compliance
 from pincal.discover.history import History, Step
 from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import find_excess
-from pincal.discover.shrink import PartialResidual, gap_of, period_of
+from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.stability import Halves, Heading
 from pincal.discover.where import noise_floor, sure_compliances, where_of
 from pincal.identify.fit import Fit
@@ -26,6 +26,7 @@ from pincal.io.discovery_file import (
     FoundParameter,
     Repeated,
     Stability,
+    Stage,
     Untestable,
     Verdict,
 )
@@ -40,8 +41,9 @@ _MISFIT = 1e-3
 def findings_of(
     calibration: Calibration,
     trail: History,
-    traces: tuple[PartialResidual, ...],
     *,
+    gaps: tuple[Stage, ...],
+    traces: tuple[PartialResidual, ...],
     halves: Halves | None = None,
     bootstrap: Bootstrap | None = None,
 ) -> Findings:
@@ -50,6 +52,7 @@ def findings_of(
     Args:
         calibration: the calibration with all that was found.
         trail: how it was found.
+        gaps: the errors at the start and after each change of the model.
         traces: what each effect explains.
         halves: what the search named in halves of the poses; default: nobody looked.
         bootstrap: whether the effect that was accepted last may be chance; likewise.
@@ -61,12 +64,13 @@ def findings_of(
     # Residuals that are larger than the declared noise allows.
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < _MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
-    effects = tuple(found for step in trail.steps for found in _found(calibration, trail, step, periods))
+    effects = tuple(found for step in trail.steps for found in _found(calibration, trail, step, gaps=gaps, periods=periods))
     if halves:
         effects = tuple(replace(entry, stability=_stability(entry, halves)) for entry in effects)
     return Findings(
         noise_floor_mm=floor,
-        gap={"before": gap_of(trail.first, calibration.stations), "after": gap_of(final, calibration.stations)},
+        gap={"before": gaps[0].gap, "after": gaps[-1].gap},
+        chain=gaps,
         where=where_of(trail, excess, is_misfit=is_misfit),
         effects=effects,
         scatter=() if scatter is None else (scatter,),
@@ -118,15 +122,21 @@ def _errors_of(fit: Fit) -> tuple[float, float]:
 
 
 def _found(
-    calibration: Calibration, trail: History, step: Step, periods: dict[Effect, float | None]
+    calibration: Calibration,
+    trail: History,
+    step: Step,
+    *,
+    gaps: tuple[Stage, ...],
+    periods: dict[Effect, float | None],
 ) -> Iterator[FoundEffect]:
     """Yield what entered in one step; elasticity joint by joint."""
-    before, after = (gap_of(fit, calibration.stations).mean_mm for fit in (step.before, step.after))
+    place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
+    before, after = gaps[place], gaps[place + 1]
     # Standard deviations that pay for the choice, too.
     known = calibration.fit.estimate
     if step.is_elastic:
         found = [
-            (effect, e, known.take(e.names).fitted_sigma, p_value, *_in_its_place(trail, effect, e))
+            (effect, e, known.take(e.names).fitted_sigma, p_value, *_in_its_place(trail, effect, e, others=step.equivalent))
             for effect, e, p_value in sure_compliances(trail.final)
         ]
     else:
@@ -140,16 +150,20 @@ def _found(
             period=periods.get(effect),
             parameters=_parameters(estimate, sigma),
             p_value=p_value,
-            gap_before_mm=before,
-            gap_after_mm=after,
+            gap_before_mm=before.mean_mm,
+            gap_after_mm=after.mean_mm,
+            gap_before_mrad=before.mean_mrad,
+            gap_after_mrad=after.mean_mrad,
             equivalent=tuple(EffectName.of(other) for other in equivalent),
             tell_apart=decide,
         )
 
 
-def _in_its_place(trail: History, compliance: Effect, estimate: Estimate) -> tuple[tuple[Effect, ...], str]:
-    """Return what could give way in the place of one joint's compliance, and what decides."""
-    rivals = instead_of(trail.last, compliance, estimate)
+def _in_its_place(
+    trail: History, compliance: Effect, estimate: Estimate, *, others: tuple[Effect, ...]
+) -> tuple[tuple[Effect, ...], str]:
+    """Return what could give way in the place of one joint's compliance, others among it, and what decides."""
+    rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, estimate), *others)))
     if not rivals:
         return (), ""
     rest = without_compliance(trail.final, compliance)

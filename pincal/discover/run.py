@@ -24,14 +24,14 @@ from pincal.discover.judge import findings_of
 from pincal.discover.loop import discover_effects
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import notes_on_repeats
-from pincal.discover.shrink import PartialResidual, Stage, partial_residuals, stages_of
+from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.stability import repeat_on_halves
 from pincal.discover.widened import widened
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
-from pincal.io.discovery_file import Findings
+from pincal.io.discovery_file import Findings, Stage
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effect import Effect
@@ -50,7 +50,7 @@ class Discovery:
         calibration: the calibration with all that was found.
         trail: how it was found.
         findings: what was found.
-        gaps: errors on held-out rows at the start, after each step and with everything fitted together.
+        gaps: errors on held-out rows at the start, after each change of the model.
         traces: what each effect explains, pose by pose.
     """
 
@@ -154,7 +154,8 @@ def run_discovery(
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
     gaps, traces = stages_of(trail, final.stations), partial_residuals(trail)
-    return Discovery(final, trail, findings_of(final, trail, traces, halves=halves, bootstrap=bootstrap), gaps, traces)
+    findings = findings_of(final, trail, gaps=gaps, traces=traces, halves=halves, bootstrap=bootstrap)
+    return Discovery(final, trail, findings, gaps, traces)
 
 
 def _search(

@@ -165,14 +165,16 @@ class ScoreTests:
     def log_evidence(self, which: Sequence[int]) -> float:
         """Return the log of how much likelier the data are with some candidates, whatever their values, than without.
 
-        Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order).
+        Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order). The
+        places or frequencies among which they were chosen cost, too.
         """
         S, b = self.projected
         j = self.columns_of(which)
         size = self.sizes[self.n_model + j]
         information = np.outer(size, size) * S[np.ix_(j, j)] + np.eye(len(j))
         step = np.linalg.solve(information, size * b[j])
-        return float(0.5 * (size * b[j]) @ step - 0.5 * np.linalg.slogdet(information)[1])
+        looks = sum(float(np.log(self.effects[i].looks)) for i in which)
+        return float(0.5 * (size * b[j]) @ step - 0.5 * np.linalg.slogdet(information)[1]) - looks
 
     def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
         """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).

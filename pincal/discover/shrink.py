@@ -10,10 +10,10 @@ import numpy as np
 from msgspec.structs import asdict
 
 from pincal.calibration.rows import StationRows
-from pincal.discover.history import History
+from pincal.discover.history import Change, History
 from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
-from pincal.io.discovery_file import Gap
+from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
@@ -28,12 +28,6 @@ _FINEST = 0.25  # periods a row
 _OVERSAMPLED = 8
 
 
-class Stage(Gap, frozen=True, kw_only=True):
-    """Errors under one of the models that a discovery went through, ``name`` says which."""
-
-    name: str
-
-
 def gap_of(fit: Fit, rows: Sequence[StationRows]) -> Gap:
     """Return the errors of a fit on the held-out rows of all stations; on the fitted ones if there are none."""
     held = [part.held(fit) for part in rows]
@@ -41,16 +35,32 @@ def gap_of(fit: Fit, rows: Sequence[StationRows]) -> Gap:
         held = list(fit.problem.stations)
     pairs = zip(held, fit.problem.places, strict=True)
     errors = error_statistics(pose_error_sizes(at, fit.values[places]) for at, places in pairs if at is not None)
-    return Gap(mean_mm=errors["mean_mm"], rms_mm=errors["rms_mm"], max_mm=errors["max_mm"])
+    return Gap(**{key: errors[key] for key in Gap.__struct_fields__ if key in errors})
 
 
 def stages_of(trail: History, rows: Sequence[StationRows]) -> tuple[Stage, ...]:
-    """Return the errors at the start, after each step, and with everything fitted together."""
-    fits = [("at the start", trail.first)]
-    fits += [("+ " + ", ".join(_title(e) for e in step.effects), step.after) for step in trail.steps]
-    if fits[-1][1] is not trail.final:
-        fits.append(("all together", trail.final))
-    return tuple(Stage(name=name, **asdict(gap_of(fit, rows))) for name, fit in fits)
+    """Return the errors at the start and after each change of the model.
+
+    Each change gets the share of what it takes off the mean square beside those before it, so that nothing that two
+    effects share counts twice. (Shapley values would spread it evenly, at the price of a fit of every subset.)
+    """
+    gaps = [gap_of(fit, rows) for fit in (trail.first, *(change.fit for change in trail.changes))]
+    squares = [gap.rms_mm**2 for gap in gaps]
+    fell = squares[0] - squares[-1]
+    stages = [Stage(name="at the start", **asdict(gaps[0]))]
+    for change, gap, before, after in zip(trail.changes, gaps[1:], squares, squares[1:], strict=False):
+        entered, left = (tuple(EffectName.of(effect) for effect in effects) for effects in (change.entered, change.left))
+        share = (before - after) / fell if fell > 0.0 else None
+        stages.append(Stage(name=_words(change), entered=entered, left=left, share=share, **asdict(gap)))
+    return tuple(stages)
+
+
+def _words(change: Change) -> str:
+    """Return what a change was."""
+    entered, left = (", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left))
+    if entered and left:
+        return f"{entered} instead of {left}"
+    return f"+ {entered}" if entered else f"- {left}" if left else "all rows, curves as fine as they tell"
 
 
 @dataclass(frozen=True)

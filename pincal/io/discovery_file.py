@@ -20,12 +20,15 @@ class Verdict(StrEnum):
     NOT_ADEQUATE = "not adequate"
 
 
-class Gap(msgspec.Struct, frozen=True, kw_only=True):
-    """Errors on held-out rows (on the fitted ones where none were held out) [mm]."""
+class Gap(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Errors on held-out rows (on the fitted ones where none were held out) [mm], [mrad] where orientation was measured."""
 
     mean_mm: float
     rms_mm: float
     max_mm: float
+    mean_mrad: float | None = None
+    rms_mrad: float | None = None
+    max_mrad: float | None = None
 
 
 class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -63,6 +66,27 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             station=at.station,
             **more,
         )
+
+
+class Stage(Gap, frozen=True, kw_only=True, omit_defaults=True):
+    """Errors after one change of the model; the change begins where the stage before it ended.
+
+    Attributes:
+        name: what changed, in words.
+        entered, left: the effects that came in and went out.
+        share: part of what the mean square error fell by in all, by this change beside those before it; all shares add up
+            to 1. Negative where it grew; none of the first stage, or where nothing fell.
+    """
+
+    name: str
+    entered: tuple[EffectName, ...] = ()
+    left: tuple[EffectName, ...] = ()
+    share: float | None = None
+
+    @property
+    def gap(self) -> Gap:
+        """The errors alone."""
+        return Gap(**{key: getattr(self, key) for key in Gap.__struct_fields__})
 
 
 class FoundParameter(msgspec.Struct, frozen=True):
@@ -114,6 +138,7 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
         parameters: its parameters by name.
         p_value: chance that sound data look like this.
         gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and with it.
+        gap_before_mrad, gap_after_mrad: the same of orientation, where that was measured.
         equivalent: effects that the data can't tell from it.
         tell_apart: the cheapest measurement that would tell it from the first of them; empty without one.
         stability: how often the search names it in halves of the poses; None where nobody looked.
@@ -124,6 +149,8 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     p_value: float
     gap_before_mm: float
     gap_after_mm: float
+    gap_before_mrad: float | None = None
+    gap_after_mrad: float | None = None
     equivalent: tuple[EffectName, ...]
     tell_apart: str
     stability: Stability | None = None
@@ -182,6 +209,7 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     Attributes:
         noise_floor_mm: what the noise alone makes of the error.
         gap: errors at the start and in the end.
+        chain: errors at the start and after each change of the model, what was taken out again among them.
         where: where model and data disagree, before anything is named.
         effects: what was found, in the order in which it entered the model.
         scatter: the joint that scatters in the end, if one does.
@@ -196,6 +224,7 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     noise_floor_mm: float
     gap: dict[Literal["before", "after"], Gap]
+    chain: tuple[Stage, ...] = ()
     where: tuple[Disagreement, ...]
     effects: tuple[FoundEffect, ...]
     scatter: tuple[ScatteringJoint, ...]

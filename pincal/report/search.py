@@ -12,7 +12,7 @@ from pincal.report.blocks import Block, Section, bullets, card, code, group, hea
 from pincal.report.illustrations import discovery_drawings, figures, stability_drawings
 from pincal.report.subject import Subject
 from pincal.report.tables import by_reason, location_table, show_chance, stage_table
-from pincal.report.words import HINTS, bootstrap_words, effect_meaning, effect_words, only_in_halves_words
+from pincal.report.words import HINTS, bootstrap_words, effect_meaning, effect_words, gain_words, only_in_halves_words
 from pincal.units import format_digits, small_unit
 
 # An effect with more parameters than this is a curve; its numbers stand in discovery.json.
@@ -32,7 +32,10 @@ def missing(subject: Subject) -> Section | None:
     )
     blocks: list[Block] = [paragraph(intro)]
     if found.where:
-        text = "Shares of what exceeds the noise. They may overlap: the same error can be described by joint and by region."
+        text = (
+            "Shares of what exceeds the noise: that of elasticity of what the geometric model leaves, those of joints of "
+            "what elasticity leaves, one after the other: nothing counts twice. A region is the same error seen otherwise."
+        )
         blocks += [heading("Where model and data disagreed"), location_table(found.where), paragraph(text, "mute")]
     blocks.append(heading("Effects found"))
     blocks += _named(found)
@@ -45,7 +48,11 @@ def missing(subject: Subject) -> Section | None:
         for entry in found.scatter
     ]
     blocks += [heading("How the error fell"), figures("search", discovery_drawings(subject.discovery))]
-    blocks.append(stage_table(found.noise_floor_mm, subject.discovery.gaps))
+    text = (
+        "Each row begins where the one above ended, and what was taken out again has a row of its own. The shares are parts "
+        "of what the mean square error fell by, in this order, and add up to 100 %; where the error grew they are negative."
+    )
+    blocks += [stage_table(found.noise_floor_mm, subject.discovery.gaps), paragraph(text, "mute")]
     untestable = by_reason(((e.effect, e.joint, e.reason) for e in found.not_testable), 0)
     if untestable:
         items = (rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
@@ -74,8 +81,8 @@ def _card(entry: FoundEffect) -> Markup:
     values = entry.parameters
     shown = joined((rich('{} = <span class="nw">{}</span>', code(name), _measured(p)) for name, p in values.items()), "<br>")
     explained = rich(
-        'mean held-out error {} → <b>{} mm</b>; chance that noise looks like this: <span class="nw">{}</span>',
-        *(f"{entry.gap_before_mm:.4f}", f"{entry.gap_after_mm:.4f}", show_chance(entry.p_value)),
+        'mean held-out error {}; chance that noise looks like this: <span class="nw">{}</span>',
+        *(gain_words(entry), show_chance(entry.p_value)),
     )
     often = f" The search names it {entry.stability} halves of the poses." if entry.stability else ""
     blocks = [

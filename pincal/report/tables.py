@@ -11,8 +11,7 @@ from pincal.calibration.tables import parameter_table
 from pincal.design.design import Design
 from pincal.discover.power import Detectable
 from pincal.discover.precheck import DataReport
-from pincal.discover.shrink import Stage
-from pincal.io.discovery_file import Disagreement, FoundEffect
+from pincal.io.discovery_file import Disagreement, FoundEffect, Stage
 from pincal.report.words import effect_words
 from pincal.tables import Cell, Column, Kind, Table, Tone
 from pincal.units import Quantity, fixed, format_digits, show_percent, show_plainly, small_unit
@@ -38,13 +37,13 @@ def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -
     If anybody looked, it is told in how many halves of the poses they come up.
     """
     is_repeated = any(entry.stability for entry in effects)
+    units = ("mm", "mrad") if any(entry.gap_before_mrad is not None for entry in effects) else ("mm",)
     columns = (
         Column("effect"),
         Column("joint", kind=Kind.NAME),
         Column("p", kind=Kind.NUMBER, show=show_chance),
         *([Column("halves")] if is_repeated else []),
-        Column("mean before", "mm", Kind.NUMBER, fixed(4)),
-        Column("after", "mm", Kind.NUMBER, fixed(4)),
+        *(Column(name, unit, Kind.NUMBER, fixed(4)) for unit in units for name in ("mean before", "after")),
         Column("could also be"),
     )
     rows: tuple[tuple[Cell, ...], ...] = tuple(
@@ -53,8 +52,7 @@ def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -
             entry.joint or "whole arm",
             entry.p_value,
             *([str(entry.stability or "")] if is_repeated else []),
-            entry.gap_before_mm,
-            entry.gap_after_mm,
+            *(getattr(entry, f"gap_{when}_{unit}") for unit in units for when in ("before", "after")),
             "; ".join(effect_words(other) for other in entry.equivalent),
         )
         for entry in effects
@@ -67,20 +65,34 @@ def show_chance(p_value: float) -> str:
     return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
 
 
-def stage_table(floor: float, stages: tuple[Stage, ...]) -> Table:
-    """Return the errors on held-out rows at each stage, beside the noise alone [mm]."""
+def stage_table(floor: float, stages: Sequence[Stage]) -> Table:
+    """Return the errors on held-out rows after each change of the model, each beginning where the one above ended.
+
+    Args:
+        floor: rms of the noise alone [mm].
+        stages: the errors [mm, mrad].
+    """
+    turned = ("mean", "rms") if stages and stages[0].mean_mrad is not None else ()
     columns = (
         Column("model", kind=Kind.NAME),
         *(Column(name, "mm", Kind.NUMBER, fixed(4)) for name in ("mean", "rms", "max")),
+        *(Column(name, "mrad", Kind.NUMBER, fixed(4)) for name in turned),
+        Column("share of the fall", kind=Kind.NUMBER, show=show_percent),
         Column("rms over noise", kind=Kind.NUMBER, show=fixed(2)),
     )
     rows: list[tuple[Cell, ...]] = [
-        (stage.name, stage.mean_mm, stage.rms_mm, stage.max_mm, stage.rms_mm / floor if floor > 0.0 else None)
+        (
+            stage.name,
+            *(stage.mean_mm, stage.rms_mm, stage.max_mm),
+            *(getattr(stage, f"{name}_mrad") for name in turned),
+            stage.share,
+            stage.rms_mm / floor if floor > 0.0 else None,
+        )
         for stage in stages
     ]
-    rows.append(("noise alone", "", floor, "", 1.0))
+    rows.append(("noise alone", "", floor, "", *("" for _ in turned), None, 1.0))
     tones: list[Tone] = ["" for _ in stages]
-    return Table("Errors on held-out rows", columns, tuple(rows), tones=(*tones, "mute"))
+    return Table("Errors on held-out rows, change by change", columns, tuple(rows), tones=(*tones, "mute"))
 
 
 def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> dict[str, str]:
