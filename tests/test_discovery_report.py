@@ -1,6 +1,7 @@
 """What a discovery reports: discovery.json, where it disagrees, how large effects must be, how the gap shrinks."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 from discovery_cases import SIGMA, Case, draw_case
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.calibrated import CalibratedModel, estimate_of, load_model, save_model
@@ -21,14 +24,15 @@ from pincal.discover.precheck import precheck
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, _tone_gains, period_of
-from pincal.io.discovery_file import Findings, Gap, ScatteringJoint
+from pincal.io.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
 from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.report.plots.found import effect_figure, shrinking_figure
-from pincal.report.verdict import verdict_of_search
+from pincal.report.verdict import beside_noise, verdict_of_search
+from pincal.report.words import gain_words
 
 HIDDEN = (
     "backlash_cobot",
@@ -489,3 +493,39 @@ def test_a_verdict_says_what_is_wrong() -> None:
     assert (
         "0.250 mm rms beyond the noise" in verdict_of_search(msgspec.structs.replace(findings, unexplained_mm=0.25)).reason
     )
+
+
+@given(
+    ratio=st.floats(0.0, 1e3),
+    left=st.floats(0.0, 1.0),
+    before=st.tuples(*[st.floats(0.0, 2.0)] * 2),
+    after=st.tuples(*[st.floats(0.0, 2.0)] * 2),
+    is_misfit=st.booleans(),
+    scatters=st.booleans(),
+)
+def test_words_never_contradict_their_numbers(
+    ratio: float, left: float, before: tuple[float, float], after: tuple[float, float], is_misfit: bool, scatters: bool
+) -> None:
+    """Whatever the figures: larger is not said of what is shown as smaller, nor noise of what is said to be unexplained."""
+    ratio = max(ratio, 1.0 + 1e-6) if is_misfit else ratio
+    words = beside_noise(ratio, "the noise", is_misfit=is_misfit)
+    assert ("no larger" in words) <= (not is_misfit and ratio < 1.01)
+    assert not re.search(r"\b(0\.\d\d|1\.00) times", words)
+    assert is_misfit != (("chance" in words and "too many rows" not in words) or "no larger" in words)
+
+    gap = Gap(mean_mm=0.1, rms_mm=0.1, max_mm=0.2)
+    scatter = (ScatteringJoint("elbow", 1e-4, "approach_elbow"),) if scatters and is_misfit else ()
+    judgement = FoundVerdict.NOT_ADEQUATE if is_misfit else FoundVerdict.ADEQUATE
+    bare: dict[str, Any] = {"where": (), "effects": (), "not_testable": (), "noise_floor_mm": 0.1}
+    found = Findings(**bare, gap={"before": gap, "after": gap}, scatter=scatter, verdict=judgement, unexplained_mm=left)
+    verdict = verdict_of_search(found)
+    assert verdict.judgement == judgement
+    assert ("look like noise" in verdict.reason) != is_misfit and ("unexplained" in verdict.reason) <= is_misfit
+    assert "0.000 mm" not in verdict.reason and (f"{left:.3f} mm" in verdict.reason) == (left >= 5e-4)
+
+    sizes = dict(zip(("gap_before_mm", "gap_before_mrad"), before, strict=True))
+    sizes |= dict(zip(("gap_after_mm", "gap_after_mrad"), after, strict=True))
+    name: dict[str, Any] = {"effect": "backlash", "joint": "elbow", "parameters": {}, "equivalent": (), "tell_apart": ""}
+    figures, _, said = gain_words(FoundEffect(**name, p_value=1e-9, **sizes)).partition(": ")
+    mm, mrad = (float(b) < float(a) for a, b in re.findall(r"(\d\.\d{4}) to (\d\.\d{4})", figures))
+    assert said == ("" if mm else "it gains in orientation only" if mrad else "it gains nothing on these rows")

@@ -48,36 +48,56 @@ def verdict_of(result: Result, discovery: Discovery | None = None) -> Verdict:
     if discovery is not None:
         return verdict_of_search(discovery.findings)
     if result.chi2_p_value is not None:
-        is_misfit = result.chi2_p_value < MISFIT
-        smaller = "the declared noise of the instrument"
-        larger = f"are {result.chi2_reduced**0.5:.2f} times the declared noise"
+        is_misfit, square = result.chi2_p_value < MISFIT, result.chi2_reduced
+        noise = "the declared noise of the instrument"
     elif result.lack_of_fit is not None:
-        is_misfit = result.lack_of_fit.is_significant
-        smaller = "the scatter between repeated measurements of a pose"
-        larger = f"exceed {smaller}"
+        is_misfit, square = result.lack_of_fit.is_significant, result.lack_of_fit.F
+        noise = "the scatter between repeated measurements of a pose"
     else:
         words = (
             "The noise of the instrument was estimated from the residuals, so they cannot show whether the model is "
             "complete: declare the noise (--noise), or let pincal discover look for missing effects."
         )
         return Verdict(Judgement.NOT_JUDGED, words)
+    words = f"The residuals are {beside_noise(square**0.5, noise, is_misfit=is_misfit)}"
     if is_misfit:
-        words = f"The residuals {larger}: the robot does something that this model does not describe."
-        return Verdict(Judgement.NOT_ADEQUATE, words)
-    return Verdict(Judgement.ADEQUATE, f"The residuals are no larger than {smaller}.")
+        return Verdict(Judgement.NOT_ADEQUATE, f"{words}: the robot does something that this model does not describe.")
+    return Verdict(Judgement.ADEQUATE, f"{words}.")
+
+
+def beside_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
+    """Return how large residuals are beside a noise, in words that neither the ratio as shown nor the judgement contradicts.
+
+    Example:
+        >>> beside_noise(1.004, "the noise", is_misfit=True)
+        'larger than the noise, by little but in too many rows to be chance'
+        >>> beside_noise(1.2, "the noise", is_misfit=False), beside_noise(1.2, "the noise", is_misfit=True)
+        ('1.20 times the noise, which may be chance', '1.20 times the noise')
+    """
+    shown = f"{ratio:.2f} times {noise}"
+    if float(f"{ratio:.2f}") <= 1.0:
+        return (
+            f"larger than {noise}, by little but in too many rows to be chance" if is_misfit else f"no larger than {noise}"
+        )
+    return shown if is_misfit else f"{shown}, which may be chance"
 
 
 def verdict_of_search(found: Findings) -> Verdict:
     """Return whether a search has explained the data, and if not, what is wrong."""
-    n = len(found.effects)
+    n, left = len(found.effects), found.unexplained_mm
     added = f"{n} effects were found and added" if n > 1 else "One effect was found and added" if n else "Nothing was added"
+    beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
     if (judgement := Judgement(found.verdict)) is Judgement.ADEQUATE:
-        return Verdict(judgement, f"{added}; the remaining residuals look like noise.")
+        chance = f": {beyond} may be chance" if beyond else ""
+        return Verdict(judgement, f"{added}; the remaining residuals look like noise{chance}.")
     wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
-    if found.unexplained_mm >= _SHOWN_MM:
-        wrong.append(f"{found.unexplained_mm:.3f} mm rms beyond the noise remain unexplained")
+    if beyond:
+        wrong.append(f"{beyond} remain unexplained")
     elif not wrong:
-        wrong.append("some residuals are larger than the declared noise allows, though not on average over all rows")
+        wrong.append(
+            "some residuals are larger than the declared noise, or what near poses tell of it, allows, though not on "
+            "average over all rows"
+        )
     return Verdict(judgement, f"{added}; {', and '.join(wrong)}.")
 
 
