@@ -239,14 +239,44 @@ def time_discovery() -> Iterator[Line]:
 
 
 def time_million() -> Iterator[Line]:
-    """Time a million rows, and how much memory the fit takes beyond the table."""
-    table = table_of(1_000_000, with_elasticity=False)
-    options = Options(effects=GEOMETRIC, sigma=NOISE)
-    gc.collect()
-    before = _reset_peak()
-    taken = seconds(lambda: _check(pincal.calibrate(ROBOT, table, options)), 1)[0]
-    yield line("calibrate geometric, N = 1000000, 3D", float(taken), None, "{:.1f} s")
+    """Time a million rows against ten thousand: the fit alone, and whole processes with their largest memory."""
+    options = Options(effects=ELASTIC, sigma=NOISE)
+    taken = {}
+    for n in (10_000, 1_000_000):
+        table = table_of(n, with_elasticity=True)
+        gc.collect()
+        before = _reset_peak()
+        taken[n] = seconds(lambda of=table: _check(pincal.calibrate(ROBOT, of, options)), 1)[0]
+    yield line("calibrate elastic, N = 1000000, 3D, the fit alone", float(taken[1_000_000]), None, "{:.1f} s")
+    yield line("    ratio to N = 10000", float(taken[1_000_000] / taken[10_000]), 110.0, "{:.1f}")
     yield line("    memory beyond the table, at most", _status("VmHWM") - before, None, "{:.0f} MB")
+    del table
+    with tempfile.TemporaryDirectory() as folder:
+        urdf, runs = str(kuka_urdf_path()), {}
+        for n in (10_000, 1_000_000):
+            file = str(Path(folder) / f"{n}.csv")
+            made = _measured("simulate", urdf, "--poses", str(n), "--noise", "0.05mm", "--out", file)
+            out = str(Path(folder) / f"out{n}")
+            runs[n] = _measured("calibrate", urdf, file, "--out", out, "--noise", "0.05mm")
+        yield line("pincal simulate, 1000000 poses", made[0], None, "{:.0f} s")
+        yield line("    memory, at most", made[1], 2000.0, "{:.0f} MB")
+        yield line("pincal calibrate, 1000000 rows, reading and report included", runs[1_000_000][0], None, "{:.0f} s")
+        yield line("    ratio to 10000 rows", runs[1_000_000][0] / runs[10_000][0], 40.0, "{:.1f}")
+        yield line("    memory, at most", runs[1_000_000][1], 1500.0, "{:.0f} MB")
+        series = DATA / "ur10_tmac" / "series_B.csv"
+        if series.is_file():
+            _, peak = _measured("discover", "ur10", str(series), "--stability", "0", "--out", str(Path(folder) / "ur10"))
+            yield line("pincal discover ur10 series B, 1495 poses: memory, at most", peak, 500.0, "{:.0f} MB")
+
+
+def _measured(*words: str) -> tuple[float, float]:
+    """Run a verb as a process and return how long it took [s] and its largest memory [MB]."""
+    begun = time.perf_counter()
+    process = subprocess.Popen([sys.executable, "-m", "pincal", *words, "--quiet"], cwd=ROOT, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    if status:
+        raise SystemExit(f"pincal {words[0]} ended with {os.waitstatus_to_exitcode(status)}")
+    return time.perf_counter() - begun, usage.ru_maxrss / 1024.0
 
 
 def _reset_peak() -> float:
@@ -296,7 +326,7 @@ def _cold(*arguments: str) -> float:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--million", action="store_true", help="calibrate with a million rows, too")
+    parser.add_argument("--million", action="store_true", help="a million rows, too; takes some minutes and 2 GB")
     chosen = parser.parse_args()
     parts = [
         compare_with_pinocchio,
