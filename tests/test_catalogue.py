@@ -112,6 +112,7 @@ EFFECTS: dict[str, Make] = {
     "unnamed": lambda j: Unnamed(j[1], "gamma_x", j[2]),
     "unnamed waves": lambda j: Unnamed(j[1], "drive", j[2], "waves", order=3),
     "unnamed product": lambda j: Unnamed(j[1], "drive", j[2], "product"),
+    "unnamed map": lambda j: Unnamed(j[1], "drive", j[2], "map", size=4),
     "unnamed step": lambda j: Unnamed(j[2], "drive", j[2], "step", place=0.1),
     "unnamed kink": lambda j: Unnamed(j[2], "drive", j[2], "kink", place=0.1),
     "unnamed of time": lambda j: Unnamed(j[1], "s_y", "time", lower=0.0, upper=3e4),
@@ -669,6 +670,7 @@ def test_a_column_that_is_not_there_is_named(kuka: Robot, effect: Effect, column
 
 UNNAMED = {
     "curve": lambda j: Unnamed(j[1], "s_x", j[1], lower=-1.0, upper=2.0, size=6),
+    "map": lambda j: Unnamed(j[1], "drive", j[2], "map", -1.0, 2.0, 4, own_lower=-2.0, own_upper=1.0),
     "curve of time": lambda j: Unnamed(j[2], "drive", "time", lower=0.0, upper=3e4),
     "waves": lambda j: Unnamed(j[3], "gamma_y", j[0], "waves", order=2),
     "product": lambda j: Unnamed(j[3], "drive", j[2], "product"),

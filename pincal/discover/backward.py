@@ -11,12 +11,12 @@ from pincal.discover.candidate_tests import Search, choose
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.forward import decided, listed
 from pincal.discover.history import State, Step
-from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import standard_errors
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
-from pincal.model.effect import Effect, Family
+from pincal.model.effect import Effect, Family, Resolvable
 
 log = logging.getLogger(__name__)
 
@@ -149,5 +149,8 @@ def _is_part(effect: Effect, nameless: Effect, fit: Fit) -> bool:
     at, term, names = effect.locus, nameless.locus, fit.problem.chain.robot.joint_names
     if effect.family is not Family.CAUSE or at.joint is None or term.joint is None or at.follows not in names:
         return False
+    if isinstance(nameless, Resolvable) and nameless.resolutions(situation_of(fit)):
+        # A map is a function of its own joint's position as well.
+        return {term.joint, term.follows} >= {at.joint, at.follows}
     apart = abs(names.index(term.joint) - names.index(at.joint))
     return apart <= 1 and term.follows == at.follows

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.discover.decisions import CandidateTable, Decision, Row, decide
+from pincal.discover.maps import likely_maps
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests, standard_errors
@@ -159,8 +160,8 @@ def _nameless(fit: Fit, near: str | None, search: Search) -> list[Effect]:
     joints = names if at is None else names[max(at - 1, 0) : at + 2]
     present = {effect.identity for effect in fit.problem.effects}
     every = nameless_candidates(fit.problem.chain, fit.problem.conditions, joints)
-    wanted = (effect for effect in every if search.nameless is None or effect.identity in search.nameless)
-    return [effect for effect in wanted if effect.identity not in present]
+    found = [*(effect for effect in every if effect.identity not in present), *likely_maps(fit, joints)]
+    return [effect for effect in found if search.nameless is None or effect.identity in search.nameless]
 
 
 def sampled(fit: Fit, policy: Policy) -> tuple[Fit, np.ndarray]:

@@ -17,7 +17,7 @@ from pincal.discover.settling import linearised_about_itself
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.candidates import elasticity
-from pincal.model.effect import Curve, Effect, Settling
+from pincal.model.effect import Effect, Settling
 
 log = logging.getLogger(__name__)
 
@@ -67,11 +67,7 @@ def _elastic_step(fit: Fit, policy: Policy) -> Step | None:
 def decided(fit: Fit, decision: Decision, search: Search) -> Step:
     """Return the step that adds what was decided, a curve as fine as the data can tell."""
     tested = decision.effect
-    effect = tested
-    if isinstance(tested, Curve):
-        effect, start, estimate = resolved(fit, tested, search.groups)
-    else:
-        start = estimate = score_test_beside_masses(fit, [tested]).estimate([0])
+    effect, start, estimate = resolved(fit, tested, search.groups)
     after = refit(fit, [*fit.options.effects, effect], start={effect: start})
     if isinstance(effect, Settling):
         after, effect = linearised_about_itself(after, effect)

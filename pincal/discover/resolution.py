@@ -11,7 +11,7 @@ from pincal.discover.score_tests import ScoreTests, standard_errors
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import most_pieces
 from pincal.model.conditions import distinct_values
-from pincal.model.effect import Curve
+from pincal.model.effect import Curve, Effect, Resolvable
 from pincal.robot.robot import Robot
 
 # Numbers of basis functions that are tried.
@@ -41,15 +41,25 @@ def curves_over(fit: Fit, curve: Curve, sizes: Sequence[int]) -> list[Curve]:
     return [curve.resized(situation, size) for size in sizes if size <= most]
 
 
-def resolved(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarray, np.ndarray]:
-    """Return the curve of this joint in the resolution that predicts blocks of poses left out best.
+def resolved(fit: Fit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.ndarray, np.ndarray]:
+    """Return an effect in the resolution that predicts blocks of poses left out best; itself if it has none.
 
-    Its heights and those of the curve as it was given are returned as well, to first order.
+    Its parameters and those of the effect as it was given are returned as well, to first order.
     """
-    curves = [*curves_over(fit, curve, _SIZES), curve]
-    tests, gains = _tested(fit, curves, groups)
+    forms = _forms_of(fit, effect)
+    if not forms:
+        estimate = score_test_beside_masses(fit, [effect]).estimate([0])
+        return effect, estimate, estimate
+    forms = [*forms, effect]
+    tests, gains = _tested(fit, forms, groups)
     best = int(np.argmax(gains[:-1].sum(axis=1)))
-    return curves[best], tests.estimate([best]), tests.estimate([len(curves) - 1])
+    return forms[best], tests.estimate([best]), tests.estimate([len(forms) - 1])
+
+
+def _forms_of(fit: Fit, effect: Effect) -> list[Effect]:
+    if isinstance(effect, Resolvable):
+        return list(effect.resolutions(situation_of(fit)))
+    return list(curves_over(fit, effect, _SIZES)) if isinstance(effect, Curve) else []
 
 
 def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarray]:
@@ -65,7 +75,7 @@ def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarr
     return curves[best], tests.estimate([best])
 
 
-def _tested(fit: Fit, curves: Sequence[Curve], groups: np.ndarray) -> tuple[ScoreTests, np.ndarray]:
+def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[ScoreTests, np.ndarray]:
     """Return tests of curves, and by how much each lowers the squared error on each block left out, (curves, blocks)."""
     tests = score_test_beside_masses(fit, curves, groups)
     return tests, np.array([tests.gains_by_block([i]) for i in range(len(curves))])

@@ -25,6 +25,8 @@ _PERIODS, _TONE = 1.8, 0.7
 # Chance that noise makes any tone of this strength.
 _CHANCE = 1e-3
 _FINEST = 0.25  # periods a row
+# Shapes that follow the position of the joint on which they act beside another's.
+_OF_BOTH = ("product", "map")
 _OVERSAMPLED = 8
 
 
@@ -78,6 +80,7 @@ class PartialResidual:
         fitted: shape (N,), the effect.
         weights: shape (N,), inverse variance of ``before`` and ``after`` [1 / ``error_unit``^2].
         error_unit: "rad" or "m".
+        own: shape (N,), of an effect that follows two joints the position of the one on which it acts; else None.
     """
 
     effect: Effect
@@ -89,6 +92,7 @@ class PartialResidual:
     fitted: np.ndarray
     weights: np.ndarray
     error_unit: str
+    own: np.ndarray | None = None
 
     @property
     def joint(self) -> str | None:
@@ -123,7 +127,7 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
     parts = [_of_station(alone, shown) for alone in fit.alone if effect in alone.model.effects]
     if len(parts) == 1:
         return parts[0]
-    names = ("x", "before", "after", "fitted", "weights")
+    names = ["x", "before", "after", "fitted", "weights"] + (["own"] if parts[0].own is not None else [])
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return replace(parts[0], **arrays)
 
@@ -150,7 +154,10 @@ def _of_station(fit: Fit, effect: Effect) -> PartialResidual:
         unit = "rad" if effect.locus.joint is None else drive_unit(fit.model.chain, effect.locus.joint)
     before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, left, without - left))
     variable, x_unit, x = _explaining(fit, effect)
-    return PartialResidual(effect, variable, x_unit, x[rows], before, after, fitted, weights, unit)
+    own = None
+    if effect.locus.shape in _OF_BOTH and effect.locus.joint:
+        own = recorded_variable(fit.model.chain, station.conditions, effect.locus.joint)[rows]
+    return PartialResidual(effect, variable, x_unit, x[rows], before, after, fitted, weights, unit, own)
 
 
 def _coordinate(fit: Fit, effect: Effect) -> int | None:

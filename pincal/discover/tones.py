@@ -53,12 +53,12 @@ def strongest_tones(fit: Fit, candidates: Sequence[Candidate], near: float) -> l
     if not tones:
         return []
     joints = [fit.problem.chain.robot.joint_names.index(str(tone.locus.joint)) for tone in tones]
-    along, lever = _seen_along(fit, np.asarray(fit.problem.chain.drives)[joints])
+    along, lever = seen_along(fit, np.asarray(fit.problem.chain.drives)[joints])
     q = fit.problem.conditions.q.T[joints]
     return [tone for parts in zip(tones, q, along, lever, strict=True) for tone in _strongest(fit, *parts, near)]
 
 
-def _seen_along(fit: Fit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def seen_along(fit: Fit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return L . r and L . L of some coordinates on the whitened readings, shape (K, N) each."""
     motions = Motions(tuple(map(int, coordinates)))
     along, lever = np.zeros((2, len(coordinates), len(fit.problem)))

@@ -11,7 +11,7 @@ itself. All that discovery, reports, the viewer and the design of measurements k
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import ClassVar, NamedTuple
@@ -221,6 +221,14 @@ class Reducible(ABC):
     @abstractmethod
     def reduced(self, situation: Situation) -> Effect:
         """Return the effect in the fewest parameters, in which its detectable size is predicted."""
+
+
+class Resolvable(Effect):
+    """An effect that can be stated more or less finely, and that the data tell how finely."""
+
+    @abstractmethod
+    def resolutions(self, situation: Situation) -> Sequence[Effect]:
+        """Return the effect from coarse to fine, as far as the poses carry it; none if there is nothing to choose."""
 
 
 class Curve(Discoverable, Reducible):

@@ -139,3 +139,9 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
             "the lower panel the bars should include zero."
         )
         yield found.effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption
+        if trace.own is not None:
+            caption = (
+                f"{title}: error of {trace.joint} over its own position and that of {trace.variable}, where poses were "
+                "measured: without the effect (left), and the fitted effect (right), on the same scale."
+            )
+            yield found.map_figure(trace, title), f"{title}: map over the positions of both joints", caption

@@ -59,6 +59,8 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         'joint_coupling of axis_5 by axis_4'
         >>> effect_words(EffectName(effect="unnamed", joint="axis_2", depends_on="time", shape="curve"), joint=False)
         'unnamed (curve of time)'
+        >>> effect_words(EffectName(effect="unnamed", joint="axis_2", depends_on="axis_4", shape="map"), joint=False)
+        'unnamed (map of axis_2 and axis_4)'
     """
     words = [entry.effect]
     if joint and entry.joint:
@@ -70,7 +72,8 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
         across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
-        words.append(f"({entry.shape or 'curve'}{order} of {entry.depends_on}{across})")
+        of = f"{entry.joint} and {entry.depends_on}" if entry.shape == "map" else entry.depends_on
+        words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")
     elif (entry.order or 1) != 1:
         words.append(f"order {entry.order}")
     return " ".join(words)

@@ -23,7 +23,7 @@ _NEARLY_A_TURN = 0.9
 _SIZE = 24
 _SIZES = (8, 12, 18, 26, 44, 80)
 # Poses that each basis function needs to be fitted at all: six of position show the size of a bump and its scatter.
-_POSES_PER_PIECE = 6
+POSES_PER_PIECE = 6
 
 
 def most_pieces(x: np.ndarray) -> int:
@@ -31,7 +31,7 @@ def most_pieces(x: np.ndarray) -> int:
 
     With more functions than values of the variable those between the values are anybody's guess: they alias.
     """
-    return min(len(x) // _POSES_PER_PIECE, distinct_values(x))
+    return min(len(x) // POSES_PER_PIECE, distinct_values(x))
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class TransmissionError(Curve):
             most = most_pieces(moving if np.ptp(q) else np.arange(len(q)))
             curves = tuple(cls.over(joint, moving, size) for size in _SIZES if size <= most)
             values = distinct_values(q)
-            is_few = 1 < values < min(_SIZES[0], len(q) // _POSES_PER_PIECE)
+            is_few = 1 < values < min(_SIZES[0], len(q) // POSES_PER_PIECE)
             few = f"{joint} takes {values} distinct positions, and the coarsest curve that is tried has {_SIZES[0]} pieces"
             yield Candidate(cls.over(joint, moving, _SIZE), variants=curves, obstacle=few if is_few else "")
 

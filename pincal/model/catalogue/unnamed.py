@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.model.basis import spline_basis
+from pincal.model.basis import FEWEST_SPLINES, spline_basis
+from pincal.model.catalogue.curves import POSES_PER_PIECE
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, recorded_variable
-from pincal.model.effect import Effect, Family, Locus, Term
-from pincal.model.places import joint_index, positions, waves
+from pincal.model.conditions import Conditions, Situation, distinct_values, recorded_variable
+from pincal.model.effect import Family, Locus, Resolvable, Term
+from pincal.model.places import joint_index, waves
 from pincal.parameters import Parameter
 
-Shape = Literal["curve", "waves", "product", "step", "kink"]
+Shape = Literal["curve", "waves", "product", "map", "step", "kink"]
 ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
 
+# Pairs of neighbouring joints among which a discovery chooses the likeliest maps.
+_PAIRS = 15.0
 # Typical size of what has no name [rad].
 _SIZE = 3e-4
-# Pieces of a curve.
+# Pieces of a curve; of a map, along each joint, from coarse to fine.
 _PIECES = 8
+_MAP_PIECES = (4, 5, 6, 8, 10, 12)
 # Waves per turn that are tried.
 _ORDERS = (1, 2, 3)
 # Places where a curve may break, as fractions of the rows below them.
@@ -35,8 +39,8 @@ _CONSTANT = 1e-6
 
 
 @dataclass(frozen=True)
-class Unnamed(Effect):
-    """A joint moves with one variable, for no reason that the catalogue knows.
+class Unnamed(Resolvable):
+    """A joint moves with one variable, or with its own position and another's, for no reason that the catalogue knows.
 
     Attributes:
         joint: where it acts.
@@ -44,11 +48,13 @@ class Unnamed(Effect):
             (across it, before the joint).
         depends_on: name of a joint whose position it follows, or "time", "temperature", "payload".
         shape: "curve" (a cubic spline), "waves" (sine and cosine, ``order`` a turn), "product" (of sine or cosine of the
-            joint's own angle and of the other's), "step" (at ``place``), or "kink" (another slope from there on).
+            joint's own angle and of the other's), "map" (products of cubic splines of both), "step" (at ``place``), or
+            "kink" (another slope from there on).
         lower, upper: the range that was seen; outside it a curve keeps its end value.
-        size: number of basis functions of a curve.
+        size: number of basis functions of a curve, and of a map along each joint.
         order: waves a turn.
         place: where it breaks [rad or m].
+        own_lower, own_upper: the range of the joint's own position, of a map.
     """
 
     joint: str
@@ -60,6 +66,8 @@ class Unnamed(Effect):
     size: int = 8
     order: int | None = None
     place: float | None = None
+    own_lower: float = -np.pi
+    own_upper: float = np.pi
     name: ClassVar[str] = "unnamed"
     meaning: ClassVar[str] = "something real that no name here describes"
     family: ClassVar[Family] = Family.NAMELESS
@@ -75,13 +83,26 @@ class Unnamed(Effect):
     @property
     def locus(self) -> Locus:
         """Where it acts, and what it follows there."""
-        span = (self.lower, self.upper) if self.shape == "curve" else None
+        span = (self.lower, self.upper) if self.shape in ("curve", "map") else None
         return Locus(self.joint, self.acts_on, self.depends_on, self.order, shape=self.shape, place=self.place, span=span)
+
+    @property
+    def looks(self) -> float:
+        """How many maps it was chosen among."""
+        return _PAIRS if self.shape == "map" else 1.0
 
     @property
     def n_functions(self) -> int:
         """Number of basis functions."""
-        return {"curve": self.size, "waves": 2, "product": 4, "step": 1, "kink": 2}[self.shape]
+        return {"curve": self.size, "waves": 2, "product": 4, "map": self.size**2, "step": 1, "kink": 2}[self.shape]
+
+    def resolutions(self, situation: Situation) -> tuple[Unnamed, ...]:
+        """Return a map from coarse to fine, as far as poses and positions carry it; other shapes have no resolution."""
+        if self.shape != "map":
+            return ()
+        pairs = (situation.positions(joint) for joint in (self.joint, self.depends_on))
+        most = min(int((len(situation.conditions) // POSES_PER_PIECE) ** 0.5), *map(distinct_values, pairs))
+        return tuple(replace(self, size=size) for size in _MAP_PIECES if size <= most)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Heights of the basis functions [rad]."""
@@ -94,7 +115,8 @@ class Unnamed(Effect):
         i = joint_index(chain, self.joint)
         k = int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
         x = recorded_variable(chain, conditions, self.depends_on, span=self.locus.span)
-        own = positions(chain, conditions, self.joint)
+        own_span = (self.own_lower, self.own_upper) if self.shape == "map" else None
+        own = recorded_variable(chain, conditions, self.joint, span=own_span)
         return tuple(Term(p, k, basis) for p, basis in enumerate(self._basis(x, own)))
 
     def _basis(self, x: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -105,6 +127,9 @@ class Unnamed(Effect):
             return np.stack(waves(self.order * x))
         if self.shape == "product":
             return np.stack([f * g for f in waves(own) for g in waves(x)])
+        if self.shape == "map":
+            along = spline_basis(own, self.own_lower, self.own_upper, self.size)
+            return np.stack([f * g for f in along for g in spline_basis(x, self.lower, self.upper, self.size)])
         beyond = x - (self.place or 0.0)
         return (
             (beyond > 0.0)[None].astype(float)
@@ -131,6 +156,17 @@ def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[s
                 yield Unnamed(joint, acts_on, source, lower=lower, upper=upper, size=_PIECES)
             if source in names:
                 yield from _of_two_joints(joint, source) if not own else _of_one_joint(joint, column)
+
+
+def maps_of(situation: Situation, joint: str) -> Iterator[Unnamed]:
+    """Yield the coarsest map of a joint's position and of each other's."""
+    own = situation.positions(joint)
+    for other in situation.joints:
+        x = situation.positions(other)
+        if other == joint or min(np.ptp(own), np.ptp(x)) <= _CONSTANT:
+            continue
+        (lower, upper), (first, last) = ((float(at.min()), float(at.max())) for at in (x, own))
+        yield Unnamed(joint, "drive", other, "map", lower, upper, FEWEST_SPLINES, own_lower=first, own_upper=last)
 
 
 def _of_two_joints(joint: str, source: str) -> Iterator[Unnamed]:

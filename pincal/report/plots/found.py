@@ -16,6 +16,8 @@ from pincal.report.plots import style
 from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, TEXT, dress, legend, log_axis, panel, plain, thinned
 from pincal.units import format_small, readable_unit, small_unit
 
+# Cells of a map along one joint.
+_CELLS = 14
 # Bins of a variable, and rows that a bin needs.
 _BINS, _FEWEST = 30, 4
 # A variable with no more values than this is a category.
@@ -194,6 +196,40 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=SMALL, frameon=False, labelcolor=INK, ncols=3, loc="upper left",
                   bbox_to_anchor=(0.0, 0.955), columnspacing=1.0, handletextpad=0.3)  # fmt: skip
+    return figure
+
+
+def map_figure(trace: PartialResidual, title: str) -> Figure:
+    """Draw what an effect of two joints explains over the positions of both: what the rows show, and the fitted effect.
+
+    Raises:
+        ValueError: if the trace has no rows, or follows one variable only.
+    """
+    if len(trace.x) == 0 or trace.own is None:
+        raise ValueError(f"no rows of {title} to draw over two joints; expected at least one")
+    figure = style.canvas(3.1, top=0.72)
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    figure.subplots_adjust(right=1.0 - 0.82 / style.WIDTH, wspace=0.08)
+    factor, unit = small_unit(trace.error_unit)
+    x, label = _axis(trace)
+    turns = trace.error_unit == "rad"
+    own = np.degrees(trace.own) if turns else trace.own
+    most = float(np.abs(trace.fitted).max()) * factor or 1.0
+    # Rows with a short lever say little of the joint.
+    telling = trace.weights > 0.05 * np.quantile(trace.weights, 0.9)
+    extent = (float(x.min()), float(x.max()), float(own.min()), float(own.max()))
+    cells = {"gridsize": _CELLS, "extent": extent, "cmap": "PuOr", "vmin": -most, "vmax": most, "linewidths": 0.1}
+    for axes, errors, rows, name in zip(
+        panels, (trace.before, trace.fitted), (telling, np.ones(len(x), bool)), ("seen", "fitted"), strict=True
+    ):
+        drawn = axes.hexbin(x[rows], own[rows], C=errors[rows] * factor, **cells)
+        dress(axes, x=label, title=name)
+    panels[0].set_ylabel(f"{plain(trace.joint or '')} [{'deg' if turns else 'm'}]", fontsize=TEXT, color=INK)
+    bar = figure.colorbar(drawn, cax=figure.add_axes((1.0 - 0.7 / style.WIDTH, 0.2, 0.02, 0.56)))
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(labelsize=SMALL, color=MUTED, labelcolor=INK)
+    bar.ax.set_title(unit, fontsize=SMALL, color=INK)
+    figure.suptitle(plain(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold")
     return figure
 
 
