@@ -42,6 +42,7 @@ from pincal.model.catalogue import (
     NonlinearElasticity,
     ObliqueBearing,
     PayloadError,
+    ServoDroop,
     ThermalExpansion,
     ThermalGrowth,
     ThermalOffset,
@@ -98,6 +99,7 @@ EFFECTS: dict[str, Make] = {
     "load_backlash": lambda j: LoadBacklash(j[2], 15.0),
     "hysteresis": lambda j: Hysteresis(j[1]),
     "hysteresis with a preload": lambda j: Hysteresis(j[2], preload=10.0),
+    "servo_droop": lambda j: ServoDroop(j[1]),
     "thermal_expansion": lambda j: ThermalExpansion(),
     "thermal_expansion of a link": lambda j: ThermalExpansion(j[1]),
     "thermal_expansion of the last": lambda j: ThermalExpansion(j[-1], reference=23.0),
@@ -135,6 +137,7 @@ def conditions_of(robot: Robot, n: int, rng: np.random.Generator, *, heaviest: f
         temperature=rng.uniform(15.0, 35.0, n),
         time=np.sort(rng.uniform(0.0, 3e4, n)),
         approach=rng.choice([-1.0, 1.0], (n, robot.n_joints)),
+        droop=1e-3 * np.random.default_rng(n).standard_normal((n, robot.n_joints)),
     )
 
 
@@ -656,6 +659,7 @@ def test_effects_that_do_not_fit_the_arm_are_refused(kuka: Robot) -> None:
         (ThermalOffset("joint_2"), "temperature"),
         (ThermalExpansion(), "temperature"),
         (BaseDrift(), "time"),
+        (ServoDroop("joint_2"), "commanded_joint_2"),
         (JointCreep("joint_2", 1e3), "time"),
     ],
 )

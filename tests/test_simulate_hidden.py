@@ -29,6 +29,7 @@ EFFECTS: list[HiddenEffect] = [
     sim.Backlash(joint="joint_2", size=2e-4),
     sim.LoadBacklash(joint="joint_3", size=2e-4),
     sim.Hysteresis(joint="joint_2", size=1e-7),
+    sim.ServoDroop(joint="joint_2", size=1e-7),
     sim.ThermalExpansion(size=1.2e-5),
     sim.ThermalOffset(joint="joint_2", size=1e-5),
     sim.JointCreep(joint="joint_3", size=2e-4),

@@ -138,7 +138,7 @@ class CampaignArguments:
     )
     payload_com: Vector = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
     recorded: tuple[_Recorded, ...] = option("Record this column even if no effect needs it.", (), name="--with")
-    hide: tuple[Literal["temperature", "time", "approach", "payload"], ...] = option(
+    hide: tuple[Literal["temperature", "time", "approach", "payload", "read"], ...] = option(
         "Do not record this column; it has its effect nevertheless.", ()
     )
     seed: int = option("Random seed of the machine, the set-up and everything else.", 0)

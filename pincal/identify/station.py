@@ -201,4 +201,5 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         temperature=measurements.temperature,
         time=measurements.time,
         approach=measurements.approach,
+        droop=measurements.droop,
     )

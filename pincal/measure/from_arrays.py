@@ -31,6 +31,7 @@ def measurements(
     time: ArrayLike | None = None,
     station: ArrayLike | None = None,
     approach: ArrayLike | None = None,
+    droop: ArrayLike | None = None,
     sigma: ArrayLike | None = None,
     source: str = "arrays",
     **columns: ArrayLike | None,
@@ -56,6 +57,7 @@ def measurements(
         time: in s, shape (N,).
         station: name of the set-up that a row belongs to, shape (N,).
         approach: direction from which each joint arrived, -1, 0 (unknown) or 1, shape (N, n).
+        droop: commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n).
         sigma: standard deviation of the row [m], shape (N,).
         source: name of the data for messages.
         columns: fields of sensors of your own.

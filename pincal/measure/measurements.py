@@ -15,7 +15,8 @@ from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensor import Sensor
 
 # What a table has beside its readings.
-_ARRAYS = ("q", "approach", "rows", *CONDITIONS, "sigma")
+_OF_JOINTS = ("q", "approach", "droop")
+_ARRAYS = (*_OF_JOINTS, "rows", *CONDITIONS, "sigma")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,6 +54,8 @@ class Measurements:
     """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
     approach: np.ndarray | None = None
     """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
+    droop: np.ndarray | None = None
+    """Commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n)."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
     units: Mapping[str, str] = field(default_factory=dict)
@@ -163,8 +166,9 @@ def measurements_from_arrays(
         rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: name of the data for messages.
         units: units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: target, payload, temperature, time, station, approach, sigma, point and the fields of a sensor (position,
-            quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is absent.
+        **columns: target, payload, temperature, time, station, approach, droop, sigma, point and the fields of a sensor
+            (position, quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is
+            absent.
 
     Returns:
         The measurements; target is "tool" (of a camera's readings "camera") unless given, quaternions are normalised.
@@ -173,9 +177,9 @@ def measurements_from_arrays(
         MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of measurement.
     """
     fields = known_fields()
-    unknown = [name for name in columns if name != "approach" and name not in fields]
+    unknown = [name for name in columns if name not in (*_OF_JOINTS[1:], *fields)]
     if unknown:
-        known = ", ".join(nearest_first(unknown, ["approach", *fields]))
+        known = ", ".join(nearest_first(unknown, [*_OF_JOINTS[1:], *fields]))
         raise MeasurementError(f'{source}: unknown column "{unknown[0]}"; known columns: {known}')
     names, given = tuple(joint_names), {"q": q, "rows": rows, **columns}
     arrays = {
@@ -188,7 +192,7 @@ def measurements_from_arrays(
     for name, array in arrays.items():
         width = len(fields[name].columns) if name in fields else 1
         one = arrays["q"].shape[:1] if width == 1 else (len(arrays["q"]), width)
-        expected = arrays["q"].shape if name in ("q", "approach") else one
+        expected = arrays["q"].shape if name in _OF_JOINTS else one
         if array.shape != expected:
             raise MeasurementError(f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q')
     return validated(names, arrays, source=source, units=dict(units or {}))

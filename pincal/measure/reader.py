@@ -6,6 +6,7 @@ Measurements, targets of a compensation and lists of known points are tables of 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.fields import CONDITIONS, Field
 from pincal.measure.files import open_sheet, typed_errors
 from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
@@ -21,7 +22,7 @@ from pincal.measure.joined import Log, join
 from pincal.measure.labels import is_named, renamed, spelled, without
 from pincal.measure.options import TableOptions
 from pincal.measure.quantities import in_si
-from pincal.measure.schema import Schema
+from pincal.measure.schema import OTHERS, Schema
 from pincal.measure.sheet import Column, Sheet, read_cells
 
 if TYPE_CHECKING:
@@ -72,7 +73,10 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
             values[mimic.joint] = mimic.multiplier * values[mimic.source] + mimic.offset
             if (approach := values.get(f"approach_{mimic.source}")) is not None:
                 values.setdefault(f"approach_{mimic.joint}", np.sign(mimic.multiplier) * approach)
+    droop = _droop(values, joints, source=path.name)
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
+    if droop is not None:
+        arrays["droop"] = droop
     if any(f"approach_{name}" in values for name in joints):
         unknown = np.zeros(len(rows))
         arrays["approach"] = np.column_stack([values.pop(f"approach_{name}", unknown) for name in joints])
@@ -80,6 +84,34 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
         if any(name in values for name in part.columns):
             arrays[part.name] = _whole(part, values, source=path.name)
     return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit})
+
+
+def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str) -> np.ndarray | None:
+    """Take the second positions of joints out of the values; return commanded minus read back, shape (N, n), if any.
+
+    Raises:
+        MeasurementError: if both are beside the joints' own columns.
+    """
+    given = {kind: [name for name in joints if f"{kind}_{name}" in values] for kind in OTHERS}
+    kinds = [kind for kind, names in given.items() if names]
+    if not kinds:
+        return None
+    if len(kinds) > 1:
+        raise MeasurementError(
+            f"{source}: columns commanded_<joint> and read_<joint> beside those of the joints; expected two records: name "
+            "the one to fit as the joints, as with --columns read_joint_1=joint_1"
+        )
+    (kind,) = kinds
+    fitted = {"commanded": "read back", "read": "commanded"}[kind]
+    warnings.warn(
+        f"{source}: the joints' own columns are fitted, as positions that were {fitted}; {kind}_{given[kind][0]} ... tell "
+        "how far the servos droop",
+        PincalWarning,
+        stacklevel=2,
+    )
+    nothing = np.zeros(len(values[joints[0]]))
+    found = [OTHERS[kind] * (values.pop(f"{kind}_{j}") - values[j]) if j in given[kind] else nothing for j in joints]
+    return np.column_stack(found)
 
 
 def _whole(part: Field, values: Mapping[str, np.ndarray], *, source: str) -> np.ndarray:

@@ -9,6 +9,9 @@ from pincal.measure.fields import Field
 from pincal.measure.options import TableOptions
 from pincal.robot.tree import Mimic
 
+# Where the joints stood as well, and by what factor that minus the fitted positions is commanded minus read back.
+OTHERS = {"commanded": 1.0, "read": -1.0}
+
 
 @dataclass(frozen=True)
 class Schema:
@@ -16,7 +19,8 @@ class Schema:
 
     Attributes:
         fields: the quantities that are understood.
-        joint_names: the joints, each with a column of its own and perhaps one for the direction of approach.
+        joint_names: the joints, each with a column of its own and perhaps one for the direction of approach and for the
+            position commanded or read back beside it.
         joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
         mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
         may_lack_joints: whether a table without any joint is allowed.
@@ -45,4 +49,6 @@ class Schema:
         types = self.joint_types or ("revolute",) * len(self.joint_names)
         pairs = zip(self.joint_names, types, strict=True)
         joints = {name: "length" if kind == "prismatic" else "angle" for name, kind in pairs}
-        return joints | known | {f"approach_{name}": "number" for name in self.joint_names}
+        # Beside the positions that are fitted, the other ones: those commanded where they were read back, or the reverse.
+        others = {f"{kind}_{name}": quantity for kind in OTHERS for name, quantity in joints.items()}
+        return joints | known | {f"approach_{name}": "number" for name in self.joint_names} | others

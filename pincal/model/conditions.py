@@ -15,7 +15,9 @@ from pincal.model.chain import Chain
 from pincal.model.symbols import are_symbols
 
 # Variables that have a column of their own in a table, with their units; positions of joints are the others.
-COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s"}
+COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s", "droop": "rad"}
+# Those that a table has for each joint, as they are called there.
+OF_JOINTS = {"approach": "approach_<joint>", "droop": "commanded_<joint>"}
 # A joint that turns is at the same place after a turn [rad].
 TURN = 2.0 * np.pi
 # What else an effect may follow: the static moment on a joint.
@@ -39,6 +41,8 @@ class Conditions:
         time: shape (N,) [s], or None.
         approach: shape (N, n), direction from which each joint arrived (-1, 0, 1), or None.
         setup: shape (N,), index of the set-up of instrument and targets, where there are several; else None.
+        droop: shape (N, n), by how much the position that each joint was commanded exceeds the one that was read back
+            [rad or m], or None.
     """
 
     q: np.ndarray
@@ -49,6 +53,7 @@ class Conditions:
     time: np.ndarray | None = None
     approach: np.ndarray | None = None
     setup: np.ndarray | None = None
+    droop: np.ndarray | None = None
 
     @classmethod
     def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
@@ -62,7 +67,7 @@ class Conditions:
 
     def select(self, rows: slice | np.ndarray) -> Conditions:
         """Return the conditions of some rows."""
-        pick = [None if v is None else v[rows] for v in (self.temperature, self.time, self.approach, self.setup)]
+        pick = [None if v is None else v[rows] for v in (self.temperature, self.time, self.approach, self.setup, self.droop)]
         return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
 
     def column(self, name: str) -> np.ndarray | None:
@@ -75,12 +80,13 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
     """Return the poses of several set-ups, one after the other.
 
     Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
-    so are temperatures that some lack. Directions of approach are unknown where they were not recorded.
+    so are temperatures and droops that some lack. Directions of approach are unknown where they were not recorded.
     """
     if len(parts) == 1:
         return parts[0]
     q, payload = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload"))
     known = [part.temperature for part in parts if part.temperature is not None]
+    droops = [part.droop for part in parts if part.droop is not None]
     sides = [np.zeros_like(part.q, np.int8) if part.approach is None else part.approach for part in parts]
     return Conditions(
         q,
@@ -89,6 +95,7 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
         parts[0].payload_centre,
         temperature=np.concatenate(known) if len(known) == len(parts) else None,
         approach=np.concatenate(sides) if any(part.approach is not None for part in parts) else None,
+        droop=np.concatenate(droops) if len(droops) == len(parts) else None,
     )
 
 
@@ -162,7 +169,7 @@ def recorded_variable(
     column = conditions.column(name) if name in COLUMN_UNITS else None
     if column is None:
         raise BadInputError(f"an effect follows {name}, which these poses do not have; add the column")
-    return np.asarray(column if joint is None or name != "approach" else column[:, names.index(joint)])
+    return np.asarray(column if joint is None or column.ndim < 2 else column[:, names.index(joint)])
 
 
 def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:

@@ -11,6 +11,7 @@ from pincal.calibration.run import Calibration
 from pincal.discover.run import Discovery
 from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
+from pincal.model.conditions import OF_JOINTS
 from pincal.report.advice import narrow_joints
 from pincal.report.words import effect_words
 from pincal.validate.misfit import MISFIT
@@ -143,5 +144,5 @@ def _after_discovery(discovery: Discovery) -> Iterator[str]:
         lost = (pair for station in stations for pair in untestable(station.model.chain, station.conditions))
         needed = {column for effect, _ in lost for column in effect.needs}
         absent = (column for column in needed if any(getattr(table, column) is None for table in tables))
-        if columns := ", ".join(sorted("approach_<joint>" if column == "approach" else column for column in absent)):
+        if columns := ", ".join(sorted(OF_JOINTS.get(column, column) for column in absent)):
             yield f"Record {columns} with each pose, so that effects that depend on it can be tested."

@@ -29,6 +29,7 @@ from pincal.simulate.elastic import (
     LinkBending,
     LoadBacklash,
     NonlinearElasticity,
+    ServoDroop,
 )
 from pincal.simulate.hidden import HIDDEN_EFFECTS, hidden_effect
 from pincal.simulate.instrument import Instrument
@@ -75,6 +76,7 @@ __all__ = [
     "PayloadError",
     "Poses",
     "SensorSetup",
+    "ServoDroop",
     "SetupOptions",
     "ThermalExpansion",
     "ThermalGrowth",

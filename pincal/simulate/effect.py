@@ -110,3 +110,11 @@ class DriveEffect(DeformingEffect):
     @abstractmethod
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         """Return what is added to the position of the joint with this index [rad or m], shape (N,)."""
+
+
+class ReadBackEffect(DriveEffect):
+    """A motion of a drive that its encoder sees: the table has ``read_<joint>`` beside the commanded position."""
+
+    def read_back(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        """Return what the encoder reads of the joint with this index [rad or m], shape (N,)."""
+        return np.asarray(poses.q[:, joint] + self._motion(joint, poses, loads))

@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import WINDUP, DeformingEffect, DriveEffect, Scope, Site, SizedByLoad
+from pincal.simulate.effect import WINDUP, DeformingEffect, DriveEffect, ReadBackEffect, Scope, Site, SizedByLoad
 from pincal.simulate.state import Deformation, Loads, Poses
 
 MOMENT_FRAMES = ("paper", "before", "after")
@@ -146,6 +146,29 @@ class Hysteresis(DriveEffect, SizedByLoad):
         else:
             came = np.sign(np.diff(poses.q[:, joint], prepend=poses.q[:1, joint]))
         return np.asarray(-self.size * came * (np.abs(loads.drive[:, joint]) + self.preload))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoDroop(ReadBackEffect, SizedByLoad):
+    """Position loop without an integrator: the joint droops under its load; ``size`` is by how much [rad/(N m)].
+
+    The joints of the table are as commanded.
+
+    Attributes:
+        stiction: Standard deviation of where friction stops the loop short of that [rad].
+    """
+
+    effect: ClassVar[str] = "servo_droop"
+    unit: ClassVar[str] = "rad/(N m)"
+    stiction: float = 1e-4
+
+    @classmethod
+    def typical_fields(cls, site: Site) -> dict[str, Any]:
+        """Return 0.2 mrad at the largest moment."""
+        return {"size": 2e-4 / site.moment}
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        return np.asarray(self.size * loads.drive[:, joint] + bool(self.size) * self.stiction * poses.scatter[:, joint])
 
 
 @dataclass(frozen=True, kw_only=True)

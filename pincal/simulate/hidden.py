@@ -30,6 +30,7 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
         drive.Backlash,
         elastic.LoadBacklash,
         elastic.Hysteresis,
+        elastic.ServoDroop,
         surroundings.ThermalExpansion,
         surroundings.ThermalGrowth,
         drive.ThermalOffset,

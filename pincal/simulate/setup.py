@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.effect import HiddenEffect, needs_order
+from pincal.simulate.effect import HiddenEffect, ReadBackEffect, needs_order
 from pincal.simulate.state import Conditions, Equilibrium, Poses
 from pincal.simulate.surroundings import MeasurementScale
 
@@ -104,7 +104,7 @@ class SensorSetup(ABC):
             machine: The true machine.
             q: Recorded joint positions [rad or m], shape (N, n); with contact, positions near the recorded ones.
             rng: Source of noise and scatter; needed if there is noise.
-            hide: Columns that are left out of the table; ``approach`` stands for those of all joints.
+            hide: Columns that are left out of the table; ``approach`` and ``read`` stand for those of all joints.
             **conditions: The conditions under which the poses are taken.
 
         Returns:
@@ -116,9 +116,10 @@ class SensorSetup(ABC):
         """
         poses = machine.poses(q, scatter=draw_scatter(machine, q, rng), **conditions)
         reading = self._read(machine, poses, rng)
-        table = _pose_columns(machine.nominal.names, reading.poses, conditions)
+        table = _pose_columns(machine.nominal.names, reading.poses, conditions) | _read_back(machine, reading.poses)
         table = {name: column[reading.rows] for name, column in table.items()} | reading.columns
-        hidden = {*hide, *(f"approach_{name}" for name in machine.nominal.names if "approach" in hide)}
+        per_joint = [kind for kind in ("approach", "read") if kind in hide]
+        hidden = {*hide, *(f"{kind}_{name}" for kind in per_joint for name in machine.nominal.names)}
         return {name: column for name, column in table.items() if name not in hidden}
 
     @abstractmethod
@@ -163,6 +164,15 @@ def transformed(transform: np.ndarray, points: Mapping[str, np.ndarray]) -> dict
 def as_lists(points: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
     """Return named points as lists, for JSON."""
     return {name: np.asarray(place).tolist() for name, place in points.items()}
+
+
+def _read_back(machine: Machine, poses: Poses) -> Table:
+    """Return where encoders see joints that do not stand as commanded."""
+    seen = [effect for effect in machine.effects if isinstance(effect, ReadBackEffect)]
+    if not seen:
+        return {}
+    loads, index = machine.equilibrium(poses).loads, machine.nominal.index
+    return {f"read_{effect.joint}": effect.read_back(index(effect.joint), poses, loads) for effect in seen}
 
 
 def _pose_columns(names: tuple[str, ...], poses: Poses, conditions: Mapping[str, object]) -> Table:

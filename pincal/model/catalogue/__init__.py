@@ -28,7 +28,7 @@ from pincal.model.catalogue.elasticity import (
     PayloadError,
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
-from pincal.model.catalogue.friction import Hysteresis
+from pincal.model.catalogue.friction import Hysteresis, ServoDroop
 from pincal.model.catalogue.masses import LinkMass
 from pincal.model.catalogue.settling import JointCreep, ThermalGrowth
 from pincal.model.catalogue.tones import EncoderSubdivision, GearRipple
@@ -55,6 +55,7 @@ __all__ = [
     "NonlinearElasticity",
     "ObliqueBearing",
     "PayloadError",
+    "ServoDroop",
     "ThermalExpansion",
     "ThermalGrowth",
     "ThermalOffset",
@@ -72,6 +73,7 @@ for _effect in (
     Backlash,
     ThermalOffset,
     JointCreep,
+    ServoDroop,
     BaseElasticity,
     PayloadError,
     ThermalExpansion,

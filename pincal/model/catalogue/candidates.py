@@ -6,7 +6,7 @@ import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
-from pincal.model.conditions import COLUMN_UNITS, Conditions, Situation
+from pincal.model.conditions import COLUMN_UNITS, OF_JOINTS, Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Tone
 from pincal.model.effects import Compliance
 from pincal.model.model import Model
@@ -62,10 +62,10 @@ def why_not_testable(candidate: Candidate, situation: Situation) -> str:
     if missing := effect.missing(conditions):
         return "; ".join(_lacking(column, conditions) for column in missing)
     joint = effect.locus.joint
-    if joint is not None and effect.locus.follows == "approach":
-        assert conditions.approach is not None
-        if not np.ptp(conditions.approach[:, situation.joints.index(joint)]):
-            return f"column approach_{joint} is missing or the same in all rows"
+    for name in effect.needs if joint is not None else ():
+        column = conditions.column(name)
+        if column is not None and column.ndim == 2 and not np.ptp(column[:, situation.joints.index(str(joint))]):
+            return f"column {OF_JOINTS[name].replace('<joint>', str(joint))} is missing or the same in all rows"
     if candidate.obstacle:
         return candidate.obstacle
     if effect.uses_moments:
@@ -75,7 +75,7 @@ def why_not_testable(candidate: Candidate, situation: Situation) -> str:
 
 
 def _lacking(column: str, conditions: Conditions) -> str:
-    name = "approach_<joint>" if column == "approach" else column
+    name = OF_JOINTS.get(column, column)
     return f"column {name} is {'missing' if conditions.column(column) is None else 'the same in all rows'}"
 
 

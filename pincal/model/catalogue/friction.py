@@ -1,4 +1,4 @@
-r"""What friction in a loaded gear leaves behind: a drive that stops wound up against it.
+r"""What servo and friction leave behind: a drive that droops, or stops wound up.
 
 Friction grows with the load on the teeth and opposes the last motion (Coulomb), so that a joint which arrives in direction
 s stops short of where its drive stands by the wind-up under it, :math:`c \mu (m_0 + |m|)` with the moment m on its axis.
@@ -15,7 +15,7 @@ import numpy as np
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
-from pincal.model.places import PLAY, joint_index, parameters_of, recorded
+from pincal.model.places import PLAY, drive_terms, joint_index, parameters_of, recorded
 from pincal.parameters import Parameter
 
 # Moment within which friction changes smoothly as the load changes sides [N m]: less than any arm feels.
@@ -69,3 +69,36 @@ class Hysteresis(Discoverable):
         load = np.hypot(moments[:, moment], _SMOOTH)
         basis = side * (load + self.preload)
         return (Term(0, int(chain.drives[i]), basis, moment, side * moments[:, moment] / load),)
+
+
+@dataclass(frozen=True)
+class ServoDroop(Discoverable):
+    """Joint that does not stand where the fitted record has it: it moves by p (commanded - read back) more.
+
+    Where the positions read back are fitted p is 0 if the encoder sees all of the droop, 1 if the joint stands as
+    commanded after all; where the commanded ones are fitted, -1 if the encoder sees all of it. A droop in proportion to the
+    torque is like linear elasticity: what friction and integrators make of it tells them apart.
+    """
+
+    joint: str
+    name: ClassVar[str] = "servo_droop"
+    meaning: ClassVar[str] = "the joint stands between the position commanded and the one read back, not as fitted"
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, by the droop."""
+        return Locus(self.joint, "drive", "droop")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint."""
+        yield from (Candidate(cls(joint)) for joint in situation.joints)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Part of the droop by which the joint is off [1]."""
+        return parameters_of(self, self.joint, ("droop",), unit="1", size=PLAY)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the droop to the joint's drive."""
+        droop = recorded(self, f"commanded_{self.joint} (or read_{self.joint})", conditions.droop)
+        return drive_terms(chain, self.joint, (droop[:, joint_index(chain, self.joint)],))
