@@ -62,7 +62,7 @@ def _words(change: Change) -> str:
     entered, left = (", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left))
     if entered and left:
         return f"{entered} instead of {left}"
-    return f"+ {entered}" if entered else f"- {left}" if left else "all rows, curves as fine as they tell"
+    return f"+ {entered}" if entered else f"- {left}" if left else "all fitted again, curves as fine as the rows tell"
 
 
 @dataclass(frozen=True)
@@ -237,4 +237,5 @@ def _title(effect: Effect) -> str:
     source = effect.locus.follows if effect.is_nameless else effect.locus.source
     by = f" by {source}" if source and source != joint else ""
     where = f" at {effect.locus.station}" if effect.locus.station else ""
-    return f"{effect.heading[0]}{of}{by}{where}"
+    order = f" order {effect.locus.order:g}" if (effect.locus.order or 1) != 1 else ""
+    return f"{effect.heading[0]}{of}{by}{where}{order}"
