@@ -96,8 +96,8 @@ def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
 def _of_parameters(model: Model) -> Iterator[Change]:
     """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
     for effect in model.effects:
-        # Links don't lose weight.
-        if effect.scope == "station" or effect.bodies(model.chain):
+        # Links don't lose weight, and bearings stay in their places.
+        if effect.scope == "station" or effect.bodies(model.chain) or effect.locus.acts_on == "place":
             continue
         single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
         by_element: dict[str, list[Parameter]] = {}

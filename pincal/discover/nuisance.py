@@ -32,12 +32,12 @@ class MassError(Effect):
     gamma_l += k_l d n_l / d parameter.
 
     Attributes:
-        compliance: shape (3 n,), k of each joint's x, y, z [rad/(N m)].
+        compliances: coordinates that bend, each with the moment that it follows and its k [rad/(N m)].
         coordinates: shape (K,), the rigid arm's coordinates at q = 0.
         links: the joints that move the links whose masses a URDF tells; of the others they are parameters of the model.
     """
 
-    compliance: np.ndarray
+    compliances: tuple[tuple[int, int, float], ...]
     coordinates: np.ndarray
     links: tuple[int, ...]
     name: ClassVar[str] = "mass_error"
@@ -47,9 +47,16 @@ class MassError(Effect):
     @classmethod
     def of(cls, model: Model, values: np.ndarray) -> MassError | None:
         """Return the effect for a model's present compliances, None for a rigid model, or one that has all masses itself."""
-        k, found = compliances_of(model, values), {body.joint for body in model.bodies}
-        links = tuple(i for i in range(model.chain.robot.n_joints) if i not in found)
-        return cls(k, model.rigid_coordinates(values), links) if k.any() and links else None
+        chain, found = model.chain, {body.joint for body in model.bodies}
+        links = tuple(i for i in range(chain.robot.n_joints) if i not in found)
+        n, bent = chain.robot.n_joints, []
+        for span, effect in zip(model.spans, model.effects, strict=True):
+            if effect.family is Family.ELASTICITY:
+                terms = effect.terms(chain, Conditions.at(np.zeros((1, n))), np.ones((1, 3 * n)))
+                own = values[span]
+                bent += [(t.coordinate, t.moment, float(own[t.parameter])) for t in terms if t.moment is not None]
+        compliances = tuple(entry for entry in bent if entry[2])
+        return cls(compliances, model.rigid_coordinates(values), links) if compliances and links else None
 
     @property
     def locus(self) -> Locus:
@@ -66,13 +73,10 @@ class MassError(Effect):
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add each compliance times the change of its moment."""
-        values = _values(chain, conditions, self.coordinates)
-        n = chain.robot.n_joints
-        bent = [(m, chain.joint(m // 3, f"gamma_{'xyz'[m % 3]}")) for m in range(3 * n) if self.compliance[m]]
-        terms = []
+        values, terms = _values(chain, conditions, self.coordinates), list[Term]()
         for p, i in enumerate(self.links):
             for c, change in enumerate(self._moments(chain, conditions, values, i)):
-                terms += [Term(4 * p + c, k, self.compliance[m] * change[m]) for m, k in bent if m // 3 <= i]
+                terms += [Term(4 * p + c, at, k * change[m]) for at, m, k in self.compliances if m // 3 <= i]
         return tuple(terms)
 
     def _moments(self, chain: Chain, conditions: Conditions, values: Values, i: int) -> Iterator[np.ndarray]:

@@ -117,22 +117,27 @@ def sure_compliances(fit: Fit) -> list[tuple[Effect, Estimate, float]]:
     """Return the compliances of single joints and bearings that are far from zero, the surest first.
 
     Returns:
-        For each the effect, its parameters, and the chance of values as large if there were no compliance.
+        For each the effect, its parameters and those of the same name that go with them, and the chance of compliances as
+        large if there were none.
     """
-    found = []
+    found, chain = [], fit.problem.chain
     for effect in fit.problem.effects:
         if not isinstance(effect, Compliance):
             continue
-        for joint in dict.fromkeys(p.name.rsplit(".", 1)[0] for p in effect.parameters(fit.problem.chain)):
+        likes = [e for e in fit.problem.effects if e.heading[0] == effect.heading[0]]
+        names = [parameter.name for e in likes for parameter in e.parameters(chain)]
+        for joint in dict.fromkeys(p.name.rsplit(".", 1)[0] for p in effect.parameters(chain)):
             single = replace(effect, joints=(joint,))
-            estimate = fit.estimate.take(parameter.name for parameter in single.parameters(fit.problem.chain))
+            estimate = fit.estimate.take(name for name in names if name.rsplit(".", 1)[0] == joint)
+            # Where it sits says nothing of whether it gives way.
+            bends = estimate.take(p.name for p in estimate.parameters if p.unit.endswith("/(N m)"))
             # Two that trade with each other may be sure together and neither of them alone.
-            known = np.linalg.pinv(estimate.dense_covariance(), hermitian=True)
-            z2 = float(estimate.values @ known @ estimate.values)
-            found.append((z2, single, estimate))
+            known = np.linalg.pinv(bends.dense_covariance(), hermitian=True)
+            z2 = float(bends.values @ known @ bends.values)
+            found.append((z2, single, estimate, len(bends)))
     found.sort(key=lambda item: -item[0])
-    sure = [item for item in found if item[0] > _SIGNIFICANT**2 * len(item[2])] or found[:1]
-    return [(effect, estimate, float(chdtrc(len(estimate), z2))) for z2, effect, estimate in sure]
+    sure = [item for item in found if item[0] > _SIGNIFICANT**2 * item[3]] or found[:1]
+    return [(effect, estimate, float(chdtrc(size, z2))) for z2, effect, estimate, size in sure]
 
 
 _FOLLOWED = {

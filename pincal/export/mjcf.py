@@ -8,7 +8,7 @@ MuJoCo balances the arm as it is bent; how far that is from moments taken on the
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 from xml.etree import ElementTree as ET
@@ -20,7 +20,7 @@ from pincal.export.exported import FORMATS, Exported, Format
 from pincal.io.urdf_export import rigid_notes, rigid_tips
 from pincal.model.augmented import joint_mounts, joint_placements
 from pincal.model.conditions import Conditions
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Family, Term
 from pincal.model.model import Model
 from pincal.robot.se3 import quaternions, rotation, translation
 
@@ -36,12 +36,14 @@ class _Springs:
     """The compliances that are springs.
 
     Attributes:
-        compliances: shape (n, 3), about the joint's x, y, z [rad/(N m)]; zero where there is none.
+        compliances: shape (n, 3), about three axes at each joint, the last its own [rad/(N m)]; zero where there is none.
+        axes: shape (n, 3, 3), these axes in columns, in the axes of the joint's moments.
         carried: the effects that they are of.
         refused: names of those among them that no spring has, since they yield against the load.
     """
 
     compliances: np.ndarray
+    axes: np.ndarray
     carried: tuple[Effect, ...]
     refused: tuple[str, ...]
 
@@ -93,23 +95,35 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
     """Return the compliances that a spring between two links has, too."""
     chain, n = model.chain, model.chain.robot.n_joints
     at, moments = Conditions.at(np.zeros((1, n))), np.ones((1, 3 * n))
-    found, carried, refused = np.zeros((n, 3)), [], []
-    axes = "z" if chain.moment_frame == "paper" else "xyz"
-    places = {(chain.joint(i, f"gamma_{axis}"), 3 * i + "xyz".index(axis)) for i in range(n) for axis in axes}
+    matrices, carried, refused = np.zeros((n, 3, 3)), [], []
+    own = "z" if chain.moment_frame == "paper" else "xyz"
+    places = {chain.joint(i, f"gamma_{axis}"): (i, "xyz".index(axis)) for i in range(n) for axis in own}
     for span, effect in zip(model.spans, model.effects, strict=True):
         terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
-        rest = [t for t in terms if t.slope is not None or (t.coordinate, t.moment) not in places]
-        turns = [t for t in terms if t.slope is None and (t.coordinate, t.moment) in places]
-        if turns and not rest:
-            carried.append(effect)
-            for term in turns:
-                value, name = float(values[span][term.parameter]), model.names[span.start + term.parameter]
-                assert term.moment is not None
-                if value < 0.0:
-                    refused.append(name)
-                else:
-                    found[divmod(term.moment, 3)] += value
-    return _Springs(found, tuple(carried), tuple(refused))
+        entries = [_entry(term, places) for term in terms]
+        if None in entries or not (terms or effect.family is Family.ELASTICITY):
+            continue
+        carried.append(effect)
+        for term, entry in zip(terms, entries, strict=True):
+            matrices[entry] += float(values[span][term.parameter])
+    compliances, axes = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
+    for i, matrix in enumerate(matrices):
+        if matrix[0, 1]:
+            compliances[i, :2], axes[i, :2, :2] = np.linalg.eigh(matrix[:2, :2])
+            compliances[i, 2] = matrix[2, 2]
+        else:
+            compliances[i] = np.diag(matrix)
+        names = ("k_across", "k_across", "k_z") if matrix[0, 1] else ("k_x", "k_y", "k_z")
+        refused += [f"{chain.robot.joint_names[i]}.{names[c]}" for c in np.flatnonzero(compliances[i] < 0.0)]
+    return _Springs(np.maximum(compliances, 0.0), axes, tuple(carried), tuple(refused))
+
+
+def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int, int] | None:
+    """Return joint, row and column of a term in the matrices of compliances, shape (n, 3, 3); None if it has no place."""
+    if term.coordinate not in places or term.moment is None or term.slope is not None:
+        return None
+    (i, row), (joint, column) = places[term.coordinate], divmod(term.moment, 3)
+    return (i, row, column) if joint == i and (row == 2) == (column == 2) else None
 
 
 def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> Iterator[dict[str, str]]:
@@ -124,6 +138,7 @@ def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> I
     axes, rigid = turning[:3, :3], model.rigid_coordinates(values)
     if before:
         axes = axes @ rotation("z", -rigid[chain.joint(i, "theta")])[:3, :3]
+    axes = axes @ springs.axes[i]
     bearing = _numbers(turning[:3, 3] + rigid[chain.joint(i, "h")] * turning[:3, 2])
     elastic = [
         _spring(f"{robot.joint_names[i]}_spring_{'xyz'[c]}", bearing, axes[:, c], 1.0 / springs.compliances[i, c])

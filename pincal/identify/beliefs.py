@@ -8,6 +8,7 @@ from pincal.identify.noise import Noise
 from pincal.identify.options import Options, known_frames
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors
+from pincal.model.effects import LENGTH_SIZE
 
 # A point that seems farther away than this [m] was seen from too much the same side.
 _FARTHEST = 50.0
@@ -54,9 +55,12 @@ def priors_of(problem: Problem, options: Options) -> Priors:
 
 
 def bounds_of(problem: Problem, options: Options) -> np.ndarray:
-    """Return the largest deviations that a fit may find, shape (P,); inf for none."""
-    lengths = np.array([p.unit == "m" and np.isfinite(p.size) for p in problem.local_parameters])
-    bounds = np.where(lengths, options.length_bound, np.inf)
+    """Return the largest deviations that a fit may find, shape (P,); inf for none.
+
+    The bound of lengths is meant for those of links; a length that is known less well may be off by as many times more.
+    """
+    sizes = np.array([p.size if p.unit == "m" and np.isfinite(p.size) else np.inf for p in problem.local_parameters])
+    bounds = options.length_bound * np.maximum(sizes / LENGTH_SIZE, 1.0)
     far = np.array([p.unit == "m" and p.is_extrinsic for p in problem.local_parameters])
     bounds[sensors_own(problem) & far] = _FARTHEST
     return bounds

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.bearings import called_for
 from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, released_of, sensors_own
 from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Linearised
@@ -26,6 +27,7 @@ from pincal.identify.solve import Priors, Solution, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensor import KnownParameters
 from pincal.measure.stations import stations_of
+from pincal.model.catalogue.bearings import without_idle_features
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
@@ -46,7 +48,7 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
     "2 link geometry and axis distortion": ("link_geometry", "axis_distortion"),
-    "3 elasticity": ("joint_elasticity", "bearing_elasticity"),
+    "3 elasticity": ("joint_elasticity", "bearing_elasticity", "oblique_bearing", "bearing_place"),
 }
 
 
@@ -74,7 +76,7 @@ def calibrate(
     """
     tables = tables_of(measurements)
     options = _completed(robot, options, tables)
-    fit = _weighed_anew(_fitted(robot, tables, options, executor))
+    fit = _with_bearings(_weighed_anew(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit.problem, fit.solution, fit.noise)
     return _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
 
@@ -207,7 +209,7 @@ def refit(
         rough: whether to stop before the last stage, close to the end, outliers only weighed down.
     """
     frame = moment_frame or fit.problem.chain.moment_frame
-    effects = with_masses(fit.problem.chain.robot, effects)
+    effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
     problem = fit.problem.with_effects(effects, moment_frame=frame)
     options = replace(fit.options, effects=tuple(effects), moment_frame=frame)
     priors = priors_of(problem, options)
@@ -217,7 +219,14 @@ def refit(
     fitted, stages = _fit(
         problem, near.values, priors, fit.noise, options, near=None if start is None else near, rough=rough
     )
-    return Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
+    found = Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
+    return found if rough else _with_bearings(found)
+
+
+def _with_bearings(fit: Fit) -> Fit:
+    """Return a fit with what the data call for of the features of its bearings."""
+    more = called_for(fit)
+    return refit(fit, (*fit.options.effects, *more), start={}) if more else fit
 
 
 def _begin(

@@ -111,13 +111,16 @@ def _of_inner(fit: Fit, nominals: list[_Nominal], i: int, ratio: float) -> tuple
     if not fit.solution.free[i]:
         return _not_free(fit, parameter)
     if parameter.name in _masses(fit):
-        # At the nominal geometry nothing bends, and no mass shows.
+        # At the nominal geometry nothing bends, and neither a mass nor the place of a bearing shows.
         return (Status.PRIOR, Reason(Cause.MASS)) if ratio >= _IDENTIFIED else (Status.IDENTIFIED, IDENTIFIED)
     views = [(nominal, nominal.index[parameter.name]) for nominal in nominals if parameter.name in nominal.index]
     unseen = min(nominal.unseen[k] for nominal, k in views)
     if unseen > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(size)):
         nominal, k = views[0]
-        return Status.UNIDENTIFIABLE, replace(nominal.counterpart(k), moment=_largest_moment(fit, parameter))
+        reason = nominal.counterpart(k)
+        # Where a bearing sits shows as far as it gives way, which at the nominal it does not.
+        if reason.cause is not Cause.NOT_OBSERVED or ratio >= _NARROWED:
+            return Status.UNIDENTIFIABLE, replace(reason, moment=_largest_moment(fit, parameter))
     if ratio >= _IDENTIFIED:
         cause, moment = Cause.WEAK if ratio < _NARROWED else Cause.UNINFORMED, _largest_moment(fit, parameter)
         return Status.PRIOR, Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment)

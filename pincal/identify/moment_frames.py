@@ -28,8 +28,11 @@ def some_rows_of(fit: Fit) -> Fit:
 
 
 def best_of(fits: Sequence[Fit]) -> MomentFrame:
-    """Return the convention of the fit that leaves least; that of the first unless another is better beyond chance."""
-    misfits = [misfit(fit) for fit in fits]
+    """Return the convention of the fit that leaves least; that of the first unless another is better beyond chance.
+
+    Conventions may have more parameters than others, which are counted by Akaike's criterion.
+    """
+    misfits = [misfit(fit) + 2.0 * fit.solution.posterior.effective for fit in fits]
     best = int(np.argmin(misfits))
     return fits[best if misfits[best] < misfits[0] - FRAME_BETTER else 0].problem.chain.moment_frame
 

@@ -11,6 +11,7 @@ from pincal.errors import PincalWarning, RobotFileError
 from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
 from pincal.model.augmented import joint_placements
 from pincal.model.chain import Chain
+from pincal.model.effect import Family
 from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
@@ -155,7 +156,11 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
         what: the format of the file.
     """
     names = [effect.name for effect in model.effects]
-    elastic = [effect.name for effect in model.effects if effect.uses_moments or effect.bodies(model.chain)]
+    elastic = [
+        effect.name
+        for effect in model.effects
+        if effect.uses_moments or effect.family is Family.ELASTICITY or effect.bodies(model.chain)
+    ]
     others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic)]
     notes = []
     if elastic:

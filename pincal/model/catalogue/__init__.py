@@ -8,7 +8,7 @@ Example:
     ['elbow_joint.eccentric_sin1', 'elbow_joint.eccentric_cos1']
 """
 
-from pincal.model.catalogue.bearings import ObliqueBearing
+from pincal.model.catalogue.bearings import BearingPlace, ObliqueBearing
 from pincal.model.catalogue.candidates import candidates, untestable
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import (
@@ -40,6 +40,7 @@ __all__ = [
     "Backlash",
     "BaseDrift",
     "BaseElasticity",
+    "BearingPlace",
     "EncoderSubdivision",
     "GearEccentricity",
     "GearRatio",
@@ -88,6 +89,7 @@ for _effect in (
     EncoderSubdivision,
     AxisWobble,
     ObliqueBearing,
+    BearingPlace,
     LinkBending,
     BaseDrift,
     MeasurementScale,

@@ -1,49 +1,43 @@
-"""Bearings that give way otherwise than along the axes of their frames."""
+"""What a bearing's compliance has beside k_x and k_y: stiff and soft directions of its own, and its place on the axis."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from pincal.model.chain import Chain
+from pincal.model.chain import Chain, MomentFrame
 from pincal.model.compliances import BENDING_SIZE, BearingElasticity
-from pincal.model.conditions import MOMENT, Conditions, Situation
-from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
+from pincal.model.conditions import MOMENT, Conditions
+from pincal.model.effect import Effect, Family, Locus, Term
 from pincal.model.places import joint_index, parameters_of
 from pincal.parameters import Parameter
 
 
 @dataclass(frozen=True)
-class ObliqueBearing(Discoverable):
+class ObliqueBearing(Effect):
     r"""Bearing whose stiff and soft directions across its axis are not those of the frame.
 
     Beside k_x and k_y it has :math:`\gamma_x = k_{xy} n_y, \gamma_y = k_{xy} n_x`: with all three its compliance is a
-    symmetric matrix, whose principal directions are anywhere. Only with the moment frames "before" and "after", in which
-    moment and tilt have the same axes.
+    symmetric matrix, whose principal directions are anywhere. Not in the paper's frame, where moment and tilt have different
+    axes.
 
     Attributes:
         joint: the joint.
     """
 
     joint: str
+    family: ClassVar[Family] = Family.ELASTICITY
     name: ClassVar[str] = "oblique_bearing"
     meaning: ClassVar[str] = "the bearing tilts under load in other directions than the frame's axes"
-    family: ClassVar[Family] = Family.LOAD
     uses_moments: ClassVar[bool] = True
 
     @property
     def locus(self) -> Locus:
         """The tilt of its bearing, which follows the moment there."""
-        return Locus(self.joint, "tilt", MOMENT, cause=BearingElasticity.name)
-
-    @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield it on every joint, where moment and tilt have the same axes."""
-        if situation.chain.moment_frame != "paper":
-            yield from (Candidate(cls(joint)) for joint in situation.joints)
+        return Locus(self.joint, "tilt", MOMENT, shape="oblique", cause=BearingElasticity.name)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Compliance k_xy [rad/(N m)]."""
@@ -55,3 +49,49 @@ class ObliqueBearing(Discoverable):
         i = joint_index(chain, self.joint)
         pairs = ("gamma_x", 3 * i + 1), ("gamma_y", 3 * i)
         return tuple(Term(0, chain.joint(i, symbol), moments[:, m], m) for symbol, m in pairs)
+
+
+@dataclass(frozen=True)
+class BearingPlace(Effect):
+    """Bearing that sits elsewhere on its axis than the URDF has the joint.
+
+    Where a URDF has a joint on its axis is as its author liked. The place shows as far as the bearing gives way.
+
+    Attributes:
+        joint: the joint.
+    """
+
+    joint: str
+    family: ClassVar[Family] = Family.ELASTICITY
+    name: ClassVar[str] = "bearing_place"
+    meaning: ClassVar[str] = "the bearing sits elsewhere on its axis than the URDF has the joint"
+
+    @property
+    def locus(self) -> Locus:
+        """The place of its bearing."""
+        return Locus(self.joint, "place", cause=BearingElasticity.name)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Height h of the bearing on the axis, from the frame before [m]; its typical error is a link's size."""
+        robot, i = chain.robot, joint_index(chain, self.joint)
+        nominal, size = float(chain.bearing_heights[i]), robot.reach / robot.n_joints
+        return (Parameter(f"{self.joint}.h", "m", self.name, nominal, size),)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add a constant."""
+        return (Term(0, chain.joint(joint_index(chain, self.joint), "h")),)
+
+
+def bearing_features(chain: Chain, effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return what else there is to know of each bearing that gives way; nothing in the paper's frame."""
+    bearings = [effect for effect in effects if isinstance(effect, BearingElasticity) and chain.moment_frame != "paper"]
+    joints = [joint for bearing in bearings for joint in (bearing.joints or chain.robot.joint_names)]
+    return tuple(kind(joint) for joint in joints for kind in (ObliqueBearing, BearingPlace))
+
+
+def without_idle_features(moment_frame: MomentFrame, effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return effects without what belongs to bearings, where none gives way or in the paper's frame."""
+    effects = tuple(effects)
+    if moment_frame != "paper" and any(isinstance(effect, BearingElasticity) for effect in effects):
+        return effects
+    return tuple(effect for effect in effects if not isinstance(effect, ObliqueBearing | BearingPlace))
