@@ -124,6 +124,7 @@ def test_hidden_effects_are_found_and_named() -> None:
     assert is_at_least(0.97, [v.right for v in visible])
     assert is_at_least(0.97, [v.detected for v in plain])
     assert is_at_least(0.95, [v.right for v in plain])
+    assert is_at_least(0.95, [v.right for v in verdicts if v.kind in IMITATED and v.detected])
     assert is_at_most(0.02, [bool(v.false_names) for v in visible])
     assert np.median([v.class_size for v in verdicts if v.class_size]) <= 2
     assert is_at_least(0.99, [v.sound for v in verdicts])

@@ -19,7 +19,9 @@ from pincal.model.kernels import Payload, Values
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 
-# How well a URDF knows masses and first moments of mass: fractions of the link's own.
+# How well a URDF knows masses and first moments of mass: fractions of the link's own. With 3 %, gravity compensators and
+# wrong payloads would be found on 114 of 120 arms (lambda >= 60, masses 3 % off) instead of 98, but a quarter of sound arms
+# whose masses are 10 % off would get a name.
 MASS_SIZE = 0.05
 CENTRE_SIZE = 0.05
 
