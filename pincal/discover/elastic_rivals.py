@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.policy import POLICY, Policy
@@ -26,23 +27,35 @@ def instead_of(tests: ScoreTests, compliance: Effect, estimate: Estimate, policy
         estimate: its parameters.
         policy: what counts as a tie.
     """
-    names = {parameter.name for parameter in estimate.parameters}
+    # Without the compliance it does not matter where it sits: that stays as it is.
+    lost = {
+        p.name: float(value) * p.unit.endswith("/(N m)")
+        for p, value in zip(estimate.parameters, estimate.values, strict=True)
+    }
     # What acts in the same place is a finer form of it.
     others = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
-    costs = sorted(zip(tests.costs_instead(others, names), others, strict=True))
+    costs = sorted(zip(tests.costs_instead(others, lost), others, strict=True))
     rivals = [tests.effects[i] for cost, i in costs if cost < policy.tie]
     return each_heading_once(rivals, compliance, policy)
 
 
 def without_compliance(fit: Fit, compliance: Effect) -> Fit:
     """Return a fit without the compliance of one joint."""
+    joint = compliance.locus.joint
+    others = tuple(name for name in fit.problem.chain.robot.joint_names if name != joint)
     effects: list[Effect] = []
     for effect in fit.options.effects:
-        if isinstance(effect, Compliance) and effect.name == compliance.name:
-            joints = fit.problem.chain.robot.joint_names if effect.joints is None else effect.joints
-            effect = replace(effect, joints=tuple(joint for joint in joints if joint != compliance.locus.joint))
-        effects.append(effect)
-    return refit(fit, effects)
+        own = effect.heading[0] == compliance.heading[0]
+        if own and isinstance(effect, Compliance):
+            joints = others if effect.joints is None else effect.joints
+            effects.append(replace(effect, joints=tuple(name for name in joints if name != joint)))
+        elif own and effect.locus.joint is None:
+            # What else there is to know of all bearings stays with the others.
+            feature: Any = effect
+            effects += [replace(feature, joint=name) for name in others]
+        elif not own or effect.locus.joint != joint:
+            effects.append(effect)
+    return refit(fit, effects, rough=True)
 
 
 def _place(effect: Effect) -> tuple[str | None, str, str | None]:

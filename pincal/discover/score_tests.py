@@ -12,7 +12,7 @@ k_g degrees of freedom if g is not there). One pass over the data serves all can
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -199,17 +199,17 @@ class ScoreTests:
         left = b[N] - S[N, N] @ model_step, b[j] - S[j, N] @ model_step
         return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
 
-    def costs_instead(self, which: Sequence[int], names: Collection[str]) -> list[float]:
+    def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
         """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
 
-        Both are in the model first, priors included, and these parameters are then held at zero, to first order.
+        Both are in the model first, priors included, and these parameters then lose what they are told to, to first order.
         """
-        j = np.array([i for i, name in enumerate(self.names) if name in names], int)
+        j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
         N = slice(0, self.n_model)
         scale, factor = _scaled_factor(self.S[N, N] + self.known)
         units = np.eye(self.n_model)[:, j]
         columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
-        values = self.values[j] + columns.T @ (self.b[N] - self.pull)
+        values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.b[N] - self.pull)
         spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
         S, b = self.projected
         costs = []
