@@ -16,13 +16,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from discovery_cases import FOREIGN, NAMED, Verdict, discover, draw_case, fresh, gap_over_oracle, judge, summary
+from discovery_cases import FOREIGN, NAMED, SOFT, Verdict, discover, draw_case, fresh, gap_over_oracle, judge, summary
 from scipy.stats import binom
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
 # What of lambda has to be left for 99 of 100 to be found: 26 for one parameter at this chance of a false name.
 VISIBLE = 40.0
+# The same of a wave whose order is searched for: it is the highest of some thousands.
+SEARCHED = 80.0
 # From this seed on arms are those whose frames are anywhere.
 FRESH = 100
 # Effects that uncertain masses can imitate: a spring has the first harmonic of a link's weight, and a payload
@@ -63,6 +65,12 @@ def verdicts_on(tasks: list[tuple[str, int, dict[str, Any]]]) -> tuple[list[Verd
     wrong = [v for v in verdicts if v.false_names or not v.sound or not (v.right or v.kind == "measurement_scale")]
     print("\n".join(["", summary(verdicts), *map(str, wrong)]))
     return verdicts, np.array([gap for _, gap in found])
+
+
+def fresh_tasks(kinds: Sequence[str], count: int) -> list[tuple[str, int, dict[str, Any]]]:
+    """Return some cases of each kind on arms whose frames are anywhere, all classes of them in turn."""
+    seeds = range(9000, 9000 + count * len(kinds))
+    return [(kinds[i // count], seed, fresh(seed)) for i, seed in enumerate(seeds)]
 
 
 def is_at_least(rate: float, hits: Sequence[bool]) -> bool:
@@ -113,9 +121,9 @@ def test_nothing_is_named_where_nothing_can_be_seen(kind: str) -> None:
 
 @pytest.mark.long
 def test_hidden_effects_are_found_and_named() -> None:
-    """Of 15 kinds; the class has the right effect at the right joint."""
-    verdicts, gaps = verdicts_of(NAMED, range(8000, 8009))
-    visible = [v for v in verdicts if v.seen >= VISIBLE]
+    """Of 18 kinds, on arms whose axes meet at any angle and whose frames are anywhere; alone or among equivalents."""
+    verdicts, gaps = verdicts_on(fresh_tasks((*NAMED, *SOFT), 6))
+    visible = [v for v in verdicts if v.seen >= (SEARCHED if v.kind == "gear_ripple" else VISIBLE)]
     plain = [v for v in verdicts if v.kind not in IMITATED]
     known = gaps[np.isfinite(gaps)]
     print(f"seen >= {VISIBLE:.0f}: {len(visible)}; gap over oracle {np.quantile(known, [0.5, 0.95])}")
@@ -128,7 +136,7 @@ def test_hidden_effects_are_found_and_named() -> None:
     assert is_at_most(0.02, [bool(v.false_names) for v in visible])
     assert np.median([v.class_size for v in verdicts if v.class_size]) <= 2
     assert is_at_least(0.99, [v.sound for v in verdicts])
-    assert np.median(known) <= 1.05 and np.quantile(known, 0.95) <= 1.15
+    assert np.median(known) <= 1.02 and np.quantile(known, 0.95) <= 1.15
 
 
 @pytest.mark.long
@@ -158,7 +166,7 @@ def test_effects_outside_the_catalogue_get_no_name() -> None:
 @pytest.mark.parametrize(
     ("options", "rate", "count"),
     [
-        ({"masses": 0.03}, 0.02, 40),
+        ({"masses": 0.03}, 0.01, 40),
         ({"masses": 0.1}, 0.05, 25),
         ({"noise": "outliers"}, 0.03, 25),
         ({"noise": "heavy"}, 0.03, 25),
@@ -166,9 +174,10 @@ def test_effects_outside_the_catalogue_get_no_name() -> None:
     ],
 )
 def test_sound_data_bring_in_no_name(options: dict[str, Any], rate: float, count: int) -> None:
-    """From 100 to 500 poses; elasticity is found where it is and not where it isn't."""
-    sizes = np.linspace(100, 500, count)
-    verdicts, _ = verdicts_on([("null", 8300 + i, {"n": int(n)} | options) for i, n in enumerate(sizes)])
+    """From 100 to 500 poses, the first on arms with frames anywhere; elasticity is found where it is, and only there."""
+    sizes = np.linspace(100, 500, count).astype(int)
+    arms = [fresh(8300 + i) if options == {"masses": 0.03} else {} for i in range(count)]
+    verdicts, _ = verdicts_on([("null", 8300 + i, arms[i] | {"n": int(n)} | options) for i, n in enumerate(sizes)])
 
     assert is_at_most(rate, [v.detected for v in verdicts])
     assert is_at_least(0.98, [v.sound for v in verdicts])
