@@ -23,7 +23,7 @@ from pincal.measure.sensors.pose import PoseSensor
 from pincal.measure.sensors.position import PositionSensor
 from pincal.robot.robot import Robot
 
-PLACEMENTS = range(30)
+PLACEMENTS = [*range(10), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(10, 30))]
 POSES = 80
 # Errors of a real arm as it comes: some tenths of a mm and mrad at each joint.
 LENGTH, ANGLE = 3e-4, 3e-4

@@ -17,6 +17,8 @@ from pincal.discover.precheck import DataReport
 from pincal.discover.run import Discovery
 from pincal.io.discovery_file import FoundEffect
 from pincal.measure.registry import blocks_of
+from pincal.model.effect import Family
+from pincal.model.registry import EFFECTS
 from pincal.report.tables import show_chance
 from pincal.report.verdict import next_steps, verdict_of
 from pincal.report.words import effect_words, noise_words
@@ -115,8 +117,9 @@ def _found(discovery: Discovery) -> str:
     effects = discovery.findings.effects
     if not effects:
         return "these data show no missing effect"
-    # Those that may be chance come last, named as what they are.
-    named = [_named(entry) for entry in sorted(effects, key=lambda entry: entry.is_hint)[:_EFFECTS]]
+    # What every arm has comes after what nobody knew, and those that may be chance last, named as what they are.
+    elastic = [name for name, cls in EFFECTS.known().items() if cls.family is Family.ELASTICITY]
+    named = [_named(entry) for entry in sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))[:_EFFECTS]]
     more = len(effects) - _EFFECTS
     return ", ".join([*named, *([f"{more} more"] if more > 0 else [])])
 
