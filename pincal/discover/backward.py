@@ -89,8 +89,11 @@ def _fails(state: State, step: Step, worth: float, policy: Policy) -> bool:
 def _worths(state: State, search: Search) -> dict[Step, float]:
     """Return what the model loses on blocks of poses left out without each step, in standard errors of it."""
     tests, found = score_test_beside_masses(state.fit, (), search.groups), {}
+    # Masses bend the arm only by way of its compliances, and can't take their place.
+    heavy = [effect for effect in state.fit.problem.effects if effect.bodies(state.fit.problem.chain)]
     for step in state.steps:
-        losses = tests.losses_by_block(set(state.fit.names_of(step.effects)))
+        still = state.fit.names_of(heavy) if step.is_elastic else ()
+        losses = tests.losses_by_block(set(state.fit.names_of(step.effects)), still)
         found[step] = standard_errors(losses)
     return found
 

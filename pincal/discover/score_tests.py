@@ -221,19 +221,21 @@ class ScoreTests:
             costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
         return costs
 
-    def losses_by_block(self, names: Collection[str]) -> np.ndarray:
+    def losses_by_block(self, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
         """Return by how much the squared error on each block left out grows without some of the model, shape (B,).
 
         Their values are held at zero and all others refitted, to first order, without each block.
 
         Args:
             names: parameters of the model.
+            still: others that stay as they are, as what they do is done by way of those that go.
         """
-        j = np.array([i for i, name in enumerate(self.names) if name in names], int)
+        j = np.array([i for i, name in enumerate(self.names) if name in names or name in still], int)
+        goes = np.array([self.names[i] in names for i in j], bool)
         units, N, losses = np.eye(self.n_model)[:, j], slice(0, self.n_model), np.zeros(len(self.blocks_S))
         for k, (scale, factor, step) in enumerate(self._without_block if len(j) else ()):
             columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
-            held = step - columns @ np.linalg.solve(columns[j], step[j] + self.values[j])
+            held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * self.values[j])
             S, b = self.blocks_S[k, N, N], self.blocks_b[k, N]
             losses[k] = held @ S @ held - step @ S @ step - 2.0 * b @ (held - step)
         return losses
