@@ -45,16 +45,14 @@ def client() -> Iterator[Any]:
 
 
 def test_four_workers_cost_little_beside_tasks_of_a_tenth_of_a_second(client: Any) -> None:
-    """All processes together compute for less than a fifth of the time of the tasks; this holds on a busy machine, too."""
-
-    def computed() -> float:
-        return time.process_time() + sum(client.run(time.process_time).values())
-
-    tasks = range(20 * WORKERS)
+    """They take less than a fifth longer than the tasks themselves, in the best of four rounds."""
+    tasks, walls = range(20 * WORKERS), []
     list(spread(nap, range(WORKERS), label="nap", executor=client.get_executor()))
-    begun = computed()
-    assert list(spread(nap, tasks, label="nap", executor=client.get_executor())) == [*tasks]
-    assert computed() - begun < 0.2 * TASK * len(tasks)
+    for _ in range(4):
+        begun = time.perf_counter()
+        assert list(spread(nap, tasks, label="nap", executor=client.get_executor())) == [*tasks]
+        walls.append(time.perf_counter() - begun)
+    assert min(walls) < 1.2 * TASK * len(tasks) / WORKERS
 
 
 def test_a_worker_is_sent_the_function_once(client: Any, tmp_path: Path) -> None:
