@@ -166,7 +166,6 @@ def test_a_bearing_is_found_where_it_is() -> None:
                 (calibrated, "skew 1"),
                 (calibrated, "kuka"),
                 (discovered, "skew 0"),
-                (discovered, "kuka"),
             ]
         ),
     ],
