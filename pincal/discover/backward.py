@@ -13,7 +13,7 @@ from pincal.discover.forward import decided, listed
 from pincal.discover.history import State, Step
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
-from pincal.discover.score_tests import standard_errors
+from pincal.discover.score_tests import enough_errors, standard_errors
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
 from pincal.model.effect import Effect, Family, Resolvable
@@ -81,7 +81,7 @@ def _is_in(effect: Effect, fit: Fit) -> bool:
 
 
 def _fails(state: State, step: Step, worth: float, policy: Policy) -> bool:
-    if worth <= (0.0 if step.is_elastic else 1.0):
+    if worth <= (0.0 if step.is_elastic else max(map(enough_errors, step.effects))):
         return True
     return len(state.steps) > 1 and _may_be_chance(state.fit, step, policy)
 

@@ -11,7 +11,7 @@ from pincal.discover.decisions import CandidateTable, Decision, Row, decide
 from pincal.discover.maps import likely_maps
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
-from pincal.discover.score_tests import ScoreTests, standard_errors
+from pincal.discover.score_tests import ScoreTests, enough_errors, standard_errors
 from pincal.discover.tones import strongest_tones
 from pincal.identify.fit import Fit
 from pincal.model.at_station import changed_effects, own_effects
@@ -81,7 +81,7 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
 
     def predicts(i: int) -> bool:
         tests = score_test_beside_masses(fit, [effects[i]], search.groups)
-        return standard_errors(tests.gains_by_block([0])) > 1.0
+        return standard_errors(tests.gains_by_block([0])) > enough_errors(effects[i])
 
     return CandidateTable(
         rows,
