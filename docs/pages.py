@@ -1,0 +1,259 @@
+"""Make the pages that the program itself knows best: commands, files, effects and names of the API.
+
+``python docs/pages.py`` writes them into ``docs/reference``; a test holds them to the program.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+from griffe import Docstring, DocstringSectionKind
+from msgspec.inspect import DataclassType, NamedTupleType, StructType, TypedDictType, type_info
+
+import pincal
+from pincal.cli import pincal as command
+from pincal.io.schemas import FILES, schema_of
+from pincal.measure.registry import SENSORS
+from pincal.model.registry import EFFECTS
+
+sys.path.insert(0, str(Path(__file__).parent))
+from signatures import Signature, draw, signatures
+
+REFERENCE = Path(__file__).parent / "reference"
+# What a user meets of each file.
+_FILES = {
+    "model": ("model.json", "The calibrated robot: predicts without its URDF. Written by every verb that fits."),
+    "stations": ("model.json of several stations", "The robot once, and what each station has of its own."),
+    "result": ("result.json", "What a calibration came to. Written by `calibrate` and `discover`."),
+    "discovery": ("discovery.json", "What the model lacked, and what else it could be. Written by `discover`."),
+    "diagnosis": ("diagnosis.json", "Whether the robot has changed, and what. Written by `diagnose`."),
+    "camera": ("CAMERA.json", "A camera's parameters, as `--camera` takes and `simulate --camera-out` writes them."),
+}
+
+
+def commands() -> Iterator[str]:
+    """Yield the page of commands: the help text of each."""
+    yield "# Commands"
+    yield "What `pincal VERB --help` prints. Results go to stdout, progress and notes to stderr; `--json` is for programs."
+    with click.Context(command, info_name="pincal", terminal_width=100) as context:
+        yield _block(command.get_help(context))
+        for name in command.list_commands(context):
+            verb = command.get_command(context, name)
+            assert verb is not None
+            with click.Context(verb, info_name=name, parent=context, terminal_width=100) as own:
+                yield f"## {name}"
+                yield _block(verb.get_help(own))
+
+
+def files() -> Iterator[str]:
+    """Yield the page of files, from their schemas and from the sensors."""
+    yield "# Files"
+    yield (
+        "Tables of measurements, and what pincal writes. Values are in SI units unless a name says otherwise (`_mm`, "
+        "`_mrad`, or `x [mm]` in the header of a table). JSON Schemas come with the package, in `pincal/io/schemas`."
+    )
+    yield "## Tables of measurements"
+    yield (
+        "CSV or other text, Excel, Parquet, or recordings of ROS; one row per measured pose. One column per joint, named as "
+        "in the URDF, and those of one kind of reading. `approach_<joint>` is the side from which the joint arrived (-1, 0 "
+        "or 1)."
+    )
+    rows = []
+    for sensor in SENSORS.known().values():
+        columns = " ".join(f"`{column}`" for field in sensor.fields for column in field.columns)
+        rows.append((f"`{sensor.kind}`", columns, _first_sentence(sensor)))
+    yield _table(("kind of reading", "columns", "what is read"), rows)
+    for key, (name, about) in _FILES.items():
+        yield f"## {name}"
+        yield about
+        yield from _structures(schema_of(key), FILES[key])
+
+
+def _structures(schema: Mapping[str, Any], top: type) -> Iterator[str]:
+    """Yield a table for each structure of a schema, that of the file first."""
+    structures, classes = schema["$defs"], {cls.__name__: cls for cls in _classes(type_info(top))}
+    for name in [top.__name__, *(other for other in structures if other != top.__name__)]:
+        structure = structures[name]
+        if "properties" not in structure:
+            continue
+        summary, meanings = _described(structure.get("description", ""))
+        for inherited in classes[name].__mro__[1:]:
+            meanings = _described(inherited.__doc__ or "")[1] | meanings
+        if name != top.__name__:
+            yield f"### {name}"
+            yield summary
+        required = structure.get("required", ())
+        rows = [
+            (f"`{key}`", _kind(kind) + ("" if key in required else ", optional"), meanings.get(key, ""))
+            for key, kind in structure["properties"].items()
+        ]
+        yield _table(("key", "type", "meaning"), rows)
+
+
+def _classes(kind: Any) -> Iterator[type]:
+    """Yield the class of every structure in a type, as msgspec describes it."""
+    if isinstance(kind, StructType | TypedDictType | DataclassType | NamedTupleType):
+        yield kind.cls
+        for field in kind.fields:
+            yield from _classes(field.type)
+    else:
+        inner = [getattr(kind, name) for name in ("item_type", "value_type") if hasattr(kind, name)]
+        for part in (*inner, *getattr(kind, "types", ()), *getattr(kind, "item_types", ())):
+            yield from _classes(part)
+
+
+def _kind(kind: Mapping[str, Any]) -> str:
+    """Return the type of a schema's property in words."""
+    if "$ref" in kind:
+        return kind["$ref"].rsplit("/", 1)[1]
+    if "anyOf" in kind:
+        return " or ".join(_kind(part) for part in kind["anyOf"])
+    if "enum" in kind:
+        return " or ".join(f"`{value}`" for value in kind["enum"])
+    if kind.get("type") == "array":
+        parts = kind.get("prefixItems") or [kind.get("items", {})]
+        return "list of " + ", ".join(_kind(part) for part in parts if isinstance(part, Mapping))
+    if kind.get("type") == "object":
+        inner = kind.get("additionalProperties")
+        return "object of " + _kind(inner) if isinstance(inner, Mapping) and inner else "object"
+    return str(kind.get("type", "any"))
+
+
+def effects() -> Iterator[str]:
+    """Yield the page of effects, from what each says of itself."""
+    yield "# Effects"
+    yield (
+        "Each is a cause with parameters of its own; coordinates of the arm are sums over effects, so their order means "
+        "nothing. Names are those of `--add`, `model.json`, `discovery.json` and `diagnosis.json`. Pictures show what an "
+        "effect adds to the arm where it moves the target by 0.1 mm rms: a KUKA KR 125/2 in 400 random poses, loads and "
+        "temperatures. What could take its place is told of the same poses, beside geometry and elasticity; in yours it may "
+        "differ, and "
+        "`discovery.json` tells."
+    )
+    families: dict[str, list[tuple[str, str]]] = {}
+    for name, cls in sorted(EFFECTS.known().items()):
+        families.setdefault(cls.family.value, []).append((f"[`{name}`](#{name})", cls.meaning))
+    for family, rows in families.items():
+        yield f"**{family[0].upper()}{family[1:]}**"
+        yield _table(("effect", "what a machine with it does"), rows)
+    for name, cls in sorted(EFFECTS.known().items()):
+        yield f"## {name}"
+        yield f"*{cls.meaning[0].upper()}{cls.meaning[1:]}.*"
+        yield from _told(cls)
+        if name in signatures():
+            yield from _seen(name, signatures()[name])
+
+
+def _seen(name: str, signature: Signature) -> Iterator[str]:
+    """Yield how an effect shows, and what else would look like it."""
+    if signature.is_drawn:
+        where = signature.effect.locus.joint or "the arm"
+        yield f"![What {name} of {where} adds, against what it follows](../pictures/effects/{name}.png)"
+    if needs := signature.effect.needs:
+        yield "Shows only where the table has " + " and ".join(f"`{column}`" for column in needs) + "."
+    if signature.alike:
+        others = [
+            f"[`{other}`](#{other}) ({_share(share)}, follows {signatures()[other].variable[0].split(' [')[0]})"
+            for other, share in signature.alike
+        ]
+        yield "Others that could take its place, and how much of it: " + "; ".join(others) + "."
+
+
+def _share(share: float) -> str:
+    return "all" if share > 0.95 else f"{round(10 * share)}0 %"
+
+
+def _told(cls: type) -> Iterator[str]:
+    """Yield a class's docstring as Markdown."""
+    for section in Docstring(inspect.getdoc(cls) or "").parse("google", warnings=False):
+        if section.kind is DocstringSectionKind.text:
+            yield _plain(section.value.strip())
+        elif section.kind is DocstringSectionKind.attributes:
+            yield "\n".join(f"- `{entry.name}`: {_one_line(entry.description)}" for entry in section.value)
+
+
+def names() -> Iterator[str]:
+    """Yield the page of the Python API: every public name with its docstring."""
+    yield "# Python"
+    yield "What `import pincal` offers. Angles are in radians, lengths in metres, unless a name says otherwise."
+    public = [name for name in pincal.__all__ if not name.isupper()]
+    yield _table(("name", ""), [(f"[`{name}`](#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in public])
+    for name in public:
+        found = getattr(pincal, name)
+        yield f"## {name}"
+        directive = "autoclass" if inspect.isclass(found) else "autofunction" if inspect.isfunction(found) else "autodata"
+        members = "\n   :members:" if inspect.isclass(found) else ""
+        yield f"```{{eval-rst}}\n.. {directive}:: {pincal._HOME[name]}.{name}{members}\n```"
+
+
+def _described(text: str) -> tuple[str, dict[str, str]]:
+    """Return the first paragraph of a docstring, and what it says of each attribute."""
+    summary, meanings = "", {}
+    for section in Docstring(inspect.cleandoc(text)).parse("google", warnings=False):
+        if section.kind is DocstringSectionKind.text and not summary:
+            summary = _one_line(section.value.split("\n\n")[0])
+        elif section.kind is DocstringSectionKind.attributes:
+            for entry in section.value:
+                meanings |= dict.fromkeys(re.split(r",\s*", entry.name), _one_line(entry.description))
+    return summary, meanings
+
+
+def _first_sentence(found: Any) -> str:
+    return _one_line((inspect.getdoc(found) or "").split("\n\n")[0])
+
+
+def _one_line(text: str) -> str:
+    """Return text without line breaks, as Markdown."""
+    return _plain(" ".join(text.split()))
+
+
+def _plain(text: str) -> str:
+    """Return text whose formulas and references between docstrings are those of Markdown."""
+    text = re.sub(r":math:`([^`]*)`", r"$\1$", text)
+    return re.sub(r":\w+:`~?([^`]*)`", r"`\1`", text)
+
+
+def _block(text: str) -> str:
+    return f"```\n{text.rstrip()}\n```"
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines)
+
+
+PAGES: dict[str, Callable[[], Iterator[str]]] = {
+    "commands.md": commands,
+    "files.md": files,
+    "effects.md": effects,
+    "python.md": names,
+}
+
+
+def text_of(page: str) -> str:
+    """Return the text of a page."""
+    mark = "<!-- Made by docs/pages.py; a test holds it to the program. -->"
+    return "\n\n".join([mark, *PAGES[page]()]) + "\n"
+
+
+def main() -> int:
+    """Write the pages, or with ``--check`` say which are not those of the program."""
+    stale = [page for page in PAGES if not (file := REFERENCE / page).exists() or file.read_text("utf-8") != text_of(page)]
+    if "--check" in sys.argv[1:]:
+        print("".join(f"docs/reference/{page} is not up to date; run python docs/pages.py\n" for page in stale), end="")
+        return int(bool(stale))
+    for page in stale:
+        (REFERENCE / page).write_text(text_of(page), encoding="utf-8")
+    if "effects.md" in stale:
+        draw()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
