@@ -1,0 +1,96 @@
+"""The pages: some are made from the program, links lead somewhere, and the site builds without a warning."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from pincal.plugins import load_plugin
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+
+
+def anchors_of(page: Path) -> set[str]:
+    """Return what a link into a page may name: its headings, as GitHub and the site write them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def links_of(page: Path) -> Iterator[str]:
+    """Yield where the links of a page lead; code has none."""
+    text = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    yield from re.findall(r"\]\(([^)\s]+)\)", text)
+
+
+@pytest.mark.parametrize("name", ["commands.md", "files.md", "effects.md", "python.md"])
+def test_reference_pages_are_those_of_the_program(name: str) -> None:
+    """Made anew, a page is as it stands; ``python docs/pages.py`` writes them."""
+    pages = load_plugin(str(ROOT / "docs" / "pages.py"))
+
+    assert (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8") == pages.text_of(name)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_somewhere(page: Path) -> None:
+    """Files are there, and headings in them; other addresses are whole."""
+    for link in links_of(page):
+        if re.match(r"https?://", link):
+            assert re.fullmatch(r"https?://[\w.-]+\.\w+(/\S*)?", link), link
+            continue
+        place, _, anchor = link.partition("#")
+        file = (page.parent / place).resolve() if place else page
+        assert file.exists(), link
+        assert not anchor or anchor in anchors_of(file), link
+
+
+@pytest.mark.long
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    """Sphinx finds every page, name and reference."""
+    pytest.importorskip("sphinx")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(ROOT / "docs"), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert "calibrate" in (tmp_path / "reference" / "python.html").read_text(encoding="utf-8")
+
+
+def told(page: str) -> tuple[list[str], list[float]]:
+    """Return the words of a page without its numbers, and the numbers; those that are no more than rounding count as 0."""
+    number = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
+    numbers = [float(found) for found in re.findall(number, page)]
+    return re.sub(number, "#", page).split(), [value if abs(value) > 1e-9 else 0.0 for value in numbers]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "tutorials").glob("*.md")), ids=lambda page: page.stem)
+def test_tutorials_show_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every block runs in an empty folder, and prints the words that it shows and, nearly, the numbers."""
+    monkeypatch.chdir(tmp_path)
+    transcripts = load_plugin(str(ROOT / "docs" / "transcripts.py"))
+    shown = page.read_text(encoding="utf-8")
+    (words, numbers), (words_now, numbers_now) = told(shown), told(transcripts.played(shown))
+
+    assert words_now == words
+    assert numbers_now == pytest.approx(numbers, rel=0.1, abs=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("notebook", sorted((ROOT / "examples").glob("*.ipynb")), ids=lambda notebook: notebook.stem)
+def test_notebooks_run_and_draw(notebook: Path, tmp_path: Path) -> None:
+    """Every cell runs, figures are drawn and the robot in 3D, as notebooks are kept without outputs."""
+    book = nbformat.read(notebook, 4)
+    NotebookClient(book, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = [kind for cell in book.cells for output in cell.get("outputs", ()) for kind in output.get("data", {})]
+    figures, pages = shown.count("image/png"), list(tmp_path.glob("*.html"))
+
+    assert len(pages) == 1 and pages[0].stat().st_size > 1e5
+    assert figures or notebook.stem == "diagnose"
+    assert not any(cell.get("outputs") for cell in nbformat.read(notebook, 4).cells), "notebooks are kept without outputs"
