@@ -12,6 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
@@ -24,6 +25,8 @@ from pincal.measure.measurements import Measurements
 from pincal.report.illustrations import discovery_drawings
 from pincal.viewer import build_scene, write_html
 
+# Identifiers in drawings are the same each time.
+matplotlib.rcParams["svg.hashsalt"] = "pincal"
 PICTURES = Path(__file__).parent / "pictures"
 # Width of the page's panel, which the picture leaves out [px].
 _PANEL = 360
