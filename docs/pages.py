@@ -20,10 +20,9 @@ import pincal
 from pincal.cli import pincal as command
 from pincal.io.schemas import FILES, schema_of
 from pincal.measure.registry import SENSORS
-from pincal.model.registry import EFFECTS
 
 sys.path.insert(0, str(Path(__file__).parent))
-from signatures import Signature, draw, signatures
+from signatures import Signature, draw, own_effects, signatures
 
 REFERENCE = Path(__file__).parent / "reference"
 # What a user meets of each file.
@@ -41,7 +40,8 @@ def commands() -> Iterator[str]:
     """Yield the page of commands: the help text of each."""
     yield "# Commands"
     yield "What `pincal VERB --help` prints. Results go to stdout, progress and notes to stderr; `--json` is for programs."
-    with click.Context(command, info_name="pincal", terminal_width=100) as context:
+    settings = command.context_settings | {"max_content_width": None, "terminal_width": 100}
+    with click.Context(command, info_name="pincal", **settings) as context:
         yield _block(command.get_help(context))
         for name in command.list_commands(context):
             verb = command.get_command(context, name)
@@ -65,7 +65,7 @@ def files() -> Iterator[str]:
         "or 1)."
     )
     rows = []
-    for sensor in SENSORS.known().values():
+    for sensor in (cls for cls in SENSORS.known().values() if cls.__module__.startswith("pincal.")):
         columns = " ".join(f"`{column}`" for field in sensor.fields for column in field.columns)
         rows.append((f"`{sensor.kind}`", columns, _first_sentence(sensor)))
     yield _table(("kind of reading", "columns", "what is read"), rows)
@@ -137,12 +137,12 @@ def effects() -> Iterator[str]:
         "`discovery.json` tells."
     )
     families: dict[str, list[tuple[str, str]]] = {}
-    for name, cls in sorted(EFFECTS.known().items()):
+    for name, cls in own_effects().items():
         families.setdefault(cls.family.value, []).append((f"[`{name}`](#{name})", cls.meaning))
     for family, rows in families.items():
         yield f"**{family[0].upper()}{family[1:]}**"
         yield _table(("effect", "what a machine with it does"), rows)
-    for name, cls in sorted(EFFECTS.known().items()):
+    for name, cls in own_effects().items():
         yield f"## {name}"
         yield f"*{cls.meaning[0].upper()}{cls.meaning[1:]}.*"
         yield from _told(cls)

@@ -66,12 +66,18 @@ def situation() -> Situation:
 
 
 @cache
+def own_effects() -> dict[str, type[Effect]]:
+    """Return every effect that comes with pincal, by name; none of a plugin."""
+    return {name: cls for name, cls in sorted(known_effects().items()) if cls.__module__.startswith("pincal.")}
+
+
+@cache
 def signatures() -> dict[str, Signature]:
     """Return the signature of every effect that discovery looks for, by name."""
     at = situation()
     others = {
         name: [form for candidate in cls.candidates(at) for form in candidate.forms[:1]]
-        for name, cls in sorted(known_effects().items())
+        for name, cls in own_effects().items()
         if issubclass(cls, Discoverable)
     }
     known = _motion(at, (*ELASTIC, BaseFrame(), ToolFrame()))
