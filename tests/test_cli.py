@@ -343,6 +343,7 @@ def test_an_option_may_have_several_sets_of_values(given: str, spread: str) -> N
     assert _spread(given.split()) == spread.split()
 
 
+@pytest.mark.long
 def test_demo_tells_the_story(tmp_path, capsys):
     """Nothing to prepare: from some mm to hundredths; then a hidden effect is found; and files to open."""
     assert run("demo", "--out", tmp_path / "demo", "--quiet") == 0

@@ -273,6 +273,7 @@ def test_a_fit_of_several_stations_is_diagnosed_as_its_file_is(days: list[Path],
             pincal.diagnose(fit, table)
 
 
+@pytest.mark.long
 def test_left_out_stations_do_not_depend_on_the_executor(days: list[Path]) -> None:
     """Processes give what one loop does, bit by bit."""
     robot = pincal.Robot.from_urdf(URDF)
@@ -320,6 +321,7 @@ def test_discovery_finds_what_both_days_show(
     assert "Stations" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.long
 def test_an_offset_that_jumped_is_named_with_its_station(tmp_path: Path, machine: sim.TrueMachine) -> None:
     """A joint that stands 0.3 mrad elsewhere on the second day is found there, as large as it is, and nothing else."""
     days = {"mo": tracked(machine, np.eye(4), poses=100), "tu": tracked(machine, TURNED, poses=100, seed=1)}

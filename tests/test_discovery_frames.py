@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import pytest
 from discovery_cases import draw_case
 
 from pincal import calibrate
@@ -14,6 +15,7 @@ from pincal.identify.split import row_groups
 from pincal.model.chain import MOMENT_FRAMES
 
 
+@pytest.mark.long
 def test_what_was_found_in_a_wrong_frame_is_taken_over_by_the_one_that_fits_better() -> None:
     """What the wrong one brought about is gone, what is hidden stays, and each step begins where the one before ended."""
     case = draw_case("backlash", 3, n=160, arm="kuka", strength=200.0)

@@ -88,10 +88,15 @@ def is_at_most(rate: float, hits: Sequence[bool]) -> bool:
     [
         ("gear_eccentricity", 1),
         ("joint_coupling", 100),
-        ("thermal_expansion", 0),
-        ("load_backlash", 1),
-        ("axis_wobble", 3),
-        ("gear_ratio+backlash", 2),
+        *(
+            pytest.param(kind, seed, marks=pytest.mark.long)
+            for kind, seed in [
+                ("thermal_expansion", 0),
+                ("load_backlash", 1),
+                ("axis_wobble", 3),
+                ("gear_ratio+backlash", 2),
+            ]
+        ),
     ],
 )
 def test_a_hidden_effect_is_named_with_its_joint(kind: str, seed: int) -> None:
@@ -105,7 +110,7 @@ def test_a_hidden_effect_is_named_with_its_joint(kind: str, seed: int) -> None:
     assert gap_over_oracle(case, trail) < 1.1
 
 
-@pytest.mark.parametrize("kind", ["step", "product"])
+@pytest.mark.parametrize("kind", ["product", pytest.param("step", marks=pytest.mark.long)])
 def test_what_has_no_name_gets_none(kind: str) -> None:
     """A jump of a drive and the product of two joints' sines are found at their joint, without a name."""
     verdict = judge(draw_case(kind, 2, n=200, strength=150.0))

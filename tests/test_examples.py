@@ -94,10 +94,10 @@ def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
 @pytest.mark.long
 def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
     """From twelve views of the paper's object: exact to rounding, and as uncertain as the covariance says."""
-    text = run("kuka_camera.py", "--seeds", "2", "--draws", "30", folder=tmp_path)
+    text = run("kuka_camera.py", "--seeds", "1", "--draws", "30", folder=tmp_path)
     cases = text.split("\n\n")[1:]
 
-    assert len(cases) == 4
+    assert len(cases) == 2
     for case in cases:
         assert numbers(case, "held-out max")[0] <= 1e-10
         assert numbers(case, "chi-square")[0] == pytest.approx(1.0, abs=0.03)
@@ -176,6 +176,7 @@ def camera_output(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, run("camera_images.py", "--quick", "--out", "o", folder=folder)
 
 
+@pytest.mark.long
 def test_corners_are_where_they_should_be(camera_output: tuple[Path, str]) -> None:
     """Detected corners scatter as those of photographs do, lie on the truth on average, and their noise is known."""
     text = camera_output[1]
@@ -188,6 +189,7 @@ def test_corners_are_where_they_should_be(camera_output: tuple[Path, str]) -> No
     assert numbers(text, "noise of a corner")[0] == pytest.approx(rms, rel=0.15)
 
 
+@pytest.mark.long
 def test_photographs_calibrate_robot_and_lens(camera_output: tuple[Path, str]) -> None:
     """The camera is where the model says, to a fifth of a millimetre on the average, and the lens is the true one."""
     text = camera_output[1]
@@ -253,6 +255,7 @@ def test_real_robot_says_where_its_measurements_come_from(tmp_path: Path) -> Non
     assert "shoulder_pan_joint" in message and "Traceback" not in message
 
 
+@pytest.mark.long
 def test_a_robots_life_is_told_by_its_figures(tmp_path: Path) -> None:
     """A collision is named with its size; twelve poses bring the robot back to where it was, new rows further."""
     text = run("life_of_a_robot.py", folder=tmp_path)

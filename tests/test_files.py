@@ -103,20 +103,27 @@ for path in sys.argv[2:]:
 """
 
 
+def run_each(files: list[str]) -> list[str]:
+    """Return what reading each file took and said: seconds, megabytes, words."""
+    command = [sys.executable, "-c", READER, str(Path(__file__).parent), *files]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from /proc")
 def test_hostile_files_are_refused_at_once(tmp_path: Path) -> None:
     """Each in less than a second of processor time and with less than 200 MB."""
     for name, content in HOSTILE.items():
         (tmp_path / name).write_bytes(content())
     files = [str(tmp_path / name) for name in HOSTILE]
-    command = [sys.executable, "-c", READER, str(Path(__file__).parent), *files]
-    # The better of two: processor time, too, is longer beside others.
-    runs = [subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines() for _ in range(2)]
+    lines = run_each(files)
 
-    assert [len(lines) for lines in runs] == [len(HOSTILE)] * 2
-    for name, *lines in zip(HOSTILE, *runs, strict=True):
-        seconds, megabytes, words = min((line.split(maxsplit=2) for line in lines), key=lambda parts: float(parts[0]))
-        assert float(seconds) < 1.0 and float(megabytes) < 200.0, lines
+    assert len(lines) == len(HOSTILE)
+    for name, file, line in zip(HOSTILE, files, lines, strict=True):
+        seconds, megabytes, words = line.split(maxsplit=2)
+        if float(seconds) >= 1.0:
+            # Processor time, too, is longer beside others: the better of two.
+            seconds = run_each([file])[0].split(maxsplit=1)[0]
+        assert float(seconds) < 1.0 and float(megabytes) < 200.0, line
         assert f"/{name}: " in words and len(words) < 1000
 
 

@@ -131,6 +131,7 @@ def discovered(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
     ]
 
 
+@pytest.mark.long
 def test_a_bearing_is_found_where_it_is() -> None:
     """Slid along its axis, a URDF's joint is no longer where the bearing is, and the fit says where that is."""
     case = case_of("skew 0")

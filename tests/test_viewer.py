@@ -245,7 +245,7 @@ def test_a_page_asks_for_nothing_from_outside(rng: np.random.Generator) -> None:
     assert " src=" not in shell
 
 
-@pytest.mark.parametrize("source", ["panda", "bare"])
+@pytest.mark.parametrize("source", ["bare", pytest.param("panda", marks=pytest.mark.long)])
 def test_other_arms_make_a_page(source: str, rng: np.random.Generator) -> None:
     """Seven joints with meshes, or two without any: a page, and a word about what is not there."""
     robot = small_robot() if source == "bare" else Robot.from_urdf(source)
