@@ -342,6 +342,7 @@ def test_an_offset_that_jumped_is_named_with_its_station(tmp_path: Path, machine
     assert np.linalg.norm(again - np.column_stack([days["we"][a] for a in "xyz"]), axis=1).mean() < 2.0 * NOISE
 
 
+@pytest.mark.long
 def test_placements_of_a_pair_of_sockets_are_stations(shared_data: Path, tmp_path: Path) -> None:
     """A Panda's ball in two sockets at two places: each is predicted by the other to a seventh of the nominal error."""
     table = pl.read_csv(shared_data / "panda_sockets" / "panda_3.csv")

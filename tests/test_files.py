@@ -109,6 +109,7 @@ def run_each(files: list[str]) -> list[str]:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from /proc")
 def test_hostile_files_are_refused_at_once(tmp_path: Path) -> None:
     """Each in less than a second of processor time and with less than 200 MB."""

@@ -80,6 +80,7 @@ def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discover
     assert msgspec.convert(found.report, Findings) == found.findings
 
 
+@pytest.mark.long
 def test_an_executor_brings_the_same(case: Case, found: Discovery) -> None:
     """Here threads; the order of the halves is kept."""
     regions = [row_groups(found.calibration.train, split="blocked", seed=0)]
