@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
 import sys
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from griffe import Docstring, DocstringSectionKind
+from griffe import Docstring, DocstringAttribute, DocstringSectionKind
 from msgspec.inspect import DataclassType, NamedTupleType, StructType, TypedDictType, type_info
 
 import pincal
@@ -69,31 +70,39 @@ def files() -> Iterator[str]:
         columns = " ".join(f"`{column}`" for field in sensor.fields for column in field.columns)
         rows.append((f"`{sensor.kind}`", columns, _first_sentence(sensor)))
     yield _table(("kind of reading", "columns", "what is read"), rows)
+    told: set[type] = set()
     for key, (name, about) in _FILES.items():
         yield f"## {name}"
         yield about
-        yield from _structures(schema_of(key), FILES[key])
+        yield from _structures(schema_of(key), FILES[key], told)
 
 
-def _structures(schema: Mapping[str, Any], top: type) -> Iterator[str]:
-    """Yield a table for each structure of a schema, that of the file first."""
+def _structures(schema: Mapping[str, Any], top: type, told: set[type]) -> Iterator[str]:
+    """Yield a table for each structure of a schema, that of the file first; those of earlier files are told already."""
     structures, classes = schema["$defs"], {cls.__name__: cls for cls in _classes(type_info(top))}
-    for name in [top.__name__, *(other for other in structures if other != top.__name__)]:
-        structure = structures[name]
-        if "properties" not in structure:
-            continue
-        summary, meanings = _described(structure.get("description", ""))
-        for inherited in classes[name].__mro__[1:]:
-            meanings = _described(inherited.__doc__ or "")[1] | meanings
-        if name != top.__name__:
+    names = [name for name, structure in structures.items() if "properties" in structure and classes[name] not in told]
+    for name in sorted(names, key=lambda name: name != top.__name__):
+        structure, cls = structures[name], classes[name]
+        told.add(cls)
+        if cls is not top:
             yield f"### {name}"
-            yield summary
-        required = structure.get("required", ())
+            yield _described(cls)[0].replace("None", "null")
+        meanings, required = meanings_of(cls), structure.get("required", ())
         rows = [
-            (f"`{key}`", _kind(kind) + ("" if key in required else ", optional"), meanings.get(key, ""))
+            (f"`{key}`", _kind(kind) + ("" if key in required else ", optional"), meanings[key].replace("None", "null"))
             for key, kind in structure["properties"].items()
         ]
         yield _table(("key", "type", "meaning"), rows)
+
+
+def meanings_of(cls: type) -> dict[str, str]:
+    """Return what the docstrings of a class, of those it inherits from and of those it refers to say of its keys."""
+    meanings: dict[str, str] = {}
+    for inherited in reversed(cls.__mro__):
+        for place in re.findall(r"see :class:`([\w.]+)\.(\w+)`", inherited.__doc__ or ""):
+            meanings |= meanings_of(getattr(importlib.import_module(place[0]), place[1]))
+        meanings |= _described(inherited)[1]
+    return meanings
 
 
 def _classes(kind: Any) -> Iterator[type]:
@@ -122,7 +131,8 @@ def _kind(kind: Mapping[str, Any]) -> str:
     if kind.get("type") == "object":
         inner = kind.get("additionalProperties")
         return "object of " + _kind(inner) if isinstance(inner, Mapping) and inner else "object"
-    return str(kind.get("type", "any"))
+    named = kind.get("type", "any")
+    return " or ".join(named) if isinstance(named, list) else str(named)
 
 
 def effects() -> Iterator[str]:
@@ -175,7 +185,7 @@ def _told(cls: type) -> Iterator[str]:
         if section.kind is DocstringSectionKind.text:
             yield _plain(section.value.strip())
         elif section.kind is DocstringSectionKind.attributes:
-            yield "\n".join(f"- `{entry.name}`: {_one_line(entry.description)}" for entry in section.value)
+            yield "\n".join(f"- `{', '.join(_names(entry))}`: {_one_line(entry.description)}" for entry in section.value)
 
 
 def names() -> Iterator[str]:
@@ -183,7 +193,7 @@ def names() -> Iterator[str]:
     yield "# Python"
     yield "What `import pincal` offers. Angles are in radians, lengths in metres, unless a name says otherwise."
     public = [name for name in pincal.__all__ if not name.isupper()]
-    yield _table(("name", ""), [(f"[`{name}`](#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in public])
+    yield _table(("name", "what it is"), [(f"[`{name}`](#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in public])
     for name in public:
         found = getattr(pincal, name)
         yield f"## {name}"
@@ -192,16 +202,21 @@ def names() -> Iterator[str]:
         yield f"```{{eval-rst}}\n.. {directive}:: {pincal._HOME[name]}.{name}{members}\n```"
 
 
-def _described(text: str) -> tuple[str, dict[str, str]]:
-    """Return the first paragraph of a docstring, and what it says of each attribute."""
+def _described(cls: type) -> tuple[str, dict[str, str]]:
+    """Return the first paragraph of a class's docstring, and what it says of each attribute."""
     summary, meanings = "", {}
-    for section in Docstring(inspect.cleandoc(text)).parse("google", warnings=False):
+    for section in Docstring(inspect.cleandoc(cls.__doc__ or "")).parse("google", warnings=False):
         if section.kind is DocstringSectionKind.text and not summary:
             summary = _one_line(section.value.split("\n\n")[0])
         elif section.kind is DocstringSectionKind.attributes:
             for entry in section.value:
-                meanings |= dict.fromkeys(re.split(r",\s*", entry.name), _one_line(entry.description))
+                meanings |= dict.fromkeys(_names(entry), _one_line(entry.description))
     return summary, meanings
+
+
+def _names(entry: DocstringAttribute) -> list[str]:
+    """Return the names of an entry ``a, b: what they are``, of which griffe takes the others for the type."""
+    return re.findall(r"\w+", f"{entry.name} {entry.annotation}" if entry.name.endswith(",") else entry.name)
 
 
 def _first_sentence(found: Any) -> str:

@@ -32,10 +32,12 @@ def links_of(page: Path) -> Iterator[str]:
 
 @pytest.mark.parametrize("name", ["commands.md", "files.md", "effects.md", "python.md"])
 def test_reference_pages_are_those_of_the_program(name: str) -> None:
-    """Made anew, a page is as it stands; ``python docs/pages.py`` writes them."""
+    """Made anew, a page is as it stands, and no cell of its tables is empty; ``python docs/pages.py`` writes them."""
     pages = load_plugin(str(ROOT / "docs" / "pages.py"))
+    page = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
 
-    assert (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8") == pages.text_of(name)
+    assert page == pages.text_of(name)
+    assert not re.search(r"^\|.*\|\s*\|$", page, re.MULTILINE)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -23,7 +23,13 @@ from pincal.parameters import Estimate
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of an identification: its name and what it came to."""
+    """One stage of an identification.
+
+    Attributes:
+        name: what was fitted.
+        iterations: number of steps of the solver.
+        rms: noise of one component of the first block of readings, as the residuals show it [m or px].
+    """
 
     name: str
     iterations: int

@@ -24,7 +24,11 @@ _CAMERA_FILE = FileKind(
 
 
 class CameraFile(Record, frozen=True, kw_only=True):
-    """A camera: focal lengths and principal point [px], distortion, and its frame in the tip frame."""
+    """A camera, see :class:`pincal.Lens`: what is not known of its distortion counts as 0.
+
+    Attributes:
+        T_tip_camera: shape (4, 4), the camera's frame in the tip frame [m]; null where the mount is to be found.
+    """
 
     fx: float
     fy: float

@@ -8,7 +8,13 @@ import msgspec
 
 
 class ChangeName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What changed; ``joint`` is null for the whole arm, ``effect`` is "unnamed" where nothing explains it."""
+    """What changed.
+
+    Attributes:
+        effect: its name in the catalogue; "unnamed" where nothing explains it.
+        joint: the joint on which it acts; null for the whole arm.
+        source: the joint whose position it follows, where that is another one.
+    """
 
     effect: str
     joint: str | None
@@ -16,7 +22,13 @@ class ChangeName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class ChangedParameter(msgspec.Struct, frozen=True):
-    """A parameter before and after [``unit``], and the standard deviation of the change."""
+    """A parameter that changed.
+
+    Attributes:
+        before, after: its value as calibrated and now [``unit``].
+        sigma: standard deviation of the change [``unit``].
+        unit: the unit.
+    """
 
     before: float
     after: float
@@ -57,7 +69,13 @@ class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class MovedEntry(msgspec.Struct, frozen=True):
-    """How far the instrument moved and turned in the robot's base frame, and the target on the tool; None if not told."""
+    """How far instrument and target moved since the calibration; null where these data don't tell.
+
+    Attributes:
+        moved_mm: distance between the instrument's places in the robot's base frame [mm].
+        turned_mrad: angle between its orientations [mrad].
+        target_moved_mm: distance between the target's places on the tool [mm].
+    """
 
     moved_mm: float | None
     turned_mrad: float | None

@@ -21,7 +21,12 @@ class Verdict(StrEnum):
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Errors on held-out rows (on the fitted ones where none were held out) [mm], [mrad] where orientation was measured."""
+    """Errors on held-out rows, on the fitted ones where none were held out.
+
+    Attributes:
+        mean_mm, rms_mm, max_mm: of the position [mm].
+        mean_mrad, rms_mrad, max_mrad: of the orientation, where it was measured [mrad].
+    """
 
     mean_mm: float
     rms_mm: float
@@ -32,7 +37,19 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What tells an effect from its likes; ``joint`` is null for effects of the whole arm."""
+    """What tells an effect from its likes.
+
+    Attributes:
+        effect: its name in the catalogue.
+        joint: the joint on which it acts; null for one of the whole arm.
+        source: the joint whose position it follows, where that is another one.
+        order: waves per turn of the joint, of a periodic effect.
+        depends_on: the variable that an effect without a name follows: a joint, "time", "temperature" or "payload".
+        acts_on: what an effect without a name moves: "drive", "gamma_x", "gamma_y", "s_x" or "s_y".
+        shape: form of a dependence without a name: "curve", "waves", "product", "map", "step" or "kink".
+        place: where along its variable it breaks [unit of the variable].
+        station: name of the station that alone has it.
+    """
 
     effect: str
     joint: str | None
@@ -73,7 +90,7 @@ class Stage(Gap, frozen=True, kw_only=True, omit_defaults=True):
 
     Attributes:
         name: what changed, in words.
-        entered, left: the effects that came in and went out.
+        entered, left: effects that this change added to the model, and that it took out again.
         share: part of what the mean square error fell by in all, by this change beside those before it; all shares add up
             to 1. Negative where it grew; none of the first stage, or where nothing fell.
     """
@@ -90,7 +107,13 @@ class Stage(Gap, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class FoundParameter(msgspec.Struct, frozen=True):
-    """A parameter of an effect [``unit``]; its sigma is that of the prior where not fitted, None for nothing known."""
+    """A parameter of an effect.
+
+    Attributes:
+        value: what was found [``unit``].
+        sigma: its standard deviation [``unit``]; that of the prior where it was not fitted, null where nothing is known.
+        unit: the unit.
+    """
 
     value: float
     sigma: float | None
@@ -98,7 +121,12 @@ class FoundParameter(msgspec.Struct, frozen=True):
 
 
 class Stability(msgspec.Struct, frozen=True):
-    """How often a name came up: in ``named`` of ``of`` halves of the poses."""
+    """How often a search repeated on halves of the poses came to the same name.
+
+    Attributes:
+        named: number of halves in which it came up.
+        of: number of halves that were searched.
+    """
 
     named: int
     of: int
@@ -113,7 +141,11 @@ class Stability(msgspec.Struct, frozen=True):
 
 
 class Repeated(EffectName, frozen=True, kw_only=True, omit_defaults=True):
-    """A name, and how often it came up in halves of the poses."""
+    """A name, and how often it came up in halves of the poses.
+
+    Attributes:
+        stability: how often.
+    """
 
     stability: Stability
 
@@ -198,7 +230,11 @@ class ScatteringJoint(msgspec.Struct, frozen=True):
 
 
 class Untestable(EffectName, frozen=True, kw_only=True, omit_defaults=True):
-    """An effect that these data can't test, and why."""
+    """An effect that these data can't test, and why.
+
+    Attributes:
+        reason: why, in words: a column that is missing, a joint that stood still.
+    """
 
     reason: str
 

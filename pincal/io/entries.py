@@ -59,7 +59,11 @@ class MimicEntry(Record, frozen=True, kw_only=True):
 
 
 class RobotEntry(Record, frozen=True, kw_only=True):
-    """A robot in numbers, see :class:`pincal.robot.robot.Robot`; the text of its URDF may be missing."""
+    """A robot in numbers, see :class:`pincal.robot.robot.Robot`; the text of its URDF may be missing.
+
+    Attributes:
+        lower, upper: shape (n,), joint limits [rad or m]; null where there is none.
+    """
 
     NULLS: ClassVar[Mapping[str, float]] = {"lower": -np.inf, "upper": np.inf}
 
@@ -116,7 +120,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
 class ChainEntry(Record, frozen=True, kw_only=True):
     """What a chain has beside its robot, see :class:`pincal.model.chain.Chain`.
 
-    Files that know nothing of bearings were made when these stood at the origins of their frames.
+    Files without ``bearing_heights`` are older than these: their bearings stand at the origins of the joint frames.
     """
 
     moment_frame: MomentFrame
@@ -128,7 +132,11 @@ class ChainEntry(Record, frozen=True, kw_only=True):
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
-    """A model, see :class:`pincal.model.model.Model`."""
+    """A model, see :class:`pincal.model.model.Model`.
+
+    Attributes:
+        robot: the arm.
+    """
 
     robot: RobotEntry
     chain: ChainEntry
@@ -170,10 +178,7 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
 
 
 class ParameterEntry(Record, frozen=True, kw_only=True):
-    """A parameter and what is known of it beforehand; a size of null is that of a frame that may be anywhere.
-
-    ``station`` names the one of several stations that it belongs to; it is empty for the robot's own.
-    """
+    """A parameter and what is known of it beforehand, see :class:`pincal.Parameter`; a size of null stands for inf."""
 
     name: str
     unit: str
@@ -193,21 +198,37 @@ class ParameterEntry(Record, frozen=True, kw_only=True):
 
 
 class CoveredEntry(Record, frozen=True, kw_only=True):
-    """What the training rows cover, the least and the largest of each: joint positions [rad or m], payload [kg]."""
+    """What the training rows cover.
+
+    Attributes:
+        q: shape (n, 2), least and largest position of each joint [rad or m].
+        payload: shape (2,), least and largest payload [kg].
+    """
 
     q: Annotated[Matrix, Shape("joints", 2)]
     payload: Annotated[Numbers, Shape(2)]
 
 
 class PointEntry(Record, frozen=True, kw_only=True):
-    """A named point, its position [m] null where it was not known beforehand."""
+    """A named point: a socket, an anchor or a point of a calibration object.
+
+    Attributes:
+        name: its name in the table.
+        position: shape (3,), in the instrument's frame [m]; null where it was not known beforehand.
+    """
 
     name: str
     position: tuple[float, float, float] | None
 
 
 class SetupEntry(Record, frozen=True, kw_only=True):
-    """What was known of a measuring setup, see :class:`pincal.measure.setup.Setup`; ``gaps`` are the known distances."""
+    """What was known of a measuring setup, see :class:`pincal.measure.setup.Setup`.
+
+    Attributes:
+        points: the named points.
+        gaps: known distances between them.
+        lens: shape (9,), the camera's fx fy u0 v0 [px] and k1 k2 p1 p2 k3, null where it was not known.
+    """
 
     points: tuple[PointEntry, ...]
     gaps: tuple[KnownDistance, ...]

@@ -41,10 +41,10 @@ class LeftEntry(Record, frozen=True, kw_only=True):
 
     Attributes:
         effects: the effects.
-        parameter_names: of their E parameters.
-        values: shape (E,).
-        covariance: shape (E, E).
-        names: the K parameters of the robot.
+        parameter_names: names of their E parameters.
+        values: shape (E,), what the rows made of them [unit of each].
+        covariance: shape (E, E), of the values.
+        names: names of the K parameters of the robot.
         taken_up: shape (K, E), what the calibration made of a unit of each.
     """
 
@@ -70,7 +70,7 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
         covered: the range of the training rows.
         setup: named points and the camera.
-        rows: fingerprints of the training rows; not in files of version 0.1.0.
+        rows: fingerprints of the training rows, by which they are known again; not in files of version 0.1.0.
         is_noise_declared: whether the noise was declared, not estimated.
         left: effects that the rows showed and the model does not have; none where nobody looked.
     """
@@ -143,14 +143,24 @@ class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
 
 
 class GroupEntry(Record, frozen=True, kw_only=True):
-    """A block of the covariance, and which of the fitted parameters it belongs to."""
+    """A block of the covariance, and which of the fitted parameters it belongs to.
+
+    Attributes:
+        parameters: their indices among the fitted ones, from 0.
+        block: shape (b, b), what adds to their covariance.
+    """
 
     parameters: Annotated[tuple[int, ...], Shape("block")]
     block: Annotated[Packed, Shape("block", "block", write=packed_covariance)]
 
 
 class CovarianceEntry(Record, frozen=True, kw_only=True):
-    """Covariance of the fitted parameters: factor times its transpose plus a block per group."""
+    """Covariance of the F fitted parameters: factor times its transpose plus a block per group.
+
+    Attributes:
+        factor: shape (F, k); a large matrix is packed into text.
+        groups: the blocks, one per station.
+    """
 
     factor: Annotated[Packed, Shape("any", "any", write=packed_matrix)]
     groups: tuple[GroupEntry, ...]
@@ -167,7 +177,14 @@ class CovarianceEntry(Record, frozen=True, kw_only=True):
 
 
 class StationEntry(MeasuredEntry, frozen=True, kw_only=True):
-    """What one of several stations has of its own beside its parameters."""
+    """What one of several stations has of its own beside its parameters.
+
+    Attributes:
+        name: of the station, as in the parameters.
+        chain: reference frames of base and targets.
+        effects: the effects of this station's model.
+        equilibrium: whether moments are those of the bent arm.
+    """
 
     name: str
     chain: ChainEntry

@@ -13,7 +13,14 @@ from pincal.validate.lack_of_fit import LackOfFit
 
 
 class NoiseRecord(TypedDict):
-    """Standard deviation of one component of each block of readings: what the fit used, and what its residuals say."""
+    """Standard deviation of one component of each block of readings: what the fit used, and what its residuals say.
+
+    Attributes:
+        source: whether the noise was declared by the user or estimated from the residuals.
+        sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and image coordinates [px].
+        residual_sigma_m, residual_sigma_rad, residual_sigma_px: what the residuals of the fitted rows say of it, degrees of
+            freedom allowed for.
+    """
 
     source: Literal["declared", "estimated"]
     sigma_m: NotRequired[float]
@@ -25,14 +32,24 @@ class NoiseRecord(TypedDict):
 
 
 class RowCounts(TypedDict):
-    """Numbers of rows, fitted and held out."""
+    """Numbers of rows.
+
+    Attributes:
+        train: fitted.
+        test: held out: they never touch the fit.
+    """
 
     train: int
     test: int
 
 
 class Correlation(TypedDict):
-    """Two parameters whose estimates are strongly correlated."""
+    """Two parameters whose estimates are strongly correlated.
+
+    Attributes:
+        parameters: their names.
+        correlation: correlation of their estimates, -1 to 1.
+    """
 
     parameters: list[str]
     correlation: float
@@ -73,8 +90,8 @@ class StationRecord(TypedDict):
         noise: as that of the whole.
         outliers: lines of rejected rows.
         error: of the station's rows.
-        left_out: errors of the model of the other stations, only the station's own frames fitted to it; and the same of
-            their geometric model.
+        left_out: errors of the model of the other stations, only the station's own frames fitted to it.
+        left_out_geometric: the same of their geometric model.
         parameters: of the robot, those that moved at any of the stations.
         iso9283: as that of the whole, where the station measured poses more than once.
         lack_of_fit: likewise.
@@ -100,6 +117,26 @@ class Outcome:
 
     ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file; nor is
     ``stations`` where there is only one. Of several stations each has its own.
+
+    Attributes:
+        noise: of the readings.
+        rows: numbers of rows.
+        rank: number of parameters, or combinations of them, that the data identify.
+        condition: condition number of the identifiable part, each parameter in units of its typical size.
+        chi2_reduced: sum of squared residuals over the noise, per degree of freedom; about 1 for a complete model.
+        chi2_p_value: probability of one as large if the model is complete; null where the noise was estimated.
+        iterations: steps of the solver in all.
+        seconds: time that the fit took [s].
+        converged: whether the last step was negligible.
+        outliers: lines of the rows that were rejected.
+        correlations: pairs of parameters with strongly correlated estimates.
+        stages: what was fitted one after the other.
+        error: by model ("nominal": base and tool fitted alone; "calibrated") and rows ("train", "test"): statistics
+            with their units, such as ``mean_mm``, ``rms_mm``, ``p95_mm``, ``max_mm``, ``mean_mrad``.
+        warnings: what else is to be said, in words.
+        iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
+        lack_of_fit: test of the residuals against the scatter between repeated measurements.
+        stations: what is to be said of each station.
     """
 
     noise: NoiseRecord
@@ -123,7 +160,17 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterRecord:
-    """One parameter [SI units]."""
+    """One parameter [SI units].
+
+    Attributes:
+        name: ``<element>.<symbol>``, such as ``joint_2.s_x``.
+        unit: its unit.
+        nominal: what the URDF says.
+        value: what was found, in place of the nominal.
+        sigma: its standard deviation; that of the prior where the data say nothing, null for a value that was given.
+        status: "identified"; "prior" (what was known beforehand dominates); "fixed"; "unidentifiable"; "at bound".
+        reason: why it is not identified; empty where it is.
+    """
 
     name: str
     unit: str
@@ -136,6 +183,10 @@ class ParameterRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class ResultFile(Outcome):
-    """The whole of ``result.json``."""
+    """The whole of ``result.json``.
+
+    Attributes:
+        parameters: every parameter, those that were not identified with the reason.
+    """
 
     parameters: tuple[ParameterRecord, ...]

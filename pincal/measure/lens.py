@@ -28,8 +28,8 @@ class Lens:
     Attributes:
         fx, fy: focal lengths [px].
         u0, v0: principal point [px].
-        k1, k2, k3: radial distortion.
-        p1, p2: tangential distortion.
+        k1, k2, k3: radial distortion, as in OpenCV [1].
+        p1, p2: tangential distortion [1].
 
     Example:
         >>> Lens(1000.0, 1000.0, 320.0, 240.0).project(np.array([[0.1, 0.0, 1.0]])).tolist()

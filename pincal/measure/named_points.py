@@ -21,7 +21,13 @@ _LINE = 1e-3
 
 @dataclass(frozen=True)
 class KnownDistance:
-    """A known distance between two named points: ``length`` and its standard deviation ``sigma`` [m]."""
+    """A known distance between two named points.
+
+    Attributes:
+        first, second: names of the points.
+        length: the distance [m].
+        sigma: its standard deviation [m].
+    """
 
     first: str
     second: str

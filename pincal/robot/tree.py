@@ -25,7 +25,14 @@ OPEN_LOOPS = (
 
 @dataclass(frozen=True)
 class Mimic:
-    """A joint that another one drives: its position is ``multiplier`` times that of ``source`` plus ``offset``."""
+    """A joint that another one drives: its position is ``multiplier`` times that of ``source`` plus ``offset``.
+
+    Attributes:
+        joint: name of the driven joint.
+        source: name of the joint that it follows.
+        multiplier: factor of that one's position [rad or m per rad or m].
+        offset: its position where that one's is zero [rad or m].
+    """
 
     joint: str
     source: str

@@ -27,7 +27,12 @@ _ROUNDINGS = 10.0
 
 @dataclass(frozen=True)
 class Degrees:
-    """Effective degrees of freedom of the misfit and of the pure error."""
+    """Effective degrees of freedom.
+
+    Attributes:
+        misfit: of the means of the poses about the model.
+        pure_error: of the replicates about these means.
+    """
 
     misfit: float
     pure_error: float
