@@ -193,7 +193,8 @@ def names() -> Iterator[str]:
     yield "# Python"
     yield "What `import pincal` offers. Angles are in radians, lengths in metres, unless a name says otherwise."
     public = [name for name in pincal.__all__ if not name.isupper()]
-    yield _table(("name", "what it is"), [(f"[`{name}`](#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in public])
+    rows = [(f"[`{name}`](#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in public]
+    yield _table(("name", "what it is"), rows)
     for name in public:
         found = getattr(pincal, name)
         yield f"## {name}"

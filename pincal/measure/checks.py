@@ -143,7 +143,8 @@ def _refuse_unit(measurements: Measurements, is_wrong: np.ndarray, slides: np.nd
             unit, word, si = ("mm", "millimetres", "m") if slides[j] else ("deg", "degrees", "rad")
             raise MeasurementError(
                 f'{measurements.source}, line {measurements.rows[row]}, "{name}": {measurements.q[row, j]:g} '
-                f"{si} looks like {word}; write `{name} [{unit}]` in the header, or `{name} [{si}]` if meant"
+                f"{si} looks like {word}; write `{name} [{unit}]` in the header (`[{unit}]` behind whatever name the column "
+                f"has there), or `{name} [{si}]` if meant"
             )
 
 

@@ -152,8 +152,8 @@ def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, st
         hint = f"; an orientation? --orientation {'|'.join(CONVENTIONS)}" if looks_like_orientation(wrong) else ""
         raise MeasurementError(
             f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and not in the table, nearest first: "
-            f"{known or 'none'}{hint}; rename it (--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]), delete or "
-            f"ignore it; {listed(sheet.labels)}"
+            f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or say what it holds "
+            f"(--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); {listed(sheet.labels)}"
         )
     if words:
         texts = ", ".join(map(_short, words[:_LISTED]))
