@@ -1,7 +1,8 @@
-"""Figures of speed, each beside its target: ``python tests/benchmark.py [--million]``.
+"""Figures of speed, each beside its target: ``python tests/benchmark.py [PART ...]``.
 
-All on one thread. Nothing here is a test: how fast it is depends on what else the machine does, so medians of several
-rounds are printed, and best ones where a user would call once.
+``--help`` lists the parts; the quick ones are timed if none is named. All on one thread. Nothing here is a test: how
+fast it is depends on what else the machine does, so medians of several rounds are printed, and best ones where a user
+would call once.
 """
 
 from __future__ import annotations
@@ -224,18 +225,26 @@ def time_discovery() -> Iterator[Line]:
     yield line(
         "discover, N = 500, 3D, whole catalogue, best of 3", seconds(partial(find, case.options), 3).min(), 5.0, "{:.1f} s"
     )
-    for name, limit, gap in (("A", 60.0, None), ("B", None, 0.1)):
-        path = DATA / "ur10_tmac" / f"series_{name}.csv"
-        if not path.is_file():
-            continue
-        robot = Robot.from_urdf("ur10")
-        table = read_measurements(path, robot.joint_names)
-        begun = time.perf_counter()
-        found = run_discovery(robot, table, Options(effects=GEOMETRIC), moment_frames=MOMENT_FRAMES)
-        yield line(f"discover ur10 series {name}, {len(table)} poses, 6D", time.perf_counter() - begun, limit, "{:.0f} s")
-        held = found.report["gap"]
-        was, left = held["before"]["mean_mm"], held["after"]["mean_mm"]
-        yield line(f"    regions held out, mean, {was:.3f} mm with the geometry alone", left, gap, "{:.4f} mm")
+    yield from _time_series("B", limit=None, gap=0.1)
+
+
+def time_large_series() -> Iterator[Line]:
+    """Time the discovery of the largest series of the real UR10."""
+    yield from _time_series("A", limit=60.0, gap=None)
+
+
+def _time_series(name: str, *, limit: float | None, gap: float | None) -> Iterator[Line]:
+    path = DATA / "ur10_tmac" / f"series_{name}.csv"
+    if not path.is_file():
+        return
+    robot = Robot.from_urdf("ur10")
+    table = read_measurements(path, robot.joint_names)
+    begun = time.perf_counter()
+    found = run_discovery(robot, table, Options(effects=GEOMETRIC), moment_frames=MOMENT_FRAMES)
+    yield line(f"discover ur10 series {name}, {len(table)} poses, 6D", time.perf_counter() - begun, limit, "{:.0f} s")
+    held = found.report["gap"]
+    was, left = held["before"]["mean_mm"], held["after"]["mean_mm"]
+    yield line(f"    regions held out, mean, {was:.3f} mm with the geometry alone", left, gap, "{:.4f} mm")
 
 
 def time_million() -> Iterator[Line]:
@@ -323,24 +332,31 @@ def _cold(*arguments: str) -> float:
         return float(seconds(run, 1)[0])
 
 
+# Parts that take minutes, and for a million rows 2 GB, are timed where they are named.
+QUICK: dict[str, Callable[[], Iterator[Line]]] = {
+    "linearise": compare_with_pinocchio,
+    "calibrate": time_calibration,
+    "stations": time_stations,
+    "design": time_design,
+    "compensate": time_compensation,
+    "discover": time_discovery,
+    "process": time_processes,
+}
+SLOW: dict[str, Callable[[], Iterator[Line]]] = {"large-series": time_large_series, "million": time_million}
+
+
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--million", action="store_true", help="a million rows, too; takes some minutes and 2 GB")
-    chosen = parser.parse_args()
-    parts = [
-        compare_with_pinocchio,
-        time_calibration,
-        time_stations,
-        time_design,
-        time_compensation,
-        time_discovery,
-        *([time_million] if chosen.million else []),
-        time_processes,
-    ]
-    for part in parts:
-        for name, measured, target, verdict in part():
-            print(f"  {name:74s} {measured:>10s}  {target:>12s} {verdict}".rstrip(), flush=True)
+    parser = argparse.ArgumentParser(description="Print figures of speed, each beside its target.")
+    parts = QUICK | SLOW
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"of {', '.join(parts)}; default: all but {', '.join(SLOW)}"
+    )
+    for name in parser.parse_args().parts or QUICK:
+        if name not in parts:
+            parser.error(f"{name} is no part of {', '.join(parts)}")
+        for what, measured, target, verdict in parts[name]():
+            print(f"  {what:74s} {measured:>10s}  {target:>12s} {verdict}".rstrip(), flush=True)
 
 
 if __name__ == "__main__":
