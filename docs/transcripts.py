@@ -1,7 +1,9 @@
-"""Run what the tutorials show, and write what came out of it into them.
+"""Run what the pages show, and write what came out of it into them.
 
-A block ``console`` has commands after ``$`` and what they print; a block ``python`` is run in the same folder, the blocks of
-a page one after the other. ``python docs/transcripts.py`` writes the outputs anew; a test compares them.
+A block ``console`` has commands after ``$`` and what they print; ``sh`` has commands alone; ``python`` is run in the same
+folder. The blocks of a page run one after the other, after the commands of a comment ``<!-- first:``, which readers don't
+see. One that is not run here says why in a comment before it: ``<!-- held by: TEST -->``, or ``<!-- not run: REASON -->``.
+``python docs/transcripts.py [PAGE...]`` writes the outputs anew; a test compares them.
 """
 
 from __future__ import annotations
@@ -16,26 +18,64 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from pincal.cli import main
 from pincal.errors import Exit
 
-TUTORIALS = sorted((Path(__file__).parent / "tutorials").glob("*.md"))
-_BLOCK = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+ROOT = Path(__file__).resolve().parents[1]
+# Pages of docs/reference are made by docs/pages.py.
+PAGES = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")} - {*ROOT.glob("docs/reference/*.md")})
+LANGUAGES = ("console", "sh", "python")
+_BLOCK = re.compile(
+    r"^<!-- first:\n(?P<first>.*?)^-->|^(?P<marks>(?:<!-- .*? -->\n)*)```(?P<language>\S*)[^\n]*\n(?P<text>.*?)^```",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+class Block(NamedTuple):
+    """A block of code: its language, and the test that holds it or the reason why it is not run, where it is marked."""
+
+    language: str
+    held_by: str | None
+    not_run: str | None
+
+    @classmethod
+    def of(cls, found: re.Match[str]) -> Block:
+        """Return what was found."""
+        marks = dict(re.findall(r"<!-- (held by|not run): (.*?) -->", found["marks"] or ""))
+        return cls(found["language"] or "", marks.get("held by"), marks.get("not run"))
+
+    @property
+    def is_played(self) -> bool:
+        """Whether it is run here."""
+        return self.language in LANGUAGES and not (self.held_by or self.not_run)
+
+
+def blocks(page: str) -> Iterator[Block]:
+    """Yield the blocks of a page."""
+    yield from (Block.of(found) for found in _BLOCK.finditer(page) if found["first"] is None)
 
 
 def played(page: str) -> str:
     """Return the text of a page with what its blocks print now; run in an empty folder."""
     names: dict[str, object] = {}
 
-    def block(found: re.Match[str]) -> str:
-        kind, text = found.groups()
-        if kind == "python":
-            exec(compile(text, "tutorial", "exec"), names)
-            return found[0]
-        return f"```console\n{''.join(_printed(command) for command in _commands(text))}```"
+    def run(found: re.Match[str]) -> str:
+        if found["first"] is not None:
+            for command in _commands(found["first"]):
+                _printed(command)
+        elif (block := Block.of(found)).is_played:
+            if block.language == "console":
+                return f"{found['marks']}```console\n{''.join(map(_printed, _commands(found['text'])))}```"
+            if block.language == "python":
+                exec(compile(found["text"], "page", "exec"), names)
+            else:
+                for line in found["text"].splitlines():
+                    _printed(line)
+        return found[0]
 
-    return _BLOCK.sub(block, page)
+    return _BLOCK.sub(run, page)
 
 
 def _commands(text: str) -> list[str]:
@@ -45,7 +85,7 @@ def _commands(text: str) -> list[str]:
 
 def _printed(command: str) -> str:
     """Run a command, and return it with what it printed."""
-    words = shlex.split(command.replace("\\\n", " "))
+    words = shlex.split(command.replace("\\\n", " "), comments=True)
     if words[0] == "pincal" and "$(" not in command:
         text = _called(words[1:])
     else:
@@ -81,6 +121,6 @@ def empty_folder() -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    for tutorial in [page for page in TUTORIALS if not sys.argv[1:] or page.stem in sys.argv[1:]]:
+    for path in [page for page in PAGES if not sys.argv[1:] or page.stem in sys.argv[1:]]:
         with empty_folder():
-            tutorial.write_text(played(tutorial.read_text(encoding="utf-8")), encoding="utf-8")
+            path.write_text(played(path.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,6 +1,7 @@
 """Fixtures shared by all tests."""
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,6 +37,14 @@ def forget_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 def rng() -> np.random.Generator:
     """Return a generator that begins anew in every test."""
     return np.random.default_rng(20240607)
+
+
+@pytest.fixture(scope="session")
+def tests() -> dict[str, bool]:
+    """Return the names of all tests, and whether they are long."""
+    files = (file.read_text(encoding="utf-8") for file in Path(__file__).parent.glob("test_*.py"))
+    test = re.compile(r"^((?:@.*\n(?:[ )\]].*\n)*)*)def (test_\w+)", re.MULTILINE)
+    return {found[2]: "@pytest.mark.long\n" in found[1] for text in files for found in test.finditer(text)}
 
 
 @pytest.fixture(scope="session")

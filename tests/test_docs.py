@@ -8,14 +8,22 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from pincal.cli import pincal
 from pincal.plugins import load_plugin
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+TRANSCRIPTS = load_plugin(str(ROOT / "docs" / "transcripts.py"))
+
+
+def is_played(page: Path) -> bool:
+    """Return whether any block of a page is run."""
+    return any(block.is_played for block in TRANSCRIPTS.blocks(page.read_text(encoding="utf-8")))
 
 
 def anchors_of(page: Path) -> set[str]:
@@ -71,14 +79,52 @@ def told(page: str) -> tuple[list[str], list[float]]:
     return re.sub(number, "#", page).split(), [value if abs(value) > 1e-9 else 0.0 for value in numbers]
 
 
+def test_every_block_is_run_or_says_why_not(tests: dict[str, bool]) -> None:
+    """A block is played, a directive of the site, or marked: held by tests that are there, or not run for a reason."""
+    not_run = []
+    for page in TRANSCRIPTS.PAGES:
+        for block in TRANSCRIPTS.blocks(page.read_text(encoding="utf-8")):
+            if block.not_run:
+                not_run.append(f"{page.stem}: {block.not_run}")
+            elif block.held_by:
+                assert set(block.held_by.split(", ")) <= tests.keys(), (page, block)
+            else:
+                assert block.language in TRANSCRIPTS.LANGUAGES or block.language.startswith("{"), (page, block)
+
+    assert sorted(not_run) == [
+        "CONTRIBUTING: it is what runs the tests",
+        "README: it is what runs the tests",
+        "cluster: it needs several machines",
+    ]
+
+
+@pytest.mark.parametrize("page", TRANSCRIPTS.PAGES, ids=lambda page: page.stem)
+def test_commands_and_places_in_the_text_are_there(page: Path) -> None:
+    """Verbs and options that a sentence or a block names are those of the program, and files are in the repository."""
+    text = page.read_text(encoding="utf-8")
+    context = click.Context(pincal)
+    for line in re.findall(r"(?:^|^\$ |&& )pincal +(?![ -]|\w+ +\d)(.*(?:\\\n.*)*)", "\n".join(code_of(text)), re.MULTILINE):
+        verb, *words = line.split("  #")[0].split()
+        command = pincal.get_command(context, verb)
+        assert command is not None, line
+        known = {name for parameter in command.params for name in parameter.opts}
+        assert {word.split("=")[0] for word in words if word.startswith("--")} <= {*known, "--help"}, line
+    for place in re.findall(r"(?<![\w/.])(?:docs|examples|tests)/[\w/.-]*\w", text):
+        assert (ROOT / place).exists(), place
+
+
+def code_of(page: str) -> list[str]:
+    """Return what stands in blocks and in single backquotes."""
+    return [block or word for block, word in re.findall(r"```\S*\n(.*?)^```|`([^`]+)`", page, re.DOTALL | re.MULTILINE)]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "tutorials").glob("*.md")), ids=lambda page: page.stem)
-def test_tutorials_show_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("page", [page for page in TRANSCRIPTS.PAGES if is_played(page)], ids=lambda page: page.stem)
+def test_pages_show_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every block runs in an empty folder, and prints the words that it shows and, nearly, the numbers."""
     monkeypatch.chdir(tmp_path)
-    transcripts = load_plugin(str(ROOT / "docs" / "transcripts.py"))
     shown = page.read_text(encoding="utf-8")
-    (words, numbers), (words_now, numbers_now) = told(shown), told(transcripts.played(shown))
+    (words, numbers), (words_now, numbers_now) = told(shown), told(TRANSCRIPTS.played(shown))
 
     assert words_now == words
     assert numbers_now == pytest.approx(numbers, rel=0.1, abs=1e-9)
