@@ -1,15 +1,15 @@
 """How often names come up in halves of the poses, and what a discovery says of it."""
 
 import json
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 
 import msgspec
 import numpy as np
 import pytest
-from discovery_cases import ELASTICITY, Case, discover, draw_case, fresh, name_of
+from discovery_cases import Case, draw_case
 from scipy.stats import binom, kstest
+from stability_study import by_class, study
 
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.discover.bootstrap import chance_of_best
@@ -18,9 +18,9 @@ from pincal.discover.policy import POLICY
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.discover.stability import Halves, _halves, repeat_on_halves
-from pincal.discover.widened import of_candidates, widened
+from pincal.discover.widened import of_candidates
 from pincal.errors import BadInputError
-from pincal.identify.split import hold_out, row_groups
+from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings, Repeated, Stability
 from pincal.parameters import root_of
 from pincal.report.illustrations import stability_drawings
@@ -169,36 +169,16 @@ def test_fewer_than_no_halves_are_refused(case: Case) -> None:
         run_discovery(case.robot, case.rows, case.options, stability=-1)
 
 
-def _printed(task: tuple[str, int]) -> tuple[list[tuple[int, bool]], float]:
-    """Return how many of 20 halves bring up each name of a case, whether it is right, and what 95 % intervals cover."""
-    kind, seed = task
-    case = draw_case(kind, seed, **{**fresh(seed), "n": 150, "strength": 250.0})
-    training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
-    trail = discover(case)
-    halves = repeat_on_halves(trail, [row_groups(training, split="blocked", seed=0)], 20, policy=POLICY)
-    named = [step for step in trail.steps if step.effect.name not in ELASTICITY]
-    groups = [{name_of(effect) for effect in (step.effect, *step.equivalent)} for step in named]
-    right = [any(true in group for true in case.truth) for group in groups]
-    fit = CalibratedFit.of(widened(trail, POLICY))
-    at = fit.readings(held).conditions
-    error = fit.predict(at)[:, :, 3] - case.clean[held.rows - case.rows.rows[0]]
-    covered = float(np.mean(np.abs(error) < 1.96 * fit.position_sigma(at)))
-    return [(halves.count(step.effect.heading), ok) for step, ok in zip(named, right, strict=True)], covered
-
-
 @pytest.mark.long
 def test_what_comes_up_in_nearly_every_half_is_true() -> None:
     """Of sound tables and hidden effects; names that are sure are right, and intervals cover what they say."""
     kinds = ["null", "gear_eccentricity", "backlash", "link_bending", "thermal_offset", "step"]
-    with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
-        found = list(pool.map(_printed, [(kind, 9900 + i) for i, kind in enumerate(kinds)]))
-    names = [name for printed, _ in found for name in printed]
-    for low, high in ((0, 6), (6, 12), (12, 18), (18, 21)):
-        here = [right for count, right in names if low <= count < high]
-        print(f"in {low} to {high - 1} of 20: {len(here)} names, {sum(here)} right")
-    covered = np.array([part for _, part in found])
+    found = study([(kind, 9900 + i) for i, kind in enumerate(kinds)])
+    for halves, right in by_class(found):
+        print(f"in {halves[0]} to {halves[-1]} of 20: {len(right)} names, {sum(right)} right")
+    covered = np.array([case.coverage for case in found])
     print(f"95 % intervals cover {covered.mean():.4f}")
 
-    sure = [right for count, right in names if count >= 18]
+    *_, (_, sure) = by_class(found)
     assert len(sure) >= 3 and binom.cdf(sum(sure), len(sure), 0.99) > 1e-3
     assert abs(covered.mean() - 0.95) < 0.01 + 3.3 * covered.std(ddof=1) / np.sqrt(len(covered))

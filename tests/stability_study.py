@@ -1,0 +1,141 @@
+"""How true names are that come up in most halves of the poses: ``python tests/stability_study.py``.
+
+Every case is a drawn arm whose frames are anywhere, of 150 poses, with an effect of the catalogue, one from outside it or
+none. A discovery's names are repeated on 20 halves; each is right if it is what is hidden, alone or in its tie group.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from discovery_cases import ELASTICITY, FOREIGN, NAMED, discover, draw_case, fresh, name_of
+from matplotlib.figure import Figure
+from scipy.stats import beta
+
+from pincal.calibration.fit import Fit
+from pincal.discover.policy import POLICY
+from pincal.discover.stability import repeat_on_halves
+from pincal.discover.widened import widened
+from pincal.errors import PincalWarning
+from pincal.identify.split import hold_out, row_groups
+
+HALVES = 20
+CLASSES = ((0, 6), (6, 12), (12, 18), (18, 21))  # numbers of halves, the last one left out
+
+
+@dataclass(frozen=True)
+class Printed:
+    """What is printed of one case.
+
+    Attributes:
+        kind: what is hidden.
+        seed: of the case.
+        names: in how many halves each name comes up, and whether it is right.
+        coverage: share of the 95 % intervals of held-out coordinates that hold the true one.
+    """
+
+    kind: str
+    seed: int
+    names: tuple[tuple[int, bool], ...]
+    coverage: float
+
+
+def printed(task: tuple[str, int]) -> Printed:
+    """Return what a discovery prints of a case, given by its kind and its seed."""
+    warnings.simplefilter("ignore", PincalWarning)
+    kind, seed = task
+    case = draw_case(kind, seed, **{**fresh(seed), "n": 150, "strength": 250.0})
+    training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
+    trail = discover(case)
+    halves = repeat_on_halves(trail, [row_groups(training, split="blocked", seed=0)], HALVES, policy=POLICY)
+    steps = [step for step in trail.steps if step.effect.name not in ELASTICITY]
+    groups = [{name_of(effect) for effect in (step.effect, *step.equivalent)} for step in steps]
+    # What has no name claims none.
+    right = [
+        step.effect.name == "unnamed" or any(t in names for t in case.truth)
+        for step, names in zip(steps, groups, strict=True)
+    ]
+    fit = Fit.of(widened(trail, POLICY))
+    at = fit.readings(held).conditions
+    error = fit.predict(at)[:, :, 3] - case.clean[held.rows - case.rows.rows[0]]
+    coverage = float(np.mean(np.abs(error) < 1.96 * fit.position_sigma(at)))
+    names = tuple((halves.count(step.effect.heading), ok) for step, ok in zip(steps, right, strict=True))
+    return Printed(kind, seed, names, coverage)
+
+
+def study(tasks: Sequence[tuple[str, int]]) -> list[Printed]:
+    """Return what is printed of several cases, on two processes."""
+    with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
+        return list(pool.map(printed, tasks))
+
+
+def by_class(found: Sequence[Printed]) -> Iterator[tuple[range, list[bool]]]:
+    """Yield numbers of halves, and of the names that came up in so many whether they are right."""
+    for low, high in CLASSES:
+        yield range(low, high), [right for case in found for count, right in case.names if low <= count < high]
+
+
+def draw(found: Sequence[Printed], path: Path) -> None:
+    """Draw which share of names is right, by the number of halves they come up in, with 95 % intervals."""
+    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0, HALVES], [0, 1], color="0.7", label="as often right as it comes up")
+    for halves, right in by_class(found):
+        if not right:
+            continue
+        middle, (low, high) = (halves[0] + halves[-1]) / 2.0, interval(right)
+        axes.errorbar(
+            middle, np.mean(right), [[np.mean(right) - low], [high - np.mean(right)]], fmt="o", color="C0", capsize=3
+        )
+        axes.annotate(
+            f"{sum(right)} of {len(right)}", (middle, np.mean(right)), (-6, -12), textcoords="offset points", ha="right"
+        )
+    axes.set(xlabel=f"halves of the poses in which a name comes up, of {HALVES}", ylabel="share of names that are right")
+    axes.set(xlim=(0, HALVES + 0.5), ylim=(0, 1.05))
+    axes.legend(loc="lower right")
+    figure.savefig(path, metadata={"Date": None})
+
+
+def interval(right: Sequence[bool]) -> tuple[float, float]:
+    """Return the 95 % interval of a rate (Clopper and Pearson)."""
+    n, hits = len(right), sum(right)
+    low, high = beta.ppf([0.025, 0.975], [hits, hits + 1], [n - hits + 1, n - hits])
+    return float(np.nan_to_num(low)), float(np.nan_to_num(high, nan=1.0))
+
+
+def main() -> None:
+    """Print, and draw if wanted, how true printed names are."""
+    parser = argparse.ArgumentParser(description="Print how often names are right that come up in so many halves.")
+    parser.add_argument("--count", type=int, default=3, help="cases of each kind; default: 3, which takes about 20 minutes")
+    parser.add_argument("--seed", type=int, default=9900, help="of the first case; default: 9900")
+    parser.add_argument("--draw", type=Path, metavar="FILE", help="picture to write")
+    chosen = parser.parse_args()
+    kinds = [kind for kind in ("null", *NAMED, *FOREIGN) for _ in range(chosen.count)]
+    found = study([(kind, chosen.seed + i) for i, kind in enumerate(kinds)])
+    for case in found:
+        if not all(right for _, right in case.names):
+            print(f"{case.kind} {case.seed}: " + ", ".join(f"{count} {right}" for count, right in case.names))
+    for halves, right in by_class(found):
+        low, high = interval(right)
+        print(
+            f"in {halves[0]} to {halves[-1]} of {HALVES}: {len(right)} names, {sum(right)} right ({low:.3f} to {high:.3f})"
+        )
+    coverage = np.array([case.coverage for case in found])
+    error = coverage.std(ddof=1) / np.sqrt(len(coverage))
+    print(f"95 % intervals cover {coverage.mean():.4f} +- {error:.4f}, {len(found)} cases")
+    if chosen.draw:
+        draw(found, chosen.draw)
+
+
+if __name__ == "__main__":
+    for _name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[_name] = "1"  # for the processes that are started
+    main()
