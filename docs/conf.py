@@ -22,4 +22,5 @@ autodoc_class_signature = "separated"
 napoleon_use_ivar = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
+napoleon_custom_sections = ["Told apart by", "Source"]
 copybutton_prompt_text = "$ "

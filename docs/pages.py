@@ -23,7 +23,7 @@ from pincal.io.schemas import FILES, schema_of
 from pincal.measure.registry import SENSORS
 
 sys.path.insert(0, str(Path(__file__).parent))
-from signatures import Signature, draw, own_effects, signatures
+from signatures import ALIKE, Signature, draw, own_effects, signatures
 
 REFERENCE = Path(__file__).parent / "reference"
 # What a user meets of each file.
@@ -35,6 +35,40 @@ _FILES = {
     "diagnosis": ("diagnosis.json", "Whether the robot has changed, and what. Written by `diagnose`."),
     "camera": ("CAMERA.json", "A camera's parameters, as `--camera` takes and `simulate --camera-out` writes them."),
 }
+# What the sources of effects are called in full.
+_SOURCES = (
+    "Atkeson, An, Hollerbach (1986): Estimation of inertial parameters of manipulator loads and links. "
+    "International Journal "
+    "of Robotics Research 5.",
+    "Baluev (2008): Assessing the statistical significance of periodogram peaks. Monthly Notices of the RAS 385.",
+    "de Boor (1978): A Practical Guide to Splines. Springer.",
+    "Denavit, Hartenberg (1955): A kinematic notation for lower-pair mechanisms based on matrices. Journal of Applied "
+    "Mechanics 22.",
+    "Hayati (1983): Robot arm geometric link parameter estimation. IEEE Conference on Decision and Control.",
+    "Heisel, Richter, Wurst (1997): Thermal behaviour of industrial robots and possibilities for error compensation. CIRP "
+    "Annals 46.",
+    "Heydemann (1981): Determination and correction of quadrature fringe measurement errors in interferometers. Applied "
+    "Optics 20.",
+    "ISO 230-7 (axes of rotation), ISO 9283 (performance of industrial robots), ISO 10360-10 (laser trackers).",
+    "Judd, Knasinski (1990): A technique to calibrate industrial robots with experimental verification. "
+    "IEEE Transactions on "
+    "Robotics and Automation 6.",
+    "Klimchik, Wu, Dumas, Caro, Furet, Pashkevich (2013): Identification of geometrical and elastostatic "
+    "parameters of heavy "
+    "industrial robots. [arXiv 1311.6810](https://arxiv.org/abs/1311.6810).",
+    "Lightcap, Hamner, Schmitz, Banks (2008): Improved positioning accuracy of the PA10-6CE robot with geometric and "
+    "flexibility calibration. IEEE Transactions on Robotics 24.",
+    "Nubiola, Bonev (2013): Absolute calibration of an ABB IRB 1600 robot using a laser tracker. Robotics and "
+    "Computer-Integrated Manufacturing 29.",
+    "Radkhah, Hemker, Friedmann, von Stryk: Towards the deployment of industrial robots as measurement instruments.",
+    "Ruderman, Hoffmann, Bertram (2009): Modeling and identification of elastic robot joints with hysteresis and backlash. "
+    "IEEE Transactions on Industrial Electronics 56.",
+    "Siciliano, Sciavicco, Villani, Oriolo (2009): Robotics: Modelling, Planning and Control. Springer.",
+    "Slamani, Nubiola, Bonev (2012): Modeling and assessment of the backlash error of an industrial robot. Robotica 30.",
+    "Tuttle (1992): Understanding and modeling the behavior of a harmonic drive gear transmission. MIT AI Laboratory.",
+    "Whitney, Lozinski, Rourke (1986): Industrial robot forward calibration method and results. Journal of Dynamic Systems, "
+    "Measurement, and Control 108.",
+)
 
 
 def commands() -> Iterator[str]:
@@ -139,12 +173,17 @@ def effects() -> Iterator[str]:
     """Yield the page of effects, from what each says of itself."""
     yield "# Effects"
     yield (
-        "Each is a cause with parameters of its own; coordinates of the arm are sums over effects, so their order means "
-        "nothing. Names are those of `--add`, `model.json`, `discovery.json` and `diagnosis.json`. Pictures show what an "
-        "effect adds to the arm where it moves the target by 0.1 mm rms: a KUKA KR 125/2 in 400 random poses, loads and "
-        "temperatures. What could take its place is told of the same poses, beside geometry and elasticity; in yours it may "
-        "differ, and "
-        "`discovery.json` tells."
+        "An effect is one physical cause with parameters of its own. The arm's coordinates are sums over effects, so that "
+        "their order means nothing. Names are those of `--add`, `model.json`, `discovery.json` and `diagnosis.json`."
+    )
+    yield (
+        "Each section says what the effect is and what its parameters are; its **signature**, drawn for a "
+        "KUKA KR 125/2 in 400 "
+        "random poses with random loads and temperatures, so large that it moves the target by 0.1 mm rms; "
+        "its **look-alikes** "
+        "in the same poses, beside geometry and elasticity; which measurement **tells it apart** from them; "
+        "and its **source**. "
+        "In your poses look-alikes may differ: `discovery.json` names those that they leave."
     )
     families: dict[str, list[tuple[str, str]]] = {}
     for name, cls in own_effects().items():
@@ -155,24 +194,29 @@ def effects() -> Iterator[str]:
     for name, cls in own_effects().items():
         yield f"## {name}"
         yield f"*{cls.meaning[0].upper()}{cls.meaning[1:]}.*"
-        yield from _told(cls)
-        if name in signatures():
-            yield from _seen(name, signatures()[name])
+        *about, apart, source = _told(cls)
+        yield from about
+        yield from _seen(name, signatures().get(name))
+        yield from (apart, source)
+    yield "## Sources"
+    yield "\n".join(f"- {source}" for source in _SOURCES)
 
 
-def _seen(name: str, signature: Signature) -> Iterator[str]:
+def _seen(name: str, signature: Signature | None) -> Iterator[str]:
     """Yield how an effect shows, and what else would look like it."""
-    if signature.is_drawn:
-        where = signature.effect.locus.joint or "the arm"
-        yield f"![What {name} of {where} adds, against what it follows](../pictures/effects/{name}.png)"
-    if needs := signature.effect.needs:
-        yield "Shows only where the table has " + " and ".join(f"`{column}`" for column in needs) + "."
+    if signature is None:
+        yield "**Signature** and **look-alikes**: those of whatever it stands for."
+        return
+    needs = " and ".join(f"`{column}`" for column in signature.effect.needs)
+    yield f"**Signature**: {signature.what}." + (f" It shows only in tables with {needs}." if needs else "")
+    yield f"![{name}: {signature.what}](../pictures/effects/{name}.png)"
     if signature.alike:
-        others = [
-            f"[`{other}`](#{other}) ({_share(share)}, follows {signatures()[other].variable[0].split(' [')[0]})"
-            for other, share in signature.alike
-        ]
-        yield "Others that could take its place, and how much of it: " + "; ".join(others) + "."
+        others = [f"[`{other}`](#{other}) ({_share(share)})" for other, share in signature.alike]
+        yield "**Look-alikes**, with the share of it that each could take: " + "; ".join(others) + "."
+    elif signature.is_constant:
+        yield "**Look-alikes**: other constants of arm, base and tool; what tells them apart is said below."
+    else:
+        yield f"**Look-alikes**: none could take more than {round(100 * ALIKE)} % of it in these poses."
 
 
 def _share(share: float) -> str:
@@ -180,12 +224,17 @@ def _share(share: float) -> str:
 
 
 def _told(cls: type) -> Iterator[str]:
-    """Yield a class's docstring as Markdown."""
+    """Yield a class's docstring as Markdown; what tells it apart and its source come last."""
+    told = {}
     for section in Docstring(inspect.getdoc(cls) or "").parse("google", warnings=False):
         if section.kind is DocstringSectionKind.text:
             yield _plain(section.value.strip())
         elif section.kind is DocstringSectionKind.attributes:
             yield "\n".join(f"- `{', '.join(_names(entry))}`: {_one_line(entry.description)}" for entry in section.value)
+        elif section.kind is DocstringSectionKind.admonition:
+            words = _one_line(section.value.contents)
+            told[section.title] = f"**{section.title}**: {words}"
+    yield from (told["Told apart by"], told["Source"])
 
 
 def names() -> Iterator[str]:
@@ -231,6 +280,7 @@ def _one_line(text: str) -> str:
 
 def _plain(text: str) -> str:
     """Return text whose formulas and references between docstrings are those of Markdown."""
+    text = re.sub(r"^ *\.\. math:: *(.*(?:\n +.*)*)", r"$$\1$$", text, flags=re.MULTILINE)
     text = re.sub(r":math:`([^`]*)`", r"$\1$", text)
     return re.sub(r":\w+:`~?([^`]*)`", r"`\1`", text)
 

@@ -5,7 +5,7 @@ The arm is the KUKA KR 125/2, in 400 random poses in which everything varies tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from pathlib import Path
 
@@ -16,14 +16,25 @@ from pincal import ELASTIC, Chain, Conditions, Discoverable, Effect, Model, Robo
 from pincal.builtin import kuka_urdf_path
 from pincal.io.effect_entry import known_effects
 from pincal.model.conditions import COLUMN_UNITS
+from pincal.model.effect import Tone
 from pincal.model.effects import BaseFrame, ToolFrame
 
 PICTURES = Path(__file__).parent / "pictures" / "effects"
 _POSES = 400
 # Compliances of a heavy arm's joints about x, y, z [rad/(N m)].
 _SOFT = (2e-8, 2e-8, 1e-7) * 6
+# The joints on which effects are shown; waves a turn of what has many; poses of a sweep.
+_JOINTS = ("joint_2", "joint_3")
+_WAVES = 12.0
+_STEPS = 60
+# How large a frame's parameters are, which may be anywhere [m or rad].
+_FRAME = 1e-3
 # A look-alike takes at least this share of the square of what is left beside geometry and elasticity.
-_ALIKE = 0.3
+ALIKE = 0.3
+
+
+# What is shown, in words, and the two axes of the picture.
+_Drawing = tuple[str, tuple[str, np.ndarray], tuple[str, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -32,20 +43,23 @@ class Signature:
 
     Attributes:
         effect: the effect, on one joint of the arm.
+        what: what the picture shows, in words.
         variable: what it follows, with its unit, and shape (N,) its values.
-        moved: what of the arm it moves most, with its unit, and shape (N,) by how much.
+        moved: what of the arm it moves most, with its unit, and shape (N,) by how much; of a constant how it moves the
+            target, shape (N, 3), as one joint turns.
         alike: names of effects that could take its place, with the share that they take, largest first.
     """
 
     effect: Effect
+    what: str
     variable: tuple[str, np.ndarray]
     moved: tuple[str, np.ndarray]
-    alike: tuple[tuple[str, float], ...]
+    alike: tuple[tuple[str, float], ...] = ()
 
     @property
-    def is_drawn(self) -> bool:
-        """Whether it moves anything by more than a constant."""
-        return bool(np.ptp(self.moved[1]) > 0.0)
+    def is_constant(self) -> bool:
+        """Whether it adds the same in all poses."""
+        return self.moved[1].ndim > 1
 
 
 @cache
@@ -75,30 +89,39 @@ def own_effects() -> dict[str, type[Effect]]:
 def signatures() -> dict[str, Signature]:
     """Return the signature of every effect that discovery looks for, by name."""
     at = situation()
-    others = {
-        name: [form for candidate in cls.candidates(at) for form in candidate.forms[:1]]
-        for name, cls in own_effects().items()
-        if issubclass(cls, Discoverable)
-    }
+    others = {name: _examples(cls, at) for name, cls in own_effects().items()}
     known = _motion(at, (*ELASTIC, BaseFrame(), ToolFrame()))
     rotation = np.linalg.qr(known / np.maximum(np.linalg.norm(known, axis=0), 1e-30))[0]
     bases = {name: [_left(_motion(at, (effect,)), rotation) for effect in effects] for name, effects in others.items()}
     found = {}
     for name, effects in others.items():
-        joints = ("joint_2", "joint_3")
-        chosen = next((k for k, effect in enumerate(effects) if effect.locus.joint in joints), 0 if effects else None)
+        chosen = next((k for k, effect in enumerate(effects) if effect.locus.joint in _JOINTS), 0 if effects else None)
         if chosen is None:
             continue
         values = _values(effects[chosen], at)
+        moves = _motion(at, (effects[chosen],)) @ values
         # So large that it moves the target by 0.1 mm rms.
-        values *= 1e-4 * np.sqrt(_POSES) / np.linalg.norm(_motion(at, (effects[chosen],)) @ values)
+        values *= 1e-4 * np.sqrt(_POSES) / max(float(np.linalg.norm(moves)), 1e-30)
+        drawn = _drawn(effects[chosen], values, at)
+        if drawn is None:
+            found[name] = Signature(effects[chosen], *_swept(effects[chosen], at))
+            continue
         left = bases[name][chosen] @ values
         shares = {
             other: max((_share(left, basis) for basis in bases[other]), default=0.0) for other in others if other != name
         }
-        alike = sorted(((other, share) for other, share in shares.items() if share > _ALIKE), key=lambda pair: -pair[1])
-        found[name] = Signature(effects[chosen], *_drawn(effects[chosen], values, at), tuple(alike))
+        alike = sorted(((other, share) for other, share in shares.items() if share > ALIKE), key=lambda pair: -pair[1])
+        found[name] = Signature(effects[chosen], *drawn, tuple(alike))
     return found
+
+
+def _examples(cls: type[Effect], at: Situation) -> list[Effect]:
+    """Return an effect in every place of the arm, as a discovery tries it first; a single one of what is none of its."""
+    if issubclass(cls, Discoverable):
+        found = [(candidate.forms or (candidate.effect,))[0] for candidate in cls.candidates(at)]
+        return [effect.tuned(_WAVES) if isinstance(effect, Tone) else effect for effect in found]
+    needed = [field.name for field in fields(cls) if field.default is MISSING]
+    return [cls(**dict.fromkeys(needed, _JOINTS[0]))] if needed in ([], ["joint"]) else []
 
 
 def _motion(at: Situation, effects: tuple[Effect, ...]) -> np.ndarray:
@@ -119,21 +142,47 @@ def _share(signal: np.ndarray, basis: np.ndarray) -> float:
 
 def _values(effect: Effect, at: Situation) -> np.ndarray:
     """Return values of the parameters as large as they may be; of a curve, those of a wave with a kink."""
-    sizes = np.array([parameter.size for parameter in effect.parameters(at.chain)])
+    sizes = np.array([min(parameter.size, _FRAME) for parameter in effect.parameters(at.chain)])
     if not effect.alike:
         return np.asarray(sizes * 0.7 ** np.arange(len(sizes)))
     place = np.linspace(-1.0, 1.0, len(sizes))
     return np.asarray(sizes * (np.sin(5.0 * place) - 1.5 * np.abs(place - 0.3) + 1.0))
 
 
-def _drawn(effect: Effect, values: np.ndarray, at: Situation) -> tuple[tuple[str, np.ndarray], tuple[str, np.ndarray]]:
-    """Return the variable and what is moved most, by rms, each in words with its numbers."""
+def _swept(effect: Effect, at: Situation) -> _Drawing:
+    """Return how one parameter moves the target as a joint turns and the others stand, by 0.1 mm rms."""
+    joint = at.joints.index(_JOINTS[0])
+    q = np.tile(0.5, (_STEPS, len(at.joints)))
+    q[:, joint] = np.linspace(at.chain.robot.lower[joint], at.chain.robot.upper[joint], _STEPS)
+    model = Model(at.chain, (*ELASTIC, effect))
+    compliances = dict(zip([f"{name}.k_{axis}" for name in at.joints for axis in "xyz"], _SOFT, strict=True))
+    values = np.array([compliances.get(parameter.name, 0.0) for parameter in model.parameters])
+    conditions = Conditions.at(q, payload=80.0, payload_centre=(0.1, 0.0, 0.2))
+    jacobian = model.linearise(values, conditions)[1]
+    own = [p.name for p in effect.parameters(at.chain)]
+    # That of the joint itself where there is one for each; of a frame a turn about the vertical, of a target its distance.
+    first = next((name for name in own if name.startswith(f"{_JOINTS[0]}.")), "base.rz" if "base.rz" in own else own[0])
+    moved = 1e3 * jacobian[:, :, model.index(first)]
+    moved *= 0.1 / np.sqrt(np.mean(np.sum(moved**2, axis=1)))
+    label = f"{_JOINTS[0]} [deg], {first} alone"
+    what = f"how the target moves along x, y and z of the base as {_JOINTS[0]} turns, if {first} is off"
+    return what, (label, np.rad2deg(q[:, joint])), ("target moves [mm]", moved)
+
+
+def _drawn(effect: Effect, values: np.ndarray, at: Situation) -> _Drawing | None:
+    """Return the variable and what is moved most, by rms, each in words with its numbers; None of a constant."""
     moved = np.zeros((_POSES, at.chain.size))
     for term in effect.terms(at.chain, at.conditions, at.moments if effect.uses_moments else None):
         moved[:, term.coordinate] += values[term.parameter] * (1.0 if term.basis is None else term.basis)
     k = int(np.argmax(moved.std(axis=0)))
-    label = "shift [mm]" if at.chain.layout.kind[k] >= 3 else "turn [mrad]"
-    return _variable(effect, moved[:, k], at), (label, 1e3 * moved[:, k])
+    if not np.ptp(moved[:, k]):
+        return None
+    label, variable = "shift [mm]" if at.chain.layout.kind[k] >= 3 else "turn [mrad]", _variable(effect, moved[:, k], at)
+    where = f"at {effect.locus.joint}" if effect.locus.joint else "in one place of the arm"
+    what = f"the {label.split()[0]} that it adds {where}, against {variable[0].rsplit(' [', 1)[0]}"
+    if isinstance(effect, Tone):
+        what += f" (drawn with {_WAVES:.0f} waves a turn)"
+    return what, variable, (label, 1e3 * moved[:, k])
 
 
 def _variable(effect: Effect, moved: np.ndarray, at: Situation) -> tuple[str, np.ndarray]:
@@ -156,12 +205,15 @@ def draw() -> None:
     """Draw every signature into a file of its own."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name, signature in signatures().items():
-        if not signature.is_drawn:
-            continue
         figure = Figure(figsize=(4.6, 1.9), layout="constrained")
         axes = figure.subplots()
         (label, x), (moved, y) = signature.variable, signature.moved
-        axes.plot(x, y, ".", markersize=2.5, color="#0072b2")
+        if y.ndim == 1:
+            axes.plot(x, y, ".", markersize=2.5, color="#0072b2")
+        else:
+            for axis, colour, values in zip("xyz", ("#d55e00", "#009e73", "#0072b2"), y.T, strict=True):
+                axes.plot(x, values, color=colour, label=axis)
+            axes.legend(fontsize=7, frameon=False, ncols=3)
         axes.set_xlabel(label, fontsize=8)
         axes.set_ylabel(moved, fontsize=8)
         axes.tick_params(labelsize=7)

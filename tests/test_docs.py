@@ -14,6 +14,7 @@ import pytest
 from nbclient import NotebookClient
 
 from pincal.cli import pincal
+from pincal.io.effect_entry import known_effects
 from pincal.plugins import load_plugin
 
 ROOT = Path(__file__).parents[1]
@@ -46,6 +47,21 @@ def test_reference_pages_are_those_of_the_program(name: str) -> None:
 
     assert page == pages.text_of(name)
     assert not re.search(r"^\|.*\|\s*\|$", page, re.MULTILINE)
+
+
+def test_every_effect_is_drawn_and_explained() -> None:
+    """What it is, its signature with a picture, its look-alikes, what tells it apart, and its source, of each effect."""
+    page = (ROOT / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
+    sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## )", page, re.DOTALL | re.MULTILINE))
+    names = {name for name, cls in known_effects().items() if cls.__module__.startswith("pincal.")}
+
+    assert set(sections) == names
+    for name, section in sections.items():
+        assert re.findall(r"^\*[^*].*\*$|\*\*(\w[\w -]+)\*\*", section, re.MULTILINE) == [
+            "", "Signature", "look-alikes" if "](" not in section else "Look-alikes", "Told apart by", "Source"
+        ], name  # fmt: skip
+        # What stands for others has no picture of its own.
+        assert f"](../pictures/effects/{name}.png)" in section or "those of whatever it stands for" in section, name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

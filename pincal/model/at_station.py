@@ -21,6 +21,12 @@ class AtStation(Effect):
     An effect of the robot that all stations have, too, is then other at this one: its parameters end in ``_here`` and add to
     the robot's.
 
+    Told apart by:
+        a pose or two of the one station measured again at another: what stays is the robot's, what goes was the station's.
+
+    Source:
+        pincal's own, for effects of the catalogue.
+
     Attributes:
         effect: the effect; not one of static moments.
         station: name of the station.

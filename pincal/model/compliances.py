@@ -71,7 +71,15 @@ class Compliance(Discoverable):
 
 @dataclass(frozen=True)
 class JointElasticity(Compliance):
-    """Each drive gives way about its own axis: gamma_z = k_z n_z."""
+    """Each drive gives way about its own axis: gamma_z = k_z n_z.
+
+    Told apart by:
+        two payloads in poses that repeat: what grows with the load gives way. With one load a gravity compensator, a gear
+        eccentricity of order 1 or an error of the masses looks similar.
+
+    Source:
+        Radkhah et al., Eq. (3); Whitney, Lozinski and Rourke (1986).
+    """
 
     name: ClassVar[str] = "joint_elasticity"
     meaning: ClassVar[str] = "the drive twists under the load on its axis"
@@ -109,6 +117,12 @@ class BearingElasticity(Compliance):
     With the paper's moment frame that is to its letter: about the origin of the Denavit-Hartenberg frame, which is a choice
     of whoever lays the frames. With "before" and "after" the moment is taken and the link turns where the bearing sits,
     at the height h on its axis.
+
+    Told apart by:
+        payloads, and poses in which the load lies across the axis. Of joint 1 it is like a foundation that gives way.
+
+    Source:
+        Radkhah et al., Eq. (3); Nubiola and Bonev (2013) for joints alone.
     """
 
     name: ClassVar[str] = "bearing_elasticity"

@@ -76,7 +76,15 @@ class _Geometry(Effect):
 
 @dataclass(frozen=True)
 class JointOffset(_Geometry):
-    """The zero of each joint is off by a constant (paper: theta_i; d_i of a prismatic joint)."""
+    """The zero of each joint is off by a constant (paper: theta_i; d_i of a prismatic joint).
+
+    Told apart by:
+        joints that turn far, targets off the last axis. That of the first joint is a turn of the base, and that of the last
+        a turn of the tool, unless these are known.
+
+    Source:
+        Radkhah et al., Eq. (1): theta_i.
+    """
 
     name: ClassVar[str] = "joint_offset"
     meaning: ClassVar[str] = "the zero of a joint's scale is off"
@@ -96,6 +104,13 @@ class LinkGeometry(_Geometry):
     """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1)).
 
     A prismatic joint has theta in place of d, which is its joint offset.
+
+    Told apart by:
+        poses over the whole range of every joint. Of parallel axes only the sum of the link offsets is seen; offset and
+        length of the first and the last link are places of base and tool.
+
+    Source:
+        Denavit and Hartenberg (1955); Radkhah et al., Eq. (1).
     """
 
     name: ClassVar[str] = "link_geometry"
@@ -114,7 +129,15 @@ class LinkGeometry(_Geometry):
 
 @dataclass(frozen=True)
 class AxisDistortion(_Geometry):
-    """The axis of motion is tilted by s_x, s_y before the joint turns (paper, Eq. (2))."""
+    """The axis of motion is tilted by s_x, s_y before the joint turns (paper, Eq. (2)).
+
+    Told apart by:
+        poses over the whole range of the joint and of its neighbours. Between axes that are not parallel one of the two
+        tilts is a link twist.
+
+    Source:
+        Radkhah et al., Eq. (2); about y for parallel axes Hayati (1983).
+    """
 
     name: ClassVar[str] = "axis_distortion"
     meaning: ClassVar[str] = "joint axes are slightly tilted (the paper's s_x, s_y)"
@@ -132,6 +155,13 @@ class AxisDistortion(_Geometry):
 @dataclass(frozen=True)
 class BaseFrame(Effect):
     """Where the robot stands in the instrument's frame.
+
+    Told apart by:
+        three targets or more that do not lie on a line, seen from poses of which joint 1 is only one part. It is found anew
+        for every set-up.
+
+    Source:
+        Radkhah et al.
 
     Attributes:
         symbols: the released coordinates; a distance knows nothing of orientation, a contact nothing of either.
@@ -159,7 +189,15 @@ class BaseFrame(Effect):
 
 @dataclass(frozen=True)
 class ToolFrame(Effect):
-    """Where each target sits in the tip frame; a point target has no orientation."""
+    """Where each target sits in the tip frame; a point target has no orientation.
+
+    Told apart by:
+        turns of the hand. A target on the last axis moves along it like that joint's own link offset; a second target beside
+        the axis decides.
+
+    Source:
+        Radkhah et al.
+    """
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS[:3]
     name: ClassVar[str] = "tool_frame"

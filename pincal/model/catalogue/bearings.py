@@ -24,6 +24,13 @@ class ObliqueBearing(Effect):
     symmetric matrix, whose principal directions are anywhere. Not in the paper's frame, where moment and tilt have different
     axes.
 
+    Told apart by:
+        the joint turned to several positions under a load that stays, or two payloads: a diagonal compliance stays along the
+        frame's axes.
+
+    Source:
+        the model of Radkhah et al. with a full symmetric compliance in place of a diagonal one.
+
     Attributes:
         joint: the joint.
     """
@@ -56,6 +63,13 @@ class BearingPlace(Effect):
     """Bearing that sits elsewhere on its axis than the URDF has the joint.
 
     Where a URDF has a joint on its axis is as its author liked. The place shows as far as the bearing gives way.
+
+    Told apart by:
+        as for the bearing's compliance, from poses in which moment and force at the bearing differ, such as an arm stretched
+        out and folded.
+
+    Source:
+        the model of Radkhah et al. with the bearing anywhere on its axis.
 
     Attributes:
         joint: the joint.

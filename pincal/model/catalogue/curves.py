@@ -45,6 +45,13 @@ class TransmissionError(Curve):
     that stands a turn away is taken at the turn that was measured, as if the curve repeated. The splines add up to 1, which
     repeats the joint offset; the prior settles that.
 
+    Told apart by:
+        two payloads: a curve of the drive follows the position and not the load. What it is made of (eccentricity, ratio,
+        teeth) shows in its shape, over a full turn.
+
+    Source:
+        Tuttle (1992); splines after de Boor (1978).
+
     Attributes:
         joint: the joint.
         lower, upper: the positions covered by measurements [rad or m].

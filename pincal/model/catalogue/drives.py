@@ -1,8 +1,4 @@
-r"""Effects of a drive: what gear, encoder and bearing add to a joint's position, whatever the load.
-
-Sources: gear eccentricity and coupling after Whitney, Lozinski, Rourke (1986) and Judd, Knasinski (1990); backlash by the
-direction of approach after Slamani et al. (2012), as listed in the project's table of effects.
-"""
+"""Effects of a drive: what gear, encoder and bearing add to a joint's position, whatever the load."""
 
 from __future__ import annotations
 
@@ -50,6 +46,13 @@ class GearEccentricity(Discoverable):
 
     Over much less than a turn order 1 is like an offset, a ratio and a compensator together.
 
+    Told apart by:
+        poses over a full turn; a second payload, where gravity follows the same sine. Two orders together are a gravity
+        compensator; finer waves are a transmission error.
+
+    Source:
+        Whitney, Lozinski and Rourke (1986); Judd and Knasinski (1990).
+
     Attributes:
         joint: the joint, a revolute one.
         order: k, errors a turn.
@@ -86,7 +89,15 @@ class GearEccentricity(Discoverable):
 
 @dataclass(frozen=True)
 class GearRatio(Discoverable):
-    """Gear or encoder ratio that is off: the joint moves by r q more, r relative."""
+    """Gear or encoder ratio that is off: the joint moves by r q more, r relative.
+
+    Told apart by:
+        poses over a full turn: over a part of it a sine and a straight line are alike. A position that repeats after a turn
+        shows a ratio at once.
+
+    Source:
+        Judd and Knasinski (1990).
+    """
 
     joint: str
     name: ClassVar[str] = "gear_ratio"
@@ -113,7 +124,14 @@ class GearRatio(Discoverable):
 
 @dataclass(frozen=True)
 class JointCoupling(Discoverable):
-    """Motion of one joint that leaks into another: ``joint`` moves by c q_source more."""
+    """Motion of one joint that leaks into another: ``joint`` moves by c q_source more.
+
+    Told apart by:
+        the two joints moved one without the other; in programs that move both together it is like a ratio.
+
+    Source:
+        Whitney, Lozinski and Rourke (1986).
+    """
 
     joint: str
     source: str
@@ -152,6 +170,13 @@ class AxisWobble(Discoverable):
     and of order 1 after q the circle that stands still repeats s_x, s_y. As circles a turn seen from the previous link,
     "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before) of (2, after).
     The axis tilts about the origin of the frame before q: the foot of the common normal, wherever the bearing is.
+
+    Told apart by:
+        the joint turned alone, by many small steps, with a target far off its axis and one close to it: a wobble moves both,
+        a drive error only the far one. Orientation (6D) shows it directly.
+
+    Source:
+        tilt error motion of ISO 230-7.
 
     Attributes:
         joint: the joint, a revolute one.
@@ -209,6 +234,13 @@ class Backlash(Discoverable):
     """Play in a gear: the joint moves by b times its direction of approach (-1, 0, 1) more.
 
     A joint that lags behind its drive by half the play has b = - play / 2.
+
+    Told apart by:
+        each pose reached from both sides, and the side recorded (`approach_<joint>`). A payload decides between play and
+        hysteresis, which grows with the load.
+
+    Source:
+        Slamani, Nubiola and Bonev (2012).
     """
 
     joint: str
@@ -238,6 +270,13 @@ class Backlash(Discoverable):
 @dataclass(frozen=True)
 class ThermalOffset(Discoverable):
     """Zero of a joint that shifts with temperature: by c (T - reference).
+
+    Told apart by:
+        the same poses cold and warm, and the temperature recorded. Links that grow move the target along the arm, a zero
+        that shifts moves it across.
+
+    Source:
+        Heisel, Richter and Wurst (1997).
 
     Attributes:
         joint: the joint.

@@ -1,8 +1,7 @@
 r"""Effects of gravity's moments beyond linear joint and bearing elasticity.
 
 Moments are those of the chain (paper, Eq. (3)); a basis that follows one gives its slope, so that the Jacobian stays exact
-through the moments. Sources: Whitney et al. (1986) and Lightcap et al. (2008) for links and base, Klimchik et al. (2013,
-arXiv 1311.6810) for the compensator, Tuttle (1992) for the stiffening drive.
+through the moments.
 """
 
 from __future__ import annotations
@@ -53,6 +52,13 @@ class NonlinearElasticity(Discoverable):
     By default it changes in proportion to the torque, gamma_z = k3_z n_z |n_z|. A drive that gives way at low torque and
     stiffens has an extra compliance k0_z near torque 0 that falls to :math:`1/\sqrt{2}` of it at the torque t, and so the
     wind-up :math:`\gamma_z = k_0 \; t \operatorname{arsinh}(n_z / t)`.
+
+    Told apart by:
+        three payloads or more: twice the load bends linear elasticity twice as far. With one payload a play that the load
+        takes up, or a curve of the drive, does the same.
+
+    Source:
+        Tuttle (1992), on strain wave gears.
 
     Attributes:
         joint: the joint.
@@ -111,6 +117,13 @@ class LinkBending(Discoverable):
     The link's own weight and the difference between its two planes are left out. Force and moment are those of the nominal
     arm, since errors of some mm change them by a thousandth.
 
+    Told apart by:
+        a payload far off the link: a link that bends moves its end and turns it, a bearing only turns it. Orientation (6D)
+        tells the two apart in fewer poses.
+
+    Source:
+        Euler and Bernoulli's beam; in robots Judd and Knasinski (1990), Lightcap et al. (2008).
+
     Attributes:
         joint: the joint that moves the link; not the last.
     """
@@ -166,6 +179,13 @@ class BaseElasticity(Discoverable):
 
     m is the moment of the arm about the base's origin: joint 1's moment, in base axes, and where joint 1 stands beside the
     origin (seen along gravity) the arm's weight times that distance.
+
+    Told apart by:
+        a target on the base or the floor beside it. Without one the bearing of joint 1 does nearly the same, but for the
+        lever from its place to the foundation.
+
+    Source:
+        Whitney, Lozinski and Rourke (1986); Lightcap et al. (2008).
     """
 
     name: ClassVar[str] = "base_elasticity"
@@ -208,6 +228,13 @@ class GravityCompensator(Discoverable):
 
     The torque is a smooth function of the joint's angle alone, whatever the payload; its first harmonics are enough:
     :math:`\gamma_z = s_1 \sin q + c_1 \cos q + s_2 \sin 2q + c_2 \cos 2q`. Gear eccentricity of both orders spans the same.
+
+    Told apart by:
+        two payloads: a compensator's spring follows the joint's position and not the load. A gear eccentricity of orders 1
+        and 2 is the same function; look at whether the machine has a spring.
+
+    Source:
+        Klimchik et al. (2013), arXiv 1311.6810.
     """
 
     joint: str
@@ -247,6 +274,12 @@ class PayloadError(Discoverable, Reducible):
     gamma_z of each joint grows by p_z times the payload's own moment there, p_z being compliance times relative error.
     The moment is taken on the nominal arm, as given: it does not follow the geometry. Only where the payload varies can it
     be told from the compliance.
+
+    Told apart by:
+        the same poses without payload and with it: only the difference between them is of the payload.
+
+    Source:
+        Atkeson, An and Hollerbach (1986), on loads.
 
     Attributes:
         joints: the joints that feel the payload, unless compliances are given; all unless given.
@@ -314,6 +347,13 @@ class PayloadError(Discoverable, Reducible):
 @dataclass(frozen=True)
 class LoadBacklash(Discoverable):
     """Play that the load takes up: the joint moves by b tanh(n_z / transition) more, b half the play.
+
+    Told apart by:
+        poses on both sides of the position at which the load changes its sign, or a payload that moves this position: a
+        curve of the drive stays, play moves with it.
+
+    Source:
+        Whitney, Lozinski and Rourke (1986).
 
     Attributes:
         joint: the joint.

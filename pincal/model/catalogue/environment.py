@@ -24,6 +24,13 @@ class ThermalExpansion(Discoverable):
     on base and tool x, y, z. Of one joint it is the way from where the URDF has this joint to where it has the next, or the
     tip: d and a, but for the parts of d (before) and of the next joint's d (behind) that lie beyond those places.
 
+    Told apart by:
+        the same poses cold and warm, stretched out and folded: growth is in proportion to the arm's length. The scale of an
+        instrument whose lengths follow the temperature is the same thing, unless it measures a length that is known.
+
+    Source:
+        Heisel, Richter and Wurst (1997).
+
     Attributes:
         joint: the joint that moves the one link that grows; None for the whole arm.
         reference: temperature at which lengths are nominal [deg C]; another one only changes the lengths.
@@ -57,6 +64,13 @@ class ThermalExpansion(Discoverable):
 @dataclass(frozen=True)
 class BaseDrift(Discoverable):
     """Base, or instrument, that creeps: its coordinates change by rate times (time - reference).
+
+    Told apart by:
+        one target on the base or the floor, measured again and again: the instrument's own drift. The robot's poses at the
+        start repeated at the end show the rest.
+
+    Source:
+        drift of pose characteristics in ISO 9283.
 
     Attributes:
         reference: time without drift [s]; the mean is well conditioned, another one only changes the base.
@@ -106,6 +120,13 @@ class MeasurementScale(Discoverable):
     To first order d and a of every joint (and the way of a sliding one) grow by s; base and tool are constants, which their
     own parameters take up. With all lengths free this adds nothing (rank 0): it needs a length that is known, such as
     links fixed at their nominal lengths.
+
+    Told apart by:
+        a length that is known, such as a scale bar beside the robot: with all link lengths free, a larger robot and a longer
+        metre are the same.
+
+    Source:
+        length measurement errors of laser trackers in ISO 10360-10.
     """
 
     name: ClassVar[str] = "measurement_scale"

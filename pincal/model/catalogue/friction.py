@@ -31,6 +31,13 @@ class Hysteresis(Discoverable):
     A joint that lags behind its drive has h < 0. Friction of seals and preloaded teeth, which the load does not make, is
     that of a preload: |n_z| + preload. What does not depend on the load at all is play.
 
+    Told apart by:
+        each pose reached from both sides, with two payloads, and the side recorded (`approach_<joint>`): play does not
+        depend on the load.
+
+    Source:
+        Ruderman, Hoffmann and Bertram (2009).
+
     Attributes:
         joint: the joint.
         preload: moment that adds to the load [N m].
@@ -78,6 +85,13 @@ class ServoDroop(Discoverable):
     Where the positions read back are fitted p is 0 if the encoder sees all of the droop, 1 if the joint stands as
     commanded after all; where the commanded ones are fitted, -1 if the encoder sees all of it. A droop in proportion to the
     torque is like linear elasticity: what friction and integrators make of it tells them apart.
+
+    Told apart by:
+        commanded and read positions, both recorded (`commanded_<joint>` or `read_<joint>`), with two payloads: the droop of
+        a controller without an integrator is in proportion to the load, as elasticity is.
+
+    Source:
+        steady-state error of position control, Siciliano et al. (2009), section 8.5.
     """
 
     joint: str

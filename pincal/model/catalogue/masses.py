@@ -29,6 +29,13 @@ class LinkMass(Effect):
     Seen only through the compliances, gamma = k n, they are identified up to a factor that all masses and the inverse of
     all compliances share, unless the payload varies; the priors hold this factor, and no prediction depends on it.
 
+    Told apart by:
+        payloads that are known: without them only the product of masses and compliances is seen. The mass of the data sheet
+        (`--mass`) does the same.
+
+    Source:
+        Atkeson, An and Hollerbach (1986).
+
     Attributes:
         joints: the joints whose links have no mass that is known; default: all.
     """

@@ -42,6 +42,13 @@ _OVER = 50.0
 class JointCreep(Settling):
     r"""Joint that creeps from its zero as time goes by, ever slower: by :math:`a (1 - e^{-(t - t_0) / \tau})`.
 
+    Told apart by:
+        the first poses repeated in the course of the day, joint by joint, and the time recorded. Links that grow with time
+        move the target along the arm, a zero that creeps moves it across.
+
+    Source:
+        drift of pose characteristics in ISO 9283.
+
     Attributes:
         joint: the joint.
         constant: the time constant [s].
@@ -93,6 +100,13 @@ class ThermalGrowth(Settling):
     r"""Lengths that grow as the arm warms up, by the part :math:`a (1 - e^{-(t - t_0) / \tau})` of their nominal value.
 
     It stands for thermal expansion where no temperature was recorded. Which lengths grow is said there.
+
+    Told apart by:
+        the temperature recorded, in place of the time; poses at the start repeated later. A base that drifts moves all poses
+        alike.
+
+    Source:
+        Heisel, Richter and Wurst (1997), on the warming up of an arm.
 
     Attributes:
         constant: the time constant [s].

@@ -32,6 +32,13 @@ _GAIN = 18.0
 class GearRipple(Tone):
     r"""Motor or gear stage that turns many times a turn of the joint: it adds :math:`s \sin kq + c \cos kq`.
 
+    Told apart by:
+        many poses of this joint alone, closer together than half a wave; a ratio from the data sheet leaves one order to
+        look for instead of hundreds. Noise of few poses resembles some wave.
+
+    Source:
+        Tuttle (1992); the chance of a false wave after Baluev (2008).
+
     Attributes:
         joint: the joint, a revolute one.
         order: k, waves a turn; a ratio need not be a whole number.
@@ -83,6 +90,13 @@ class GearRipple(Tone):
 @dataclass(frozen=True)
 class EncoderSubdivision(Tone):
     r"""Encoder that divides its lines unevenly: :math:`\sum_j s_j \sin jkq + c_j \cos jkq`, once and twice a line.
+
+    Told apart by:
+        the number of lines from the data sheet, and positions that divide a line evenly. Gear ripple of the same order is
+        the same thing.
+
+    Source:
+        Heydemann (1981).
 
     Attributes:
         joint: the joint, a revolute one.

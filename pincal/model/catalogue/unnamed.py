@@ -42,6 +42,13 @@ _CONSTANT = 1e-6
 class Unnamed(Resolvable):
     """A joint moves with one variable, or with its own position and another's, for no reason that the catalogue knows.
 
+    Told apart by:
+        whatever varies what it follows and holds the rest: the section of each named effect says which. A name may be
+        missing in the catalogue; an effect of one's own is one class.
+
+    Source:
+        splines after de Boor (1978).
+
     Attributes:
         joint: where it acts.
         acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it, behind the joint), "s_x" or "s_y"
