@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import importlib.metadata
 import re
 import subprocess
 import sys
@@ -86,6 +88,28 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
 
     assert done.returncode == 0 and not done.stderr, done.stderr
     assert "calibrate" in (tmp_path / "reference" / "python.html").read_text(encoding="utf-8")
+
+
+def test_the_history_of_speed_has_a_line_of_every_release() -> None:
+    """The last line is that of this version; every figure is a number, paired but for the first line."""
+    history = load_plugin(str(ROOT / "tests" / "benchmark_history.py"))
+    rows = list(csv.DictReader(history.HISTORY.open(encoding="utf-8")))
+    versions = [row["version"] for row in rows]
+
+    assert tuple(rows[0]) == history.COLUMNS and versions[-1] == importlib.metadata.version("pincal")
+    assert len(set(versions)) == len(versions)
+    for k, row in enumerate(rows):
+        assert all(float(row[figure]) > 0.0 for figure in history.FIGURES)
+        assert all(bool(row[f"{figure}_ratio"]) == (k > 0) for figure in history.FIGURES)
+
+
+@pytest.mark.long
+def test_the_history_of_speed_times_every_figure() -> None:
+    """Of a small table, by public names alone."""
+    history = load_plugin(str(ROOT / "tests" / "benchmark_history.py"))
+    found = history.probe(rows=60)
+
+    assert tuple(found) == history.FIGURES and min(found.values()) > 0.0
 
 
 def told(page: str) -> tuple[list[str], list[float]]:
