@@ -63,14 +63,14 @@ class Case:
         new: the rows.
         truth: what has changed; None for nothing.
         strength: its lambda.
-        others: rows without noise of 100 other poses of the later robot in the later station.
+        measure_others: measures 100 other poses of the later robot in the later station, without noise.
     """
 
     model: CalibratedModel
     new: Measurements
     truth: Truth | None
     strength: float
-    others: Measurements
+    measure_others: Callable[[], Measurements]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def draw_case(
         later, got = changed(size), strength
     noise = SIGMA * rng.standard_normal((len(new.q), 3))
     there = replace(_scene(machine, 100, rng, light=light, temperature=warm[1]), hall=new.hall, tool=new.tool)
-    return Case(model, new.table(new.positions(later) + noise), truth, got, there.table(there.positions(later)))
+    return Case(model, new.table(new.positions(later) + noise), truth, got, lambda: there.table(there.positions(later)))
 
 
 def _missed(

@@ -94,15 +94,15 @@ def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
 @pytest.mark.long
 def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
     """From twelve views of the paper's object: exact to rounding, and as uncertain as the covariance says."""
-    text = run("kuka_camera.py", "--seeds", "1", "--draws", "30", folder=tmp_path)
+    text = run("kuka_camera.py", "--seeds", "1", "--draws", "12", folder=tmp_path)
     cases = text.split("\n\n")[1:]
 
-    assert len(cases) == 2
+    assert len(cases) == 4
     for case in cases:
         assert numbers(case, "held-out max")[0] <= 1e-10
-        assert numbers(case, "chi-square")[0] == pytest.approx(1.0, abs=0.03)
-        # The error of a robot has a few degrees of freedom that matter: over 30 robots the ratio is known to a tenth.
-        assert numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.25)
+        assert numbers(case, "chi-square")[0] == pytest.approx(1.0, abs=0.05)
+        # The error of a robot has a few degrees of freedom that matter: over 12 robots the ratio is known to a sixth.
+        assert numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.4)
 
 
 @pytest.mark.parametrize("seed", ["3", pytest.param("8", marks=pytest.mark.long)])
