@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -750,9 +751,18 @@ def test_an_unknown_moment_frame_is_refused() -> None:
 
 def test_compiling_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     """Whoever waits for the loops to be compiled reads why, and only once; what others compile is not our business."""
-    told, other = kernels._Announcement(), event.Event("numba:compile", EventStatus.START, {"dispatcher": njit(lambda: 0)})
-    ours = event.Event("numba:compile", EventStatus.START, {"dispatcher": kernels.tip_poses})
+    told, compiling = kernels._Compiling(), []
+    ours, other = ({"dispatcher": function} for function in (kernels.evaluate, njit(lambda: 0)))
     with caplog.at_level("INFO"):
-        for each in (other, ours, ours):
-            told.notify(each)
+        for data, status in (
+            (other, "START"),
+            (ours, "START"),
+            (ours, "START"),
+            (ours, "END"),
+            (other, "END"),
+            (ours, "END"),
+        ):
+            told.notify(event.Event("numba:compile", EventStatus[status], data))
+            compiling.append(not gc.isenabled())
     assert [record.getMessage()[:14] for record in caplog.records] == ["compiling once"]
+    assert compiling == [False, True, True, True, True, False]

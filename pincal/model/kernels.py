@@ -19,6 +19,7 @@ inner loop is one that the compiler turns into vector instructions (measured: 5 
 
 from __future__ import annotations
 
+import gc
 import logging
 import math
 from typing import NamedTuple
@@ -140,27 +141,47 @@ class Payload(NamedTuple):
     centre: np.ndarray
 
 
-class _Announcement(event.Listener):
-    """Says once that the loops are being compiled, which keeps the first command on a machine waiting."""
+class _Compiling(event.Listener):
+    """Says once that the loops are being compiled, which keeps the first command on a machine waiting.
+
+    What the compiler builds lives until it is done: looking through it for garbage would take a sixth of the time.
+    """
 
     def __init__(self) -> None:
-        self._is_due = True
+        self._is_due, self._depth, self._collects = True, 0, False
 
     def on_start(self, event: event.Event) -> None:
-        """Say so at the first of the loops."""
-        if self._is_due and event.data["dispatcher"].py_func.__module__ == __name__:
+        """Say so at the first of the loops, and keep what is built."""
+        if not _is_ours(event):
+            return
+        if self._is_due:
             self._is_due = False
-            log.info("compiling once for this machine, about 15 s")
+            log.info("compiling once for this machine, about 10 s")
+        if not self._depth:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
 
     def on_end(self, event: event.Event) -> None:
-        """Say nothing more."""
+        """Collect garbage again after the last one."""
+        if _is_ours(event):
+            self._depth -= 1
+            if not self._depth and self._collects:
+                gc.enable()
 
 
-event.register("numba:compile", _Announcement())
+def _is_ours(event: event.Event) -> bool:
+    return bool(event.data["dispatcher"].py_func.__module__ == __name__)
+
+
+event.register("numba:compile", _Compiling())
 
 _COMPILE = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
-# What Python never calls needs nothing to be called by.
-_INNER = _COMPILE | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# What C, or Python, never calls needs nothing to be called by.
+_WHOLE = _COMPILE | {"no_cfunc_wrapper": True}
+_INNER = _WHOLE | {"no_cpython_wrapper": True}
+# What is called once, or is short, is cheaper to compile as a part of what calls it: no function of its own is optimised.
+_PART = _INNER | {"inline": "always"}
 
 
 @njit(**_INNER)
@@ -192,7 +213,7 @@ def _add(values, out):
 
 
 @njit(**_INNER)
-def _load(layout, values, start, m, x, c, s, whole):
+def _load(kind, values, start, m, x, c, s, whole):
     """Put the coordinates of poses start .. start + m into x, their cosines and sines into c and s.
 
     Constant coordinates are the same in every group and are loaded only if ``whole``.
@@ -202,7 +223,7 @@ def _load(layout, values, start, m, x, c, s, whole):
         if j >= 0:
             for i in range(m):
                 x[k, i] = values.varying[j, start + i]
-            if layout.kind[k] < 3:
+            if kind[k] < 3:
                 for i in range(m):
                     c[k, i] = math.cos(x[k, i])
                     s[k, i] = math.sin(x[k, i])
@@ -278,7 +299,7 @@ def _walk(layout, first, last, x, c, s, R, p, W, O):
                     R[r, l, i] = c[k, i] * b - s[k, i] * a
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _walk_arm(layout, places, start, m, x, c, s, R, p, W, O):
     """Walk the whole chain from instrument to target; reference orientations stand before the angles of base and tool."""
     K = len(x)
@@ -303,7 +324,7 @@ def _add_body(R, p, mass, centre, B):
             B[r, i] += mass[i] * place
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F):
     """Walk the arm from its base; M[j] is the mass beyond joint j, B[j] the sum of mass times centre there.
 
@@ -361,13 +382,13 @@ def _lever(B, M, o, D):
             D[r, i] = B[r, i] - M[i] * o[r, i]
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _moment_point(layout, j, O):
     """Return the point that the moments of joint j are taken about, shape (3, lanes)."""
     return O[max(layout.moment_y[j], layout.moment_z[j])]
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _moment_levers(layout, W, O, M, B, A, H, D):
     """A[l], H[l]: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
     for j in range(len(layout.masses)):
@@ -388,15 +409,15 @@ def _add_scaled(a, v, out):
 
 
 @njit(**_INNER)
-def _take_back(layout, k, of_coordinates):
+def _take_back(less, k, of_coordinates):
     """Take what coordinate k does off what the one does that it takes back, in an array of all coordinates."""
-    earlier = layout.less[k]
+    earlier = less[k]
     if earlier >= 0:
         for i in range(of_coordinates.shape[1]):
             of_coordinates[earlier, i] -= of_coordinates[k, i]
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
     """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two running sums over the chain (module docstring)."""
     rows, n = len(a), len(layout.masses)
@@ -422,7 +443,7 @@ def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
                     for i in range(LANES):
                         along = behind[r, 0, i] * W[k, 0, i] + behind[r, 1, i] * W[k, 1, i]
                         V[r, k, i] = M[j, i] * (along + behind[r, 2, i] * W[k, 2, i])
-                    _take_back(layout, k, V[r])
+                    _take_back(layout.less, k, V[r])
             if k == layout.moment_cut[j]:
                 for l in range(3 * j, 3 * j + 3):
                     _turned_gravity(layout.gravity, A[l], u)
@@ -433,7 +454,7 @@ def _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V):
                                 ahead[r, q, i] -= a[r, l, i] * H[l, q, i]
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _pull_back(compliances, start, m, J, a):
     """a[r, l] += sum over the coordinates k that follow moment l of J[r, k] d x_k / d n_l."""
     constant = compliances.rate.shape[1] == 1
@@ -448,7 +469,25 @@ def _pull_back(compliances, start, m, J, a):
                     a[r, l, i] += J[r, k, i] * compliances.rate[e, start + i]
 
 
-@njit(**_INNER)
+@njit(**_PART)
+def _follow_moments(layout, compliances, start, m, sweeps, J, W, O, M, B, H, A, a0, a, ahead, behind, h, u, V):
+    """V[:, k]: how the tip moves by what coordinate k does to the moments; a[r, l]: by one unit of moment l."""
+    for r in range(len(a)):
+        for l in range(a.shape[1]):
+            _set(a0[r, l], 0.0)
+    moved = J
+    for sweep in range(sweeps + 1):
+        for r in range(len(a)):
+            _copy_rows(a0[r], a[r])
+        _pull_back(compliances, start, m, moved, a)
+        _through_moments(layout, W, O, M, B, H, A, a, ahead, behind, h, u, V)
+        if sweep == 0:
+            moved = V
+            for r in range(len(a)):
+                _copy_rows(a[r], a0[r])
+
+
+@njit(**_PART)
 def _kinematic_columns(layout, W, O, p, J):
     """J[:, k]: the motion of the tip (and its turning, where J has six rows) by coordinate k."""
     rows = len(J)
@@ -459,7 +498,7 @@ def _kinematic_columns(layout, W, O, p, J):
             for r in range(3, rows):
                 _set(J[r, k], 0.0)
             for r in range(3):
-                _take_back(layout, k, J[r])
+                _take_back(layout.less, k, J[r])
             continue
         for i in range(LANES):
             dx, dy, dz = p[0, i] - O[k, 0, i], p[1, i] - O[k, 1, i], p[2, i] - O[k, 2, i]
@@ -470,7 +509,7 @@ def _kinematic_columns(layout, W, O, p, J):
             _copy(W[k, r - 3], J[r, k])
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _parameter_columns(terms, start, m, J, V, through, loop, out):
     """Add each term's share to its parameter's column; rigid terms also act through the moments."""
     for e in range(len(terms.coordinate)):
@@ -491,7 +530,7 @@ def _parameter_columns(terms, start, m, J, V, through, loop, out):
                     out[q, r, start + i] += terms.basis[j, start + i] * V[r, k, i]
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _body_columns(layout, bodies, start, m, O, F, A, a, u, U, S, out):
     """Set the columns of what masses depend on: they act through the moments alone.
 
@@ -534,7 +573,7 @@ def _buffers(K):
     return coordinates[0], coordinates[1], coordinates[2], _room(3, 3), _room(1, 3)[0], _room(K, 3), _room(K, 3)
 
 
-@njit(**_INNER)
+@njit(**_PART)
 def _note_poses(R, p, start, m, out):
     """Put the frames of poses start .. start + m into out, shape (3, 4, N)."""
     for r in range(3):
@@ -543,96 +582,84 @@ def _note_poses(R, p, start, m, out):
             out[r, 3, start + i] = p[r, i]
 
 
-@njit(cache=True, **_COMPILE)
-def static_moments(layout, values, payload):
-    """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
-    N, K, n = len(payload.mass), len(values.constant), len(layout.masses)
-    x, c, s, R, p, W, O = _buffers(K)
-    M, B, mass, D = _room(1, n)[0], _room(n, 3), _room(1, 1)[0, 0], _room(1, 3)[0]
-    A, H, F = _room(3 * n, 3), _room(3 * n, 3), _room(0, 3)
-    out = np.empty((1, 3 * n, N))[0]
-    g = layout.gravity
-    for start in range(0, N, LANES):
-        m = min(LANES, N - start)
-        _load(layout, values, start, m, x, c, s, start == 0)
-        _walk_bodies(layout, payload, start, m, x, c, s, R, p, W, O, M, B, mass, F)
-        _moment_levers(layout, W, O, M, B, A, H, D)
-        for l in range(3 * n):
-            for i in range(m):
-                out[l, start + i] = H[l, 0, i] * g[0] + H[l, 1, i] * g[1] + H[l, 2, i] * g[2]
-    return out
+@njit(**_PART)
+def _note_moments(g, H, start, m, out):
+    """Put the moments of poses start .. start + m into out, shape (3 n, N)."""
+    for l in range(len(out)):
+        for i in range(m):
+            out[l, start + i] = H[l, 0, i] * g[0] + H[l, 1, i] * g[1] + H[l, 2, i] * g[2]
 
 
-@njit(cache=True, **_COMPILE)
-def tip_poses(layout, values, places):
-    """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
-    N, K = len(places.tool), len(values.constant)
-    x, c, s, R, p, W, O = _buffers(K)
-    out = np.empty((3, 4, N))
-    for start in range(0, N, LANES):
-        m = min(LANES, N - start)
-        _load(layout, values, start, m, x, c, s, start == 0)
-        _walk_arm(layout, places, start, m, x, c, s, R, p, W, O)
-        _note_poses(R, p, start, m, out)
-    return out
-
-
-@njit(cache=True, **_COMPILE)
-def tip_jacobian(layout, values, rigid, places, payload, terms, compliances, bodies, n_parameters, rows, sweeps):
-    """Return the target's poses and the derivative of its motion by every parameter.
+@njit(cache=True, **_WHOLE)
+def evaluate(layout, values, rigid, places, payload, terms, compliances, bodies, n_parameters, rows, sweeps):
+    """Return poses, static moments and columns, as far as they are asked for: one loop, as each takes seconds to compile.
 
     Args:
         layout: the chain.
         values: coordinates of the deformed arm.
         rigid: coordinates that the moments are computed on.
-        places: which reference orientations hold.
-        payload: mass beyond the tip.
+        places: which reference orientations hold; without any no poses are computed.
+        payload: mass beyond the tip; without any no moments are computed.
         terms: the parameters.
         compliances: how coordinates follow the moments; may be empty.
         bodies: the parameters that masses depend on; may be empty.
         n_parameters: number P of columns.
-        rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the instrument's axes.
+        rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the instrument's axes; 0 for the
+            moments themselves instead of columns.
         sweeps: 0 for moments on the undeformed arm; else how often the effect of deformation on the moments is
             followed round.
 
     Returns:
-        Poses, shape (3, 4, N), and Jacobian, shape (P, rows, N).
+        Poses, shape (3, 4, N), moments, shape (3 n, N), and columns, shape (P, rows, N); what is not asked for is empty.
     """
-    N, K, n = len(places.tool), len(values.constant), len(layout.masses)
-    x, c, s, R, p, W, O = _buffers(K)
-    y, cy, sy, Rb, q, Wb, Ob = _buffers(K)
+    N, K, n = values.varying.shape[1], len(values.constant), len(layout.masses)
+    posed, through, weighs = len(places.tool) > 0, len(compliances.coordinate) > 0, len(bodies.joint) > 0
+    laden = len(payload.mass) > 0 and (through or rows == 0)
+    x, c, s, R, p, W, O = _buffers(K if posed else 0)
+    y, cy, sy, Rb, q, Wb, Ob = _buffers(K if laden else 0)
     M, B, mass, S = _room(1, n)[0], _room(n, 3), _room(1, 1)[0, 0], _room(1, 1)[0, 0]
     h, u, U = _room(1, 3)[0], _room(1, 3)[0], _room(1, 3)[0]
     A, H = _room(3 * n, 3), _room(3 * n, 3)
     a0, a = _room(rows, 3 * n), _room(rows, 3 * n)
     ahead, behind = _room(rows, 3), _room(rows, 3)
-    J, V = _room(rows, K), np.zeros((rows, K, LANES))
-    poses, out = np.empty((3, 4, N)), np.zeros((n_parameters, rows, N))
-    through, weighs = len(compliances.coordinate) > 0, len(bodies.joint) > 0
-    F = _room(4 * n if weighs else 0, 3)
+    J, V, F = _room(rows, K), np.zeros((rows, K, LANES)), _room(4 * n if weighs else 0, 3)
+    poses, columns = np.empty((3, 4, N if posed else 0)), np.zeros((n_parameters, rows, N))
+    moments = np.empty((1, 3 * n, N if laden and rows == 0 else 0))[0]
     for start in range(0, N, LANES):
         m = min(LANES, N - start)
-        _load(layout, values, start, m, x, c, s, start == 0)
-        _walk_arm(layout, places, start, m, x, c, s, R, p, W, O)
-        _note_poses(R, p, start, m, poses)
-        _kinematic_columns(layout, W, O, p, J)
-        if through:
-            _load(layout, rigid, start, m, y, cy, sy, start == 0)
+        if posed:
+            _load(layout.kind, values, start, m, x, c, s, start == 0)
+            _walk_arm(layout, places, start, m, x, c, s, R, p, W, O)
+            _note_poses(R, p, start, m, poses)
+        if laden:
+            _load(layout.kind, rigid, start, m, y, cy, sy, start == 0)
             _walk_bodies(layout, payload, start, m, y, cy, sy, Rb, q, Wb, Ob, M, B, mass, F)
             _moment_levers(layout, Wb, Ob, M, B, A, H, u)
-            for r in range(rows):
-                for l in range(3 * n):
-                    _set(a0[r, l], 0.0)
-            _pull_back(compliances, start, m, J, a0)
-            for r in range(rows):
-                _copy_rows(a0[r], a[r])
-            _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
-            for _ in range(sweeps):
-                for r in range(rows):
-                    _copy_rows(a0[r], a[r])
-                _pull_back(compliances, start, m, V, a)
-                _through_moments(layout, Wb, Ob, M, B, H, A, a, ahead, behind, h, u, V)
+        if rows == 0:
+            if laden:
+                _note_moments(layout.gravity, H, start, m, moments)
+            continue
+        _kinematic_columns(layout, W, O, p, J)
+        if through:
+            _follow_moments(layout, compliances, start, m, sweeps, J, Wb, Ob, M, B, H, A, a0, a, ahead, behind, h, u, V)
             if weighs:
-                _body_columns(layout, bodies, start, m, Ob, F, A, a, u, U, S, out)
-        _parameter_columns(terms, start, m, J, V, through, sweeps > 0, out)
-    return poses, out
+                _body_columns(layout, bodies, start, m, Ob, F, A, a, u, U, S, columns)
+        _parameter_columns(terms, start, m, J, V, through, sweeps > 0, columns)
+    return poses, moments, columns
+
+
+_NONE = np.empty(0, np.int64)
+_NOWHERE, _NO_LOAD = Places(_NONE, _NONE), Payload(np.empty(0), np.zeros(3))
+_NO_TERMS = Terms(_NONE, _NONE, _NONE, np.empty(0, bool), np.empty((0, 0)))
+_STIFF = Compliances(_NONE, _NONE, np.empty((0, 1)))
+_NO_BODIES = Bodies(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
+
+
+def static_moments(layout: Layout, values: Values, payload: Payload) -> np.ndarray:
+    """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
+    return evaluate(layout, values, values, _NOWHERE, payload, _NO_TERMS, _STIFF, _NO_BODIES, 0, 0, 0)[1]  # type: ignore[no-any-return]
+
+
+def tip_poses(layout: Layout, values: Values, places: Places) -> np.ndarray:
+    """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
+    return evaluate(layout, values, values, places, _NO_LOAD, _NO_TERMS, _STIFF, _NO_BODIES, 0, 0, 0)[0]  # type: ignore[no-any-return]

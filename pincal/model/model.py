@@ -189,7 +189,7 @@ class Model:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
         n_columns = int(columns.max(initial=-1)) + 1
-        return kernels.tip_jacobian(  # type: ignore[no-any-return]
+        poses, _, jacobian = kernels.evaluate(
             state.layout,
             state.deformed,
             state.rigid,
@@ -202,6 +202,7 @@ class Model:
             rows,
             _SWEEPS if self.equilibrium else 0,
         )
+        return poses, jacobian
 
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
@@ -423,7 +424,7 @@ class _RowValues(NamedTuple):
     def of(cls, values: np.ndarray, setup: np.ndarray) -> _RowValues:
         """Return the values at all rows, given for each set-up, and the set-up of each row."""
         if values.ndim == 1:
-            return cls(values)
+            return cls(values.tolist())
         varied = np.any(values != values[:, :1], axis=1)
         by_row = [value[setup] if varies else value[0] for value, varies in zip(values, varied, strict=True)]
         return cls(by_row, frozenset(np.flatnonzero(varied).tolist()))
@@ -431,13 +432,14 @@ class _RowValues(NamedTuple):
 
 def _coordinates(model: Model, by_row: _RowValues, conditions: Conditions, terms: list[tuple[int, Term]]) -> Values:
     values, varied = by_row
-    constant = model.chain.nominal.copy()
+    # Python adds its own numbers faster than those of an array.
+    constant = model.chain.nominal.tolist()
     for p, term in terms:
         if term.basis is None and p not in varied:
             constant[term.coordinate] += values[p]
     varying: dict[int, np.ndarray] = {}
-    for i, k in enumerate(model.chain.drives):
-        varying[int(k)] = constant[k] + conditions.q[:, i]
+    for i, k in enumerate(model.chain.drives.tolist()):
+        varying[k] = constant[k] + conditions.q[:, i]
     for p, term in terms:
         # Candidates of a discovery stand at zero, hundreds of them.
         if p in varied or (term.basis is not None and values[p]):
@@ -446,7 +448,7 @@ def _coordinates(model: Model, by_row: _RowValues, conditions: Conditions, terms
             varying[k] = (varying[k] if k in varying else constant[k]) + change
     slot = np.full(len(constant), -1)
     slot[list(varying)] = np.arange(len(varying))
-    return Values(constant, slot, _stack(list(varying.values()), len(conditions)))
+    return Values(np.array(constant), slot, _stack(list(varying.values()), len(conditions)))
 
 
 def _stack(rows: list[np.ndarray], n: int) -> np.ndarray:
