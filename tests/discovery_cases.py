@@ -32,7 +32,8 @@ from pincal.identify.split import hold_out, row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model import catalogue
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
-from pincal.model.effects import ELASTIC, Effect
+from pincal.model.effects import ELASTIC, BearingElasticity, Effect, JointElasticity
+from pincal.model.model import Model
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.state import Deformation, Loads, Poses
 
@@ -230,6 +231,7 @@ def _setting(
     machine = machine.draw_errors(
         rng, sigma_length=2e-4 if light else 5e-4, sigma_angle=1e-3, sigma_offset=1e-3 if light else 2e-3
     ).draw_masses(rng, sigma=masses)
+    machine = replace(machine, moment_frame=moment_frame)
     if elastic:
         # The wrist is softer than the shoulder, as it is smaller.
         drive = np.array([1.0, 1.0, 1.5, 8.0, 8.0, 12.0]) * rng.uniform(0.7, 1.3, 6) * (5e-6 if light else 2e-7)
@@ -237,7 +239,7 @@ def _setting(
         if is_fresh(arm):
             # Soft one way: where the frames of the URDF are turned, across none of Denavit and Hartenberg's axes.
             bearing *= rng.uniform(0.4, 1.6, (2, 6))
-        machine = replace(machine, compliance=np.vstack([bearing, drive]).T, moment_frame=moment_frame)
+        machine = replace(machine, compliance=np.vstack([bearing, drive]).T)
     q = sim.plan_poses(machine.nominal, n, rng, min_height=-0.5 if light else 0.1)
     load = 6.0 if light else float(rng.choice([60.0, 100.0, 120.0]))
     payload = np.full(n, load)
@@ -275,10 +277,11 @@ def _plain(options: Options, *, moment_frame: MomentFrame, elastic: bool) -> Opt
 class _Absorber:
     """Takes off a difference of positions what a refitted elastic model takes up, to first order."""
 
-    def __init__(self, setting: _Setting, options: Options) -> None:
+    def __init__(self, setting: _Setting, options: Options, soft: HiddenEffect | None = None) -> None:
+        """Take the model of some options, and masses that show through its compliances and through what is soft."""
         rows = _table(setting, setting.positions())
         fit = calibrate(setting.robot, rows, replace(options, loss="none"))
-        masses = MassError.of(fit.model, fit.values)
+        masses = MassError.of(*_bent(fit, soft))
         model = fit.model.with_effects([*fit.model.effects, *([masses] if masses else [])])
         relative = [parameter.size for parameter in model.parameters[len(fit.values) :]]
         free = np.ones(model.n_parameters, bool)
@@ -307,6 +310,16 @@ class _Absorber:
         p = np.linalg.lstsq(A / scale, target, rcond=None)[0]
         # Only what is left of the readings: parameters that leave their priors show nothing.
         return float(np.sum((target - A / scale @ p)[: len(d)] ** 2))
+
+
+def _bent(fit: Fit, soft: HiddenEffect | None) -> tuple[Model, np.ndarray]:
+    """Return a fit's model and values with the hidden compliance of one drive or bearing, as soft in all directions."""
+    if soft is None:
+        return fit.model, fit.values
+    effect = {kind.name: kind for kind in (JointElasticity, BearingElasticity)}[soft.effect]((str(soft.joint),))
+    model = fit.model.with_effects([*fit.model.effects, effect])
+    sizes = [size for name, size in vars(soft).items() if name in ("size", "size_y")]
+    return model, np.append(fit.values, np.full(model.n_parameters - len(fit.values), np.mean(sizes)))
 
 
 def _table(setting: _Setting, positions: np.ndarray) -> Measurements:
@@ -511,7 +524,8 @@ def draw_case(
             effect, got, raw_one = _scaled(effect, wanted, setting, absorber)
             raw = max(raw, raw_one)
             if raw_one < _RAW:
-                seen = min(seen, absorber.seen(setting.positions(effect) - setting.positions()))
+                through = _Absorber(setting, plain, effect) if part in ELASTICITY else absorber
+                seen = min(seen, through.seen(setting.positions(effect) - setting.positions()))
             hidden.append(effect)
         if raw < _RAW and (len(hidden) < 2 or (hidden[0].effect, hidden[0].joint) != (hidden[1].effect, hidden[1].joint)):
             break
@@ -672,15 +686,17 @@ def judge(case: Case, trail: History | None = None) -> Verdict:
     """Return what a discovery made of a case; of a new one unless its trail is given."""
     trail = discover(case) if trail is None else trail
     named, details, elastic = [], [], False
-    sure = [(effect, estimate) for effect, estimate, _ in sure_compliances(trail.final)]
-    instead = {(name_of(c), name_of(other)) for c, estimate in sure for other in instead_of(trail.last, c, estimate)}
+    sure = [entry for step in trail.steps if step.is_elastic for entry in sure_compliances(trail.final, step.effects)]
+    instead = {(name_of(s.effect), name_of(other)) for s in sure for other in instead_of(trail.last, s.effect, s.estimate)}
     for step in trail.steps:
         names = tuple(name_of(e) for e in (step.effects[0], *step.equivalent))
         if names[0][0] in ELASTICITY:
             elastic = True
             if case.is_soft:
-                named += [(name_of(compliance),) for compliance, _ in sure]
-                details += [_words(name_of(compliance)) for compliance, _ in sure]
+                own = sure_compliances(trail.final, step.effects, step.equivalent)
+                found = [[name_of(e) for e in (entry.effect, *entry.others)] for entry in own]
+                named += map(tuple, found)
+                details += [" ~ ".join(map(_words, names)) for names in found]
             else:
                 details += [f"({_words(compliance)} ~ {_words(other)})" for compliance, other in sorted(instead)]
             continue

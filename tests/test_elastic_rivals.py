@@ -38,7 +38,7 @@ def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect) -> Fit:
 
 def bearing_of(fit: Fit, joint: str) -> tuple[Effect, Estimate]:
     """Return the compliance of one joint's bearing, which is sure, and its parameters."""
-    sure = {effect.heading[:2]: (effect, estimate) for effect, estimate, _ in sure_compliances(fit)}
+    sure = {effect.heading[:2]: (effect, estimate) for effect, estimate, *_ in sure_compliances(fit, fit.problem.effects)}
     return sure["bearing_elasticity", joint]
 
 
@@ -69,8 +69,8 @@ def test_a_bearing_that_gives_way_has_no_rival(tmp_path: Path) -> None:
 def test_a_compliance_is_as_sure_as_a_fit_without_it_is_bad(tmp_path: Path) -> None:
     """Its chance is that of the score test on the fit without it, whatever k_x and k_y trade with each other."""
     fit = fit_of(tmp_path, sim.BaseElasticity(size=1.5e-7))
-    sure = [(effect, p_value) for effect, _, p_value in sure_compliances(fit) if effect.name == "bearing_elasticity"]
-    compliance, p_value = sure[0]
+    bearings = [effect for effect in fit.problem.effects if effect.name == "bearing_elasticity"]
+    compliance, _, p_value, _ = sure_compliances(fit, bearings)[0]
     rest = without_compliance(fit, compliance)
     joint = str(compliance.locus.joint)
     more = [type(e)(joint) for e in fit.problem.effects if e.name == "oblique_bearing"]

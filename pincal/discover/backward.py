@@ -9,6 +9,7 @@ import numpy as np
 
 from pincal.discover.candidate_tests import Search, choose
 from pincal.discover.decisions import each_heading_once
+from pincal.discover.elastic_ways import with_features
 from pincal.discover.forward import decided, listed
 from pincal.discover.history import State, Step
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
@@ -92,8 +93,11 @@ def _worths(state: State, search: Search) -> dict[Step, float]:
     # Masses bend the arm only by way of its compliances, and can't take their place.
     heavy = [effect for effect in state.fit.problem.effects if effect.bodies(state.fit.problem.chain)]
     for step in state.steps:
-        still = state.fit.names_of(heavy) if step.is_elastic else ()
-        losses = tests.losses_by_block(set(state.fit.names_of(step.effects)), still)
+        own = with_features(state.fit, step.effects)
+        # Nor does the place of a bearing that does not give way matter.
+        places = [e for e in own if e.locus.acts_on == "place"]
+        still = state.fit.names_of([*heavy, *places]) if step.is_elastic else ()
+        losses = tests.losses_by_block(set(state.fit.names_of(own)) - set(still), still)
         found[step] = standard_errors(losses)
     return found
 
@@ -109,7 +113,7 @@ def _with_rivals(state: State, gone: Step, failed: list[Step], search: Search) -
 
 
 def _without_all(fit: Fit, step: Step) -> Fit:
-    for effect in step.effects:
+    for effect in with_features(fit, step.effects):
         fit = without(fit, effect)
     return fit
 
@@ -121,9 +125,11 @@ def _may_be_chance(fit: Fit, step: Step, policy: Policy) -> bool:
     wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
     if wald > policy.sure * len(values):
         return False
-    tested = score_test_beside_masses(_without_all(fit, step), step.effects)
+    own = with_features(fit, step.effects)
+    # Fitted again, since the others may lean on it: what they leave without it is not what they must.
+    tested = score_test_beside_masses(refit(fit, _without_all(fit, step).options.effects), own)
     limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
-    return tested.p_value_of_any(range(len(step.effects))) > limit
+    return tested.p_value_of_any(range(len(own))) > limit
 
 
 def merge_parts(state: State, search: Search) -> State:

@@ -86,7 +86,7 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
     return CandidateTable(
         rows,
         policy.least_gain(tests.squares, declared=fit.is_declared),
-        left_given=lambda i, given: tests.score_given(i, given).p_value,
+        left_given=lambda i, given: tests.score_given([i], [given]).p_value,
         cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
         predicts=predicts,
     )

@@ -59,14 +59,7 @@ class CandidateTable:
 
     def rivals(self, best: int, policy: Policy) -> list[Effect]:
         """Return the candidates that explain the data as well: little is left for the best once one of them is in."""
-        rows, found = self.rows, []
-        for i in self.cheapest():
-            worse = rows[i].cost - rows[best].cost
-            if i == best or not rows[i].score.rank or worse >= policy.near_tie:
-                continue
-            if self.left_given(best, i) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
-                found.append(rows[i].effect)
-        return found
+        return rivals_of(self.rows, best, self.left_given, policy)
 
     def curves_beside(self, effect: Effect) -> list[int]:
         """Return the drive curves of the joint on which a simple curve of its position acts; none of another effect."""
@@ -74,6 +67,18 @@ class CandidateTable:
             return []
         joint = effect.locus.joint
         return [i for i, row in enumerate(self.rows) if isinstance(row.effect, Curve) and row.effect.locus.joint == joint]
+
+
+def rivals_of(rows: Sequence[Row], best: int, left_given: Callable[[int, int], float], policy: Policy) -> list[Effect]:
+    """Return the candidates that explain the data as well as the best, the cheapest first; see :class:`CandidateTable`."""
+    found = []
+    for i in sorted(range(len(rows)), key=lambda i: rows[i].cost):
+        worse = rows[i].cost - rows[best].cost
+        if i == best or not rows[i].score.rank or worse >= policy.near_tie:
+            continue
+        if left_given(best, i) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
+            found.append(rows[i].effect)
+    return found
 
 
 @dataclass(frozen=True)

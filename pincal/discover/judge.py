@@ -136,8 +136,8 @@ def _found(
     known = calibration.fit.estimate
     if step.is_elastic:
         found = [
-            (effect, e, known.take(e.names).fitted_sigma, p_value, *_in_its_place(trail, effect, e, others=step.equivalent))
-            for effect, e, p_value in sure_compliances(trail.final)
+            (effect, e, known.take(e.names).fitted_sigma, p_value, *_in_its_place(trail, effect, e, others=others))
+            for effect, e, p_value, others in sure_compliances(trail.final, step.effects, step.equivalent)
         ]
     else:
         rivals = step.equivalent[:1]

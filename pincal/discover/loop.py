@@ -11,9 +11,9 @@ import numpy as np
 from pincal.discover.backward import drop_needless, merge_parts, name_again
 from pincal.discover.candidate_tests import Search, addable, named_tests, sampled, variants
 from pincal.discover.decisions import each_heading_once, is_own_curve
-from pincal.discover.forward import add_effects
+from pincal.discover.forward import add_effects, bent
 from pincal.discover.history import History, State
-from pincal.discover.moment_frames import best_frame, fit_cost, in_frame, is_brought, likeliest_frame
+from pincal.discover.moment_frames import best_frame, fit_cost, in_frame, is_brought, likeliest_frame, single_compliance
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import curves_over, refined
 from pincal.discover.settling import settle
@@ -58,7 +58,14 @@ def discover_effects(
 
 def start_in_likeliest_frame(state: State, search: Search) -> State:
     """Take the convention of moments in which elasticity explains most."""
-    return State(in_frame(state.fit, likeliest_frame(state.fit, search.frames))) if len(search.frames) > 1 else state
+    if len(search.frames) < 2:
+        return state
+    single = single_compliance(state.fit, search.frames, search.policy)
+    if single is None:
+        return State(in_frame(state.fit, likeliest_frame(state.fit, search.frames)))
+    frame, way = single
+    fit = in_frame(state.fit, frame)
+    return State(fit).with_step(bent(fit, way))
 
 
 def compare_frames(state: State, search: Search) -> State:

@@ -7,11 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from pincal.discover.candidate_tests import has_compliance
+from pincal.discover.decisions import each_heading_once
+from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
 from pincal.discover.policy import Policy
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
-from pincal.identify.moment_frames import best_of, misfit
+from pincal.identify.moment_frames import FRAME_BETTER, best_of, misfit
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import ELASTIC
 
@@ -34,6 +37,27 @@ def likeliest_frame(fit: Fit, frames: Sequence[MomentFrame]) -> MomentFrame:
     """Return the convention in which elasticity explains most; the first unless another does so beyond chance."""
     effects = [*fit.options.effects, *(e for e in ELASTIC if e.uses_moments and e not in fit.options.effects)]
     return best_of([refit(fit, effects, moment_frame=frame) for frame in frames])
+
+
+def single_compliance(fit: Fit, frames: Sequence[MomentFrame], policy: Policy) -> tuple[MomentFrame, ElasticWay] | None:
+    """Return the convention in which one drive or bearing is all that gives way; None where more does, or nothing.
+
+    It would be lost among the many parameters by which whole arms differ between conventions. What explains as much in
+    another convention is told as equivalent.
+    """
+    if has_compliance(fit.options.effects):
+        return None
+    ways = {frame: way for frame in frames if (way := elastic_way(in_frame(fit, frame), policy))}
+    costs = {frame: way.score.ebic for frame, way in ways.items()}
+    if not ways:
+        return None
+    least = min(costs, key=lambda frame: costs[frame])
+    frame = frames[0] if costs.get(frames[0], np.inf) < costs[least] + FRAME_BETTER else least
+    if not ways[frame].is_single:
+        return None
+    close = [way for other, way in ways.items() if way.is_single and costs[other] < costs[frame] + policy.tie]
+    every = (*ways[frame].equivalent, *(effect for way in close for effect in (*way.effects, *way.equivalent)))
+    return frame, replace(ways[frame], equivalent=each_heading_once(every, ways[frame].effects[0], policy))
 
 
 def best_frame(state: State, frames: Sequence[MomentFrame], policy: Policy, *, rough: bool) -> MomentFrame:

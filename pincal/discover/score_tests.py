@@ -138,11 +138,11 @@ class ScoreTests:
         looks = float(np.prod([self.effects[i].looks for i in which]))
         return self._judged(*self.gain(which), groups, looks)
 
-    def score_given(self, which: int, given: int) -> Score:
-        """Return the test of what one candidate still explains once another is in the model."""
-        both, rank_both = self.gain([which, given])
-        alone, rank_alone = self.gain([given])
-        return self._judged(both - alone, max(rank_both - rank_alone, 0), 1)
+    def score_given(self, which: Sequence[int], given: Sequence[int]) -> Score:
+        """Return the test of what some candidates still explain once others are in the model."""
+        both, rank_both = self.gain(sorted({*which, *given}))
+        alone, rank_alone = self.gain(given)
+        return self._judged(both - alone, max(rank_both - rank_alone, 0), 1, beside=(alone, rank_alone))
 
     def p_value_of_any(self, which: Sequence[int]) -> float:
         """Return the p-value of some candidates, of all as one or of one of them alone, its choice paid for.
@@ -152,14 +152,17 @@ class ScoreTests:
         alone = (len(which) * self.score([i], 1).p_value for i in which)
         return min(self.score(which, 1).p_value, *alone)
 
-    def _judged(self, gain: float, rank: int, groups: int, looks: float = 1.0) -> Score:
+    def _judged(
+        self, gain: float, rank: int, groups: int, looks: float = 1.0, beside: tuple[float, int] = (0.0, 0)
+    ) -> Score:
         if rank == 0:
             return Score(0.0, 0, 1.0, np.inf)
-        gain = min(gain, 0.999999 * self.squares)
-        left, rest = self.squares - gain, max(self.dof - rank, 1.0)
+        squares, dof = max(self.squares - beside[0], 1e-6 * self.squares), self.dof - beside[1]
+        gain = min(gain, 0.999999 * squares)
+        left, rest = squares - gain, max(dof - rank, 1.0)
         p_value = min(looks * float(fdtrc(rank, rest, (gain / rank) / (left / rest))), 1.0)
         price = rank * np.log(self.readings) + 2.0 * np.log(max(groups, 1) * looks)
-        ebic = self.readings * np.log(left / self.squares) + price
+        ebic = self.readings * np.log(left / squares) + price
         return Score(gain, rank, p_value, float(ebic))
 
     def log_evidence(self, which: Sequence[int]) -> float:

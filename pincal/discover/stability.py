@@ -138,6 +138,6 @@ def _groups(trail: History) -> Iterator[Group]:
     """Yield what a search found as its findings name it: elasticity joint by joint."""
     for step in trail.steps:
         if step.is_elastic:
-            yield from ((effect.heading,) for effect, *_ in sure_compliances(trail.final))
+            yield from ((sure.effect.heading,) for sure in sure_compliances(trail.final, step.effects))
         else:
             yield (step.effect.heading, *(other.heading for other in step.equivalent))

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace as changed
 from scipy.special import chdtrc
 
-from pincal.discover.history import History
+from pincal.discover.decisions import each_heading_once
+from pincal.discover.history import History, Step
 from pincal.discover.levers import levers
 from pincal.discover.locate import Place, locate
+from pincal.discover.policy import POLICY
 from pincal.discover.scatter import Excess
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import Disagreement
@@ -49,7 +53,7 @@ def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple
     for step in trail.steps:
         if step.is_elastic:
             fit = step.after
-            found.append(_elastic(step.before, fit, sigma))
+            found.append(_elastic(step, sigma))
     places, regions = _located(fit, sigma)
     for name, place in places:
         region, words = None if place.joint else "whole arm", _words(place, robot)
@@ -92,11 +96,11 @@ def _excess(fit: Fit, sigma: np.ndarray) -> float:
     return float(np.sum(degrees * ((solution.estimated / sigma) ** 2 - 1.0)))
 
 
-def _elastic(before: Fit, after: Fit, sigma: np.ndarray) -> Disagreement:
-    """Say how much of what the geometric model leaves follows the static moments, and where it is strongest."""
-    whole = _excess(before, sigma)
-    share = 1.0 - max(_excess(after, sigma), 0.0) / whole if whole > 0.0 else 0.0
-    joint = sure_compliances(after)[0][0].locus.joint
+def _elastic(step: Step, sigma: np.ndarray) -> Disagreement:
+    """Say how much of what a model leaves follows the static moments, and where it is strongest."""
+    whole = _excess(step.before, sigma)
+    share = 1.0 - max(_excess(step.after, sigma), 0.0) / whole if whole > 0.0 else 0.0
+    joint = sure_compliances(step.after, step.effects)[0].effect.locus.joint
     statement = f"what the geometric model leaves follows the static moments on the joints, that on {joint} above all"
     return Disagreement(statement, float(np.clip(share, 0.0, 1.0)), joint)
 
@@ -113,31 +117,54 @@ def _left_along(fit: Fit, excess: Excess, sigma: np.ndarray) -> Disagreement:
     return Disagreement(excess.statement, share, excess.joint)
 
 
-def sure_compliances(fit: Fit) -> list[tuple[Effect, Estimate, float]]:
-    """Return the compliances of single joints and bearings that are far from zero, the surest first.
+class Sure(NamedTuple):
+    """A compliance of one joint that is far from zero.
+
+    Attributes:
+        effect: the drive or the bearing.
+        estimate: its parameters and those of the same name that go with them.
+        p_value: the chance of compliances as large if there were none.
+        others: what could give way instead: none of its step is sure, or the data can't tell it from these.
+    """
+
+    effect: Effect
+    estimate: Estimate
+    p_value: float
+    others: tuple[Effect, ...]
+
+
+def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effect, ...] = ()) -> list[Sure]:
+    """Return the compliances among effects that are far from zero, the surest first.
+
+    Args:
+        fit: the fit in which they are.
+        effects: what entered together.
+        equivalent: what the data can't tell from it.
 
     Returns:
-        For each the effect, its parameters and those of the same name that go with them, and the chance of compliances as
-        large if there were none.
+        If none is far from zero, the surest alone, with the others in its place.
     """
     found, chain = [], fit.problem.chain
-    for effect in fit.problem.effects:
+    for effect in effects:
         if not isinstance(effect, Compliance):
             continue
         likes = [e for e in fit.problem.effects if e.heading[0] == effect.heading[0]]
         names = [parameter.name for e in likes for parameter in e.parameters(chain)]
-        for joint in dict.fromkeys(p.name.rsplit(".", 1)[0] for p in effect.parameters(chain)):
-            single = replace(effect, joints=(joint,))
-            estimate = fit.estimate.take(name for name in names if name.rsplit(".", 1)[0] == joint)
+        for single in effect.parts(chain):
+            estimate = fit.estimate.take(name for name in names if name.rsplit(".", 1)[0] == single.only)
             # Where it sits says nothing of whether it gives way.
             bends = estimate.take(p.name for p in estimate.parameters if p.unit.endswith("/(N m)"))
             # Two that trade with each other may be sure together and neither of them alone.
             known = np.linalg.pinv(bends.dense_covariance(), hermitian=True)
             z2 = float(bends.values @ known @ bends.values)
-            found.append((z2, single, estimate, len(bends)))
+            found.append((z2, len(bends), Sure(single, estimate, float(chdtrc(len(bends), z2)), equivalent)))
     found.sort(key=lambda item: -item[0])
-    sure = [item for item in found if item[0] > _SIGNIFICANT**2 * item[3]] or found[:1]
-    return [(effect, estimate, float(chdtrc(size, z2))) for z2, effect, estimate, size in sure]
+    sure = [entry for z2, size, entry in found if z2 > _SIGNIFICANT**2 * size]
+    if sure:
+        return sure
+    first, *others = (entry for _, _, entry in found)
+    rivals = each_heading_once((*equivalent, *(other.effect for other in others)), first.effect, POLICY)
+    return [first._replace(others=rivals)]
 
 
 _FOLLOWED = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import ClassVar, final
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self, final
 
 import numpy as np
 
@@ -30,6 +30,11 @@ class Compliance(Discoverable):
     family: ClassVar[Family] = Family.ELASTICITY
     uses_moments: ClassVar[bool] = True
 
+    @property
+    def least_moment(self) -> float:
+        """None of one joint alone: where it is all that gives way, the data see it."""
+        return super().least_moment if self.only is None else 0.0
+
     @staticmethod
     @abstractmethod
     def _symbols(chain: Chain) -> tuple[str, ...]:
@@ -41,8 +46,14 @@ class Compliance(Discoverable):
         """Yield the terms of one joint, whose parameters count from 0."""
 
     @property
-    def _only(self) -> str | None:
+    def only(self) -> str | None:
+        """The joint, if it is one alone."""
         return self.joints[0] if self.joints is not None and len(self.joints) == 1 else None
+
+    @final
+    def parts(self, chain: Chain) -> tuple[Self, ...]:
+        """Return the compliance of each joint by itself."""
+        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.joint_names)
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -87,7 +98,7 @@ class JointElasticity(Compliance):
     @property
     def locus(self) -> Locus:
         """The elastic rotations of its drives, which follow the moments there."""
-        return Locus(self._only, "gamma_z", MOMENT)
+        return Locus(self.only, "gamma_z", MOMENT)
 
     @classmethod
     def candidates(cls, situation: Situation) -> Iterator[Candidate]:
@@ -131,7 +142,7 @@ class BearingElasticity(Compliance):
     @property
     def locus(self) -> Locus:
         """The tilts of its bearings, which follow the moments there."""
-        return Locus(self._only, "tilt", MOMENT)
+        return Locus(self.only, "tilt", MOMENT)
 
     @classmethod
     def candidates(cls, situation: Situation) -> Iterator[Candidate]:

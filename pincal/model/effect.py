@@ -131,6 +131,11 @@ class Effect(ABC):
     def locus(self) -> Locus:
         """Where it acts and what it follows."""
 
+    @property
+    def least_moment(self) -> float:
+        """Part of the largest moment on the arm that a moment it follows is taken as at least, when its size is judged."""
+        return 0.1
+
     @abstractmethod
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Return the effect's parameters for this chain."""

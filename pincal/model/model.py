@@ -235,7 +235,7 @@ class Model:
     def largest_basis(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
         """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.
 
-        A moment itself is taken as at least a tenth of the largest on the arm, so that a wrist that carries nothing is
+        A moment itself is taken as at least a part of the largest on the arm, so that a wrist that carries nothing is
         not thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
         not excite its parameter, although a base that is not quite level would. A spline of a curve is taken to be as
         large as the others of the curve, however few of the poses are near it.
@@ -257,11 +257,14 @@ class Model:
         heaviest = moments.max(axis=0, initial=0.0)
         largest = np.zeros((len(starts), self.n_parameters))
         excited = np.zeros(largest.shape, bool)
+        least = np.zeros(self.n_parameters)
+        for span, effect in zip(self.spans, self.effects, strict=True):
+            least[span] = effect.least_moment
         for p, term in state.terms:
             size = np.ones(len(starts)) if term.basis is None else most(term.basis)
             if term.moment is not None:
                 excited[:, p] |= moments[term.moment] > UNFELT * heaviest
-                size = size if term.slope is not None else np.maximum(size, 0.1 * heaviest)
+                size = size if term.slope is not None else np.maximum(size, least[p] * heaviest)
             else:
                 excited[:, p] |= size > 0.0
             largest[:, p] = np.maximum(largest[:, p], size)
