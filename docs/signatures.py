@@ -27,6 +27,8 @@ _SOFT = (2e-8, 2e-8, 1e-7) * 6
 _JOINTS = ("joint_2", "joint_3")
 _WAVES = 12.0
 _STEPS = 60
+# A moment that changes by less than this part of the largest is rounding.
+_FELT = 1e-6
 # How large a frame's parameters are, which may be anywhere [m or rad].
 _FRAME = 1e-3
 # A look-alike takes at least this share of the square of what is left beside geometry and elasticity.
@@ -196,8 +198,9 @@ def _variable(effect: Effect, moved: np.ndarray, at: Situation) -> tuple[str, np
             values = values[:, at.joints.index(effect.locus.joint)]
         unit = COLUMN_UNITS[follows]
         return f"{follows} [{unit}]" if unit else follows, values
-    rank = np.abs([np.corrcoef(moment, moved)[0, 1] if moment.std() else 0.0 for moment in at.moments.T])
-    best = int(np.nanargmax(rank))
+    felt = at.moments.std(axis=0) > _FELT * at.moments.std(axis=0).max()
+    rank = [abs(np.corrcoef(at.moments[:, k], moved)[0, 1]) if is_felt else 0.0 for k, is_felt in enumerate(felt)]
+    best = int(np.argmax(rank))
     return f"moment about {'xyz'[best % 3]} of {at.joints[best // 3]} [N m]", at.moments[:, best]
 
 

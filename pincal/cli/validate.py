@@ -41,7 +41,10 @@ class ValidateArguments:
 
 @verb(ValidateArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE, Exit.CHANGED))
 def validate(arguments: ValidateArguments) -> Exit:
-    """Report the accuracy of a calibrated model on new measurements, wherever the instrument stands."""
+    """Report how accurate a calibrated model is on new measurements.
+
+    The instrument may stand anywhere: its place is found from the rows.
+    """
     from pincal.calibration.stations import load_stations
     from pincal.calibration.validation import validate_rows
     from pincal.cli.inputs import load_stations as load_tables
