@@ -51,9 +51,15 @@ class Equations:
     values: np.ndarray
     remembered: np.ndarray | None = None
 
-    def step(self, bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the step that the posterior wants within bounds of the values, shape (F,), and which ones a bound stops."""
-        step, held = self._bounded(bounds[self.shared])
+    def step(self, bounds: np.ndarray, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return the step that the posterior wants within bounds of the values, shape (F,), and which ones a bound stops.
+
+        Args:
+            bounds: shape (F,), largest values.
+            damping: how much surer than the priors it is that parameters stay where they are (Levenberg's): what the
+                readings are sure of moves as far as without, what they hardly see does not.
+        """
+        step, held = self._bounded(bounds[self.shared], 1.0 + damping)
         if not self.own:
             return step, held
         whole, stopped = np.empty(len(self.values)), np.zeros(len(self.values), bool)
@@ -65,9 +71,11 @@ class Equations:
             stopped[part.places] = np.abs(wanted) > most
         return whole, stopped
 
-    def _bounded(self, bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _bounded(self, bounds: np.ndarray, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
         at, sizes, diagonal = self.values[self.shared], self.sizes[self.shared], self.diagonal[self.shared]
-        step = posterior_step(self.G, self.g, sizes, at, diagonal=diagonal)
+        # The slope of the priors stays what it is.
+        sizes, pulled = sizes / np.sqrt(stiffness), at / stiffness
+        step = posterior_step(self.G, self.g, sizes, pulled, diagonal=diagonal)
         held = np.zeros(len(step), bool)
         for _ in range(3):
             over = ~held & (np.abs(at + step) > bounds)
@@ -78,7 +86,7 @@ class Equations:
             loose = ~held
             left = (self.g - self.G[:, held] @ step[held])[loose]
             inner = self.G[np.ix_(loose, loose)]
-            step[loose] = posterior_step(inner, left, sizes[loose], at[loose], diagonal=diagonal[loose])
+            step[loose] = posterior_step(inner, left, sizes[loose], pulled[loose], diagonal=diagonal[loose])
         return step, held
 
     def square(self, step: np.ndarray) -> float:

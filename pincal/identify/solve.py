@@ -14,6 +14,7 @@ from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
 from pincal.identify.noise import Judge, Judgement, Loss, Noise
 from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
+from pincal.identify.trials import Memory, trials
 from pincal.units import readable_unit
 
 log = logging.getLogger(__name__)
@@ -25,14 +26,9 @@ _STEP = 1e-3
 _ROUGH = 0.1
 # The same where the noise is at its floor: steps there are rounding.
 _ROUNDED = 0.03
-# Steps remembered, and the ratio of successive steps above which they are put to use.
-_MEMORY = 4
-_SLOW = 0.3
 # Relative change of the noise above which earlier steps say nothing about the next, as little as after one that they got
 # wrong.
 _STEADY = 0.05
-# Halvings of a step that made things worse, before the fit is taken to stand still.
-_HALVINGS = 10
 # Robust weights that change by less are settled.
 _SETTLED = 1e-3
 
@@ -155,32 +151,6 @@ def most_probable(
     return _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough).run(start)[0].point.values
 
 
-class _Memory:
-    """Anderson's acceleration of a slowly converging fit (Walker and Ni 2011), over the last few steps.
-
-    Where residuals are large against what a direction is known by, Gauss-Newton overshoots it again and again by almost
-    the same amount; two such steps tell where it settles. A fit that converges fast is left alone.
-    """
-
-    def __init__(self) -> None:
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin anew."""
-        self._points: list[np.ndarray] = []
-        self._steps: list[np.ndarray] = []
-
-    def accelerate(self, at: np.ndarray, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
-        """Return the step to take at the point ``at``, where Gauss-Newton wants ``step``; all of shape (F,)."""
-        self._points = [*self._points[-_MEMORY:], at.copy()]
-        self._steps = [*self._steps[-_MEMORY:], step.copy()]
-        if len(self._steps) < 3 or np.linalg.norm(metric * step) < _SLOW * np.linalg.norm(metric * self._steps[-2]):
-            return step
-        dx, ds = np.diff(self._points, axis=0).T, np.diff(self._steps, axis=0).T
-        mix = np.linalg.lstsq(metric[:, None] * ds, metric * step, rcond=1e-8)[0]
-        return np.asarray(step - (dx + ds) @ mix)
-
-
 @dataclass(frozen=True)
 class _State:
     """A point of a fit.
@@ -233,7 +203,7 @@ class _Fit:
 
     def run(self, start: np.ndarray, robust: np.ndarray | None = None, label: str = "") -> tuple[_State, _Step, int, Exit]:
         """Return the last point, the step to it, the number of steps and how they ended; arguments as of :func:`solve`."""
-        state, memory, ended = self.begin(start.astype(float), robust), _Memory(), None
+        state, memory, ended = self.begin(start.astype(float), robust), Memory(), None
         for iteration in range(1, MAX_ITERATIONS + 1):
             state, step = self.advance(state, memory)
             if label:
@@ -255,7 +225,7 @@ class _Fit:
         point = self._linearised(values, np.ones(len(self.problem)) if robust is None else robust, known)
         return _State(point, self.judge.at(point, hard=hard), hard)
 
-    def advance(self, state: _State, memory: _Memory) -> tuple[_State, _Step]:
+    def advance(self, state: _State, memory: Memory) -> tuple[_State, _Step]:
         """Return the next point and the step to it."""
         free, values = self.free, state.point.values
         equations = state.point.equations(state.judged.sigma)
@@ -263,7 +233,7 @@ class _Fit:
         longer = memory.accelerate(values[free], step, equations.metric)
         wanted = self._length(equations.square(step), state.judged.robust)
         del equations
-        point = self._moved(state, [longer, step])
+        point = self._moved(state, [longer, step], memory)
         judged = self.judge.at(point, hard=state.hard)
         refused = longer is not step and not np.array_equal(point.values[free], values[free] + longer)
         if refused or np.max(np.abs(judged.sigma / state.judged.sigma - 1.0)) > _STEADY:
@@ -361,25 +331,30 @@ class _Fit:
         counts = self.problem.counted_rows(robust)[self.problem.station_of_block]
         return max(float(counts @ self.problem.block_sizes), 1.0)
 
-    def _moved(self, state: _State, steps: list[np.ndarray]) -> Linearised:
-        """Take the first of the steps, or of the halves of the last, that does not make things worse.
+    def _moved(self, state: _State, steps: list[np.ndarray], memory: Memory) -> Linearised:
+        """Take the first of the steps that does not make things worse; see :func:`pincal.identify.trials.trials`.
 
         Stations that share nothing that is free are fits of their own: each takes what does not make it worse.
         """
-        here, sigma = state.point, state.judged.sigma
+        here, sigma, free = state.point, state.judged.sigma, self.free
         spare = 1e-6 * self._readings(here.robust)
         limits = here.objectives(sigma) * (1.0 + 1e-9) + spare
         # Few steps lead back here.
         here.release()
-        plain, group = steps[-1], here.group_of[self.free]
-        tried = steps[:-1] if steps[0] is not plain else []
+        group = here.group_of[free]
         values, is_open = here.values.copy(), np.ones(len(limits), bool)
-        for step in [*tried, *(plain * 0.5**k for k in range(_HALVINGS))]:
+        tried = trials(here, sigma, self.priors.bounds[free], steps, memory)
+        step: np.ndarray | None = next(tried)
+        while step is not None:
             values = values.copy()
-            values[self.free] = np.where(is_open[group], here.values[self.free] + step, values[self.free])
+            values[free] = np.where(is_open[group], here.values[free] + step, values[free])
             there = self._linearised(values, here.robust, sigma)
             is_open &= there.objectives(sigma) > limits
             if not is_open.any():
                 return there
-        values[self.free] = np.where(is_open[group], here.values[self.free], values[self.free])
+            try:
+                step = tried.send(there)
+            except StopIteration:
+                step = None
+        values[free] = np.where(is_open[group], here.values[free], values[free])
         return here if is_open.all() else self._linearised(values, here.robust, sigma)
