@@ -1,14 +1,15 @@
 """Add a line to the history of speed, ``docs/benchmark_history.csv``: ``python tests/benchmark_history.py [TAG]``.
 
 One line a release. Times of two days or machines can't be compared, so the release before (``TAG``) is checked out and timed
-again, in turns with this one, and the line holds the ratios as well: the median over the turns of this over the last.
+again, in turns with this one, and the line holds the ratios as well: the median over the turns of this over the last. Before
+a release the line is called as the changelog calls it, "Unreleased", and a new one takes its place. Times are those of the
+processor, on one thread, so that what else the machine does matters little.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import importlib.metadata
 import json
 import os
 import subprocess
@@ -30,18 +31,20 @@ _TURNS, _CALLS = 5, 5
 
 def probe(rows: int = 1000) -> dict[str, float]:
     """Return the figures of the pincal that is imported here, each the best of a few calls."""
-    begun = time.perf_counter()
+    begun = time.process_time()
     import pincal
 
     pincal.calibrate  # noqa: B018
-    found = {"import_s": time.perf_counter() - begun}
+    found = {"import_s": time.process_time() - begun}
     from pincal.builtin import kuka_urdf_path
     from pincal.simulate import paper_positions
 
     robot, rng = pincal.Robot.from_urdf(kuka_urdf_path()), np.random.default_rng(0)
     q = robot.random_configurations(10 * rows, rng)
     position = paper_positions(q[:rows], tool_offset=(0.05, 0.03, 0.12), with_elasticity=False)
-    table = pincal.measurements(robot, q[:rows], position=position + rng.normal(0.0, 5e-5, position.shape))
+    table = pincal.measurements_from_arrays(
+        robot.joint_names, q[:rows], position=position + rng.normal(0.0, 5e-5, position.shape)
+    )
     options = pincal.Options(effects=pincal.GEOMETRIC, sigma=5e-5)
     fit = pincal.calibrate(robot, table, options)
     model, program = fit.to_model(), pincal.Conditions.at(q[:rows])
@@ -56,9 +59,9 @@ def _best(call: Callable[[], object], calls: int = _CALLS) -> float:
     """Return the shortest time of several calls [s], after one to warm up."""
     taken = []
     for _ in range(calls + 1):
-        begun = time.perf_counter()
+        begun = time.process_time()
         call()
-        taken.append(time.perf_counter() - begun)
+        taken.append(time.process_time() - begun)
     return min(taken[1:])
 
 
@@ -72,12 +75,17 @@ def _probed(checkout: Path) -> dict[str, float]:
     return found
 
 
+def current() -> str:
+    """Return what the changelog calls this version."""
+    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").partition("\n## ")[2].split()[0]
+
+
 def line(last: Path | None) -> dict[str, str]:
     """Return the line of this release, paired against the checkout of the last one."""
     turns = [(_probed(ROOT), _probed(last) if last else None) for _ in range(_TURNS)]
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, check=True, capture_output=True, text=True)
     told = {
-        "version": importlib.metadata.version("pincal"),
+        "version": current(),
         "date": time.strftime("%Y-%m-%d"),
         "commit": commit.stdout.strip(),
     }
@@ -106,12 +114,11 @@ def main() -> None:
         finally:
             if last is not None:
                 subprocess.run(["git", "worktree", "remove", "--force", str(last)], cwd=ROOT, check=True)
-    is_new = not HISTORY.exists()
-    with HISTORY.open("a", newline="", encoding="utf-8") as file:
+    earlier = list(csv.DictReader(HISTORY.open(encoding="utf-8"))) if HISTORY.exists() else []
+    with HISTORY.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS)
-        if is_new:
-            writer.writeheader()
-        writer.writerow(told)
+        writer.writeheader()
+        writer.writerows([*(row for row in earlier if row["version"] not in ("Unreleased", told["version"])), told])
     print(", ".join(f"{name} {value}" for name, value in told.items()))
 
 
