@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
-    from pincal.calibration.fit import Fit, calibrate
+    from pincal.calibration.fit import Fit, calibrate, calibrate_parts
     from pincal.calibration.placing import Placed, place_station
     from pincal.calibration.run import Calibration, run_calibration
     from pincal.calibration.stations import CalibratedStations, load_stations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pincal.measure.registry import register_sensor
     from pincal.measure.sensor import Sensor
     from pincal.measure.setup import Setup
-    from pincal.measure.table import read_measurements
+    from pincal.measure.table import read_measurements, row_parts
     from pincal.model.augmented import augmented_model, pinocchio_model
     from pincal.model.chain import Chain
     from pincal.model.conditions import Conditions, Situation
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
 _HOMES = {
     "pincal.calibration.calibrated": ("CalibratedModel", "load_model", "save_model"),
-    "pincal.calibration.fit": ("Fit", "calibrate"),
+    "pincal.calibration.fit": ("Fit", "calibrate", "calibrate_parts"),
     "pincal.calibration.placing": ("Placed", "place_station"),
     "pincal.calibration.run": ("Calibration", "run_calibration"),
     "pincal.calibration.stations": ("CalibratedStations", "load_stations"),
@@ -84,7 +84,7 @@ _HOMES = {
     "pincal.measure.registry": ("register_sensor",),
     "pincal.measure.sensor": ("Sensor",),
     "pincal.measure.setup": ("Setup",),
-    "pincal.measure.table": ("read_measurements",),
+    "pincal.measure.table": ("read_measurements", "row_parts"),
     "pincal.model.augmented": ("augmented_model", "pinocchio_model"),
     "pincal.model.chain": ("Chain",),
     "pincal.model.conditions": ("Conditions", "Situation"),
@@ -152,6 +152,7 @@ __all__ = [
     "bootstrap",
     "bootstrap_stations",
     "calibrate",
+    "calibrate_parts",
     "calibrated_urdf",
     "compensate_poses",
     "compensate_program",
@@ -174,6 +175,7 @@ __all__ = [
     "read_measurements",
     "register_effect",
     "register_sensor",
+    "row_parts",
     "run_calibration",
     "run_discovery",
     "save_model",

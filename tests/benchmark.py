@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import polars as pl
 from discovery_cases import draw_case
 
 import pincal
@@ -249,7 +250,7 @@ def _time_series(name: str, *, limit: float | None, gap: float | None) -> Iterat
 
 def time_million() -> Iterator[Line]:
     """Time a million rows against ten thousand: the fit alone, and whole processes with their largest memory."""
-    options = Options(effects=ELASTIC, sigma=NOISE)
+    options = Options(effects=ELASTIC, sigma=NOISE, payload_centre=PAYLOAD_COM)
     taken = {}
     for n in (10_000, 1_000_000):
         table = table_of(n, with_elasticity=True)
@@ -278,13 +279,58 @@ def time_million() -> Iterator[Line]:
             yield line("pincal discover ur10 series B, 1495 poses: memory, at most", peak, 500.0, "{:.0f} MB")
 
 
+def time_ten_million() -> Iterator[Line]:
+    """Time ten million rows of a Parquet file against one million, fitted part by part in processes of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        measured = {}
+        for millions in (1, 10):
+            file = Path(folder) / f"{millions}.parquet"
+            _write_millions(file, millions)
+            measured[millions] = _run("-c", _PART_BY_PART, str(kuka_urdf_path()), str(file))
+            yield line(
+                f"{millions} million rows, elastic, part by part, reading included", measured[millions][0], None, "{:.0f} s"
+            )
+            yield line("    memory, at most", measured[millions][1], 1500.0, "{:.0f} MB")
+        yield line("    ratio of the memories", measured[10][1] / measured[1][1], 1.1, "{:.2f}")
+
+
+_PART_BY_PART = f"""
+import sys
+import pincal
+from pincal import ELASTIC, Options, Robot
+robot = Robot.from_urdf(sys.argv[1])
+parts = pincal.row_parts(sys.argv[2])
+tables = (pincal.read_measurements(sys.argv[2], robot.joint_names, part=part) for part in parts)
+fit = pincal.calibrate_parts(robot, tables, Options(effects=ELASTIC, sigma={NOISE}, payload_centre={PAYLOAD_COM}))
+assert 0.9 < fit.solution.cost < 1.1, fit.solution.cost
+"""
+
+
+def _write_millions(file: Path, millions: int) -> None:
+    """Write so many million rows, of poses that are measured again and again, without holding them all."""
+    rng, table = np.random.default_rng(0), table_of(200_000, with_elasticity=True)
+    held = dict(zip(ROBOT.joint_names, table.q.T, strict=True)) | {"payload": table.array("payload")}
+    parts = [file.with_name(f"part_{k}.parquet") for k in range(5 * millions)]
+    for part in parts:
+        position = table.readings["position"] + rng.normal(0.0, NOISE, (len(table), 3))
+        pl.DataFrame(held | dict(zip("xyz", position.T, strict=True))).write_parquet(part)
+    pl.scan_parquet(parts).sink_parquet(file)
+    for part in parts:
+        part.unlink()
+
+
 def _measured(*words: str) -> tuple[float, float]:
     """Run a verb as a process and return how long it took [s] and its largest memory [MB]."""
+    return _run("-m", "pincal", *words, "--quiet")
+
+
+def _run(*words: str) -> tuple[float, float]:
+    """Run Python and return how long it took [s] and its largest memory [MB]."""
     begun = time.perf_counter()
-    process = subprocess.Popen([sys.executable, "-m", "pincal", *words, "--quiet"], cwd=ROOT, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     if status:
-        raise SystemExit(f"pincal {words[0]} ended with {os.waitstatus_to_exitcode(status)}")
+        raise SystemExit(f"{' '.join(words[:3])} ended with {os.waitstatus_to_exitcode(status)}")
     return time.perf_counter() - begun, usage.ru_maxrss / 1024.0
 
 

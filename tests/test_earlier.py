@@ -8,7 +8,7 @@ import pytest
 from machines import kuka as true_kuka
 from test_stations import NOISE, tracked
 
-from pincal import ELASTIC, GEOMETRIC, Fit, Options, Robot, calibrate, load_model
+from pincal import ELASTIC, GEOMETRIC, Fit, Options, Robot, calibrate, calibrate_parts, load_model
 from pincal import simulate as sim
 from pincal.calibration.stations import load_stations
 from pincal.discover.score_tests import score_test
@@ -17,6 +17,7 @@ from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Equations, Linearised
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
+from pincal.measure.table import concatenate, read_measurements, row_parts, write_table
 from pincal.model.catalogue import GearEccentricity
 from pincal.parameters import Estimate
 
@@ -170,3 +171,34 @@ def test_too_few_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, both: F
     few = tracked(machine, kuka, 1, poses=8).select(np.arange(4))
     with pytest.raises(MeasurementError, match="nothing is left to tell the noise from"):
         calibrate(kuka, few, Options(effects=ELASTIC, earlier=both.robot_estimate))
+
+
+def test_parts_give_what_all_rows_do(tmp_path: Path, machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A Parquet file read and fitted in three parts: the rows are those of the file, the robot that of a joint fit."""
+    table = tracked(machine, kuka, 0, poses=400)
+    columns = dict(zip((*kuka.joint_names, *"xyz"), (*table.q.T, *table.readings["position"].T), strict=True))
+    write_table(tmp_path / "rows.parquet", columns)
+    parts = [
+        read_measurements(tmp_path / "rows.parquet", kuka.joint_names, part=part)
+        for part in row_parts(tmp_path / "rows.parquet", 150)
+    ]
+    joined, options = concatenate(parts), Options(effects=GEOMETRIC, sigma=NOISE)
+    alone, whole = (
+        of.robot_estimate for of in (calibrate_parts(kuka, iter(parts), options), calibrate(kuka, joined, options))
+    )
+
+    assert [len(part) for part in parts] == [133, 134, 133]
+    np.testing.assert_array_equal(joined.rows, np.arange(2, 402))
+    np.testing.assert_array_equal(joined.q, table.q)
+    assert alone.names == whole.names
+    assert np.abs((alone.values - whole.values) / whole.sigma).max() < 0.2
+    np.testing.assert_allclose(alone.sigma, whole.sigma, rtol=0.05)
+
+
+def test_no_parts_are_refused(tmp_path: Path, kuka: Robot) -> None:
+    """Nor can a text be read in parts."""
+    (tmp_path / "rows.csv").write_text("x,y,z\n1,2,3\n")
+    with pytest.raises(BadInputError, match="no rows to calibrate with"):
+        calibrate_parts(kuka, ())
+    with pytest.raises(MeasurementError, match=r"rows.csv: only a Parquet file is read in parts"):
+        read_measurements(tmp_path / "rows.csv", kuka.joint_names, part=range(1))

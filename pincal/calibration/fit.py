@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -16,13 +17,17 @@ from pincal.calibration.left import Left, left_by
 from pincal.calibration.parameters import parameter_rows
 from pincal.calibration.stations import CalibratedStations, save_stations
 from pincal.calibration.tables import estimate_table, parameter_table
+from pincal.errors import BadInputError
 from pincal.identify import calibrate as identify
 from pincal.identify import fit as identified
 from pincal.identify.calibrate import Tables
 from pincal.identify.options import Options
+from pincal.measure.measurements import Measurements
 from pincal.parameters import Estimate
 from pincal.robot.robot import Robot
 from pincal.tables import Table
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, repr=False)
@@ -173,3 +178,36 @@ def calibrate(
         True
     """
     return Fit.of(identify.calibrate(robot, measurements, options, executor=executor))
+
+
+def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Options | None = None) -> Fit:
+    """Calibrate a robot from more rows than memory holds, one part of them at a time.
+
+    Each part is fitted beside what those before it tell of the robot, see ``Options.earlier``, with base, targets and noise
+    of its own, as if it were a station. Where parts are alike, as those of a table in random order, nothing is lost by that.
+
+    Args:
+        robot: the arm.
+        parts: the rows, each part with enough of them to place instrument and targets.
+        options: how to calibrate; what they leave open is decided by the first part.
+
+    Returns:
+        The fit of the last part, whose robot is that of all.
+
+    Raises:
+        BadInputError: without any part.
+        MeasurementError: as :func:`calibrate`.
+
+    Example::
+
+        rows = (pincal.read_measurements(path, robot.joint_names, part=part) for part in pincal.row_parts(path))
+        fit = pincal.calibrate_parts(robot, rows)
+    """
+    fit, rows = None, 0
+    for k, part in enumerate(parts, 1):
+        fit, rows = calibrate(robot, part, options), rows + len(part)
+        options = replace(fit.options, earlier=fit.robot_estimate)
+        log.info("part %d taken in, %d rows so far", k, rows)
+    if fit is None:
+        raise BadInputError("no rows to calibrate with; expected at least one part")
+    return fit

@@ -23,7 +23,7 @@ from pincal.measure.labels import is_named, renamed, spelled, without
 from pincal.measure.options import TableOptions
 from pincal.measure.quantities import in_si
 from pincal.measure.schema import OTHERS, Schema
-from pincal.measure.sheet import Column, Sheet, read_cells
+from pincal.measure.sheet import Column, ParquetSheet, Sheet, read_cells
 
 if TYPE_CHECKING:
     import polars as pl
@@ -45,12 +45,13 @@ class Cells:
     units: dict[str, str]
 
 
-def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
+def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | None = None) -> Cells:
     """Read a table from CSV or other text (separator, decimal mark and encoding are detected), Excel or Parquet.
 
     Args:
         path: the file; the ending of its name says the format, text if it says none.
         schema: what it may hold.
+        part: rows of a Parquet file to read; default: all.
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
@@ -58,6 +59,7 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
     path = Path(path)
     with typed_errors(path):
         sheet = open_sheet(path, ignore=schema.options.ignore, joints=schema.joint_names)
+        sheet = sheet if part is None else _part(sheet, part)
         if schema.options.joints is not None and schema.joint_names:
             sheet, schema = _with_log(sheet, schema)
         header = understood(sheet, schema)
@@ -80,10 +82,16 @@ def read_table(path: str | os.PathLike[str], schema: Schema) -> Cells:
     if any(f"approach_{name}" in values for name in joints):
         unknown = np.zeros(len(rows))
         arrays["approach"] = np.column_stack([values.pop(f"approach_{name}", unknown) for name in joints])
-    for part in schema.fields:
-        if any(name in values for name in part.columns):
-            arrays[part.name] = _whole(part, values, source=path.name)
+    for of in schema.fields:
+        if any(name in values for name in of.columns):
+            arrays[of.name] = _whole(of, values, source=path.name)
     return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit})
+
+
+def _part(sheet: Sheet, part: range) -> Sheet:
+    if not isinstance(sheet, ParquetSheet):
+        raise MeasurementError(f"{sheet.path.name}: only a Parquet file is read in parts; write the table as .parquet")
+    return replace(sheet, part=part)
 
 
 def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str) -> np.ndarray | None:

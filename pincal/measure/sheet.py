@@ -118,15 +118,23 @@ class FrameSheet(Sheet):
 
 @dataclass(frozen=True, eq=False)
 class ParquetSheet(Sheet):
-    """A Parquet file; its rows are counted as if there were a header."""
+    """A Parquet file; its rows are counted as if there were a header.
+
+    Attributes:
+        part: the rows to read, the first being 0; default: all.
+    """
+
+    part: range | None = None
 
     def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
-        """Return the cells."""
+        """Return the cells; of a part no others are read."""
         import polars as pl
 
-        frame = pl.read_parquet(self.path, columns=[self.labels[column.index] for column in columns], glob=False)
-        frame = frame.select(pl.col(self.labels[column.index]).alias(column.name) for column in columns)
-        return frame, np.arange(2, frame.height + 2)
+        lazy = pl.scan_parquet(self.path, glob=False)
+        start, count = (0, None) if self.part is None else (self.part.start, len(self.part))
+        cells = (pl.col(self.labels[column.index]).alias(column.name) for column in columns)
+        frame = lazy.slice(start, count).select(cells).collect()
+        return frame, np.arange(start + 2, start + frame.height + 2)
 
     def first_cells(self, index: int, count: int) -> list[str]:
         """Return the first cells."""

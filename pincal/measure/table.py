@@ -7,7 +7,8 @@ One row is one measured pose. The joints carry the names of the URDF; a unit in 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +17,7 @@ import numpy as np
 from pincal.atomic import replacing
 from pincal.errors import MeasurementError, OutputError
 from pincal.measure.fields import CONDITIONS
+from pincal.measure.files import typed_errors
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
 from pincal.measure.options import TableOptions
 from pincal.measure.reader import joint_columns, read_columns, read_table
@@ -24,7 +26,10 @@ from pincal.measure.schema import Schema
 from pincal.robot.tree import Mimic
 
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
-__all__ += ["read_measurements", "write_table"]
+__all__ += ["read_measurements", "row_parts", "write_table"]
+
+# Rows that are worked on at once where not all fit into memory: some hundred MB with all that a fit makes of them.
+MOST_ROWS = 200_000
 
 
 def read_measurements(
@@ -39,6 +44,7 @@ def read_measurements(
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
     mimics: Sequence[Mimic] = (),
+    part: range | None = None,
 ) -> Measurements:
     """Read a table of measured poses from CSV or other text, Excel or Parquet.
 
@@ -58,6 +64,7 @@ def read_measurements(
             point, payload, temperature, time, station, approach).
         joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
         mimics: the joints that follow another one, which may have no column of their own (``robot.mimics``).
+        part: rows of a Parquet file to read, the first being 0, as :func:`row_parts` yields them; default: all.
 
     Returns:
         The rows in SI units, each with its line in the file (in Parquet: counted as if there were a header).
@@ -80,11 +87,27 @@ def read_measurements(
             shares_log=shares_log,
         ),
     )
-    cells = read_table(path, schema)
+    cells = read_table(path, schema, part=part)
     measurements = validated(names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
     if not only_joints and measurements.sensor is None:
         raise MeasurementError(f"{source}: no measurement in the table; expected columns {expected_columns()}")
     return measurements
+
+
+def row_parts(path: str | os.PathLike[str], most: int = MOST_ROWS) -> Iterator[range]:
+    """Yield the rows of a Parquet file in parts of at most so many, one after the other.
+
+    Raises:
+        MeasurementError: for a file that can't be read.
+    """
+    import polars as pl
+
+    path = Path(path)
+    with typed_errors(path):
+        count = int(pl.scan_parquet(path, glob=False).select(pl.len()).collect().item())
+    # Parts of about one size: none is left with too few rows.
+    ends = np.linspace(0, count, max(-(-count // most), 1) + 1).round().astype(int).tolist()
+    yield from (range(a, b) for a, b in pairwise(ends))
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray], *, to_fill: Sequence[str] = ()) -> None:
