@@ -109,7 +109,7 @@ def compare_with_pinocchio() -> Iterator[Line]:
     yield line("ratio (medians)", float(np.median(ours) / np.median(theirs)), 0.25, "{:.3f}")
 
 
-def table_of(n: int, *, with_elasticity: bool) -> Measurements:
+def table_of(n: int, *, with_elasticity: bool, noise: float = NOISE) -> Measurements:
     """Measure the paper's robot with noise at ``n`` poses from a corner of the hall."""
     rng = np.random.default_rng(n)
     q, position = ROBOT.random_configurations(n, rng), np.empty((n, 3))
@@ -118,7 +118,7 @@ def table_of(n: int, *, with_elasticity: bool) -> Measurements:
         position[rows] = paper_positions(q[rows], tool_offset=TOOL, with_elasticity=with_elasticity)
     # The tracker stands 3 m away, turned by 90 degrees about the vertical.
     position = position @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + (3.0, 1.0, 0.5)
-    position += rng.normal(0.0, NOISE, position.shape)
+    position += rng.normal(0.0, noise, position.shape)
     return pincal.measurements_from_arrays(ROBOT.joint_names, q, position=position, payload=np.full(n, PAYLOAD_MASS))
 
 
@@ -308,7 +308,7 @@ assert 0.9 < fit.solution.cost < 1.1, fit.solution.cost
 
 def _write_millions(file: Path, millions: int) -> None:
     """Write so many million rows, of poses that are measured again and again, without holding them all."""
-    rng, table = np.random.default_rng(0), table_of(200_000, with_elasticity=True)
+    rng, table = np.random.default_rng(0), table_of(200_000, with_elasticity=True, noise=0.0)
     held = dict(zip(ROBOT.joint_names, table.q.T, strict=True)) | {"payload": table.array("payload")}
     parts = [file.with_name(f"part_{k}.parquet") for k in range(5 * millions)]
     for part in parts:
