@@ -56,9 +56,19 @@ WRONG: dict[str, tuple[Change, str]] = {
     "a joint's sign": (lambda t: replace(t, q=t.q * [1, 1, 1, -1, 1, 1]), "'joint_4' looks turned round in sign"),
     "joints swapped": (lambda t: replace(t, q=t.q[:, [0, 1, 2, 5, 4, 3]]), "'joint_4' and 'joint_6' look swapped"),
 }
+STOOD = 0.03 * np.random.default_rng(3).normal(size=(160, 6))  # [rad], beside where the table has it
+WRONG |= {
+    "commanded elsewhere": (lambda t: replace(t, q=t.q + STOOD, droop=STOOD), "joints stood where they were read back, not"),
+    "read elsewhere": (lambda t: replace(t, q=t.q + STOOD, droop=-STOOD), "joints stood where they were commanded, not"),
+    "all joints four rows early": (lambda t: replace(t, q=np.roll(t.q, -4, axis=0)), "all joint columns look 4 rows early"),
+}
 TURNED: dict[str, tuple[Change, str]] = {
     "axis turned": (lambda t: placed(t, lambda p: p * [1, -1, 1]), "'y' looks turned round in sign"),
     "w first": (lambda t: turned(t, lambda v: v[:, [3, 0, 1, 2]]), "written with w first: "),
+    "left-handed": (
+        lambda t: turned(placed(t, lambda p: p[:, [1, 0, 2]]), lambda v: v[:, [1, 0, 2, 3]] * [-1, -1, -1, 1]),
+        "the frame of the readings looks left-handed",
+    ),
     "inverse": (lambda t: turned(t, lambda v: v * [-1, -1, -1, 1]), "looks that of the inverse rotation"),
 }
 

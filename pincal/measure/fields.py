@@ -36,6 +36,7 @@ class Field:
         rule: which values are valid; names always are.
         is_unit: whether the components are those of a unit vector, to be normalised.
         mistakes: how its columns get mixed up: in words, and what the right values are then.
+        mirror: what the values are in the frame whose y points the other way; None where that can't be said.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Field:
     rule: Rule = FINITE
     is_unit: bool = False
     mistakes: tuple[tuple[str, Callable[[np.ndarray], np.ndarray]], ...] = ()
+    mirror: Callable[[np.ndarray], np.ndarray] | None = None
 
     @property
     def is_name(self) -> bool:

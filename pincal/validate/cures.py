@@ -14,8 +14,10 @@ from pincal.robot.robot import Robot
 
 HEADER = "correct the header of the table and run again"
 _TABLE = "correct the table and run again"
+_FRAME = "give positions and orientations in a right-handed frame and run again"
+_RECORD = "name their columns as the joints (--columns) and run again"
 # Rows by which a column may stand off: a record that is written before or after the motion.
-_DELAYS = (1, -1, 2, -2)
+_DELAYS = tuple(sign * rows for rows in (1, 2, 3, 4, 5) for sign in (1, -1))
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,14 @@ def _late(table: Measurements, kept: np.ndarray, rows: int, columns: tuple[int, 
     return replace(found, q=q)
 
 
+def records(robot: Robot, table: Measurements) -> Iterator[Cure]:
+    """Yield the other positions of the joints, where a table has those commanded and those read back."""
+    if table.droop is not None:
+        for name, other, sign in (("commanded", "read back", 1.0), ("read back", "commanded", -1.0)):
+            words = f"the joints stood where they were {name}, not where the columns of the joints say, as {other}"
+            yield Cure(words, robot, replace(table, q=table.q + sign * table.droop, droop=None), _RECORD)
+
+
 def misreadings(robot: Robot, table: Measurements) -> Iterator[Cure]:
     """Yield what the sensor's fields know of how their columns get mixed up."""
     sensor = table.sensor
@@ -75,6 +85,11 @@ def misreadings(robot: Robot, table: Measurements) -> Iterator[Cure]:
         for words, undo in field.mistakes:
             changed = table.with_readings(**{field.name: undo(table.readings[field.name])})
             yield Cure(words, robot, changed)
+    mirrors = {field.name: field.mirror for field in (() if sensor is None else sensor.fields) if field.mirror is not None}
+    # Of one field alone that is one of its own mistakes.
+    if len(mirrors) > 1:
+        changed = table.with_readings(**{name: mirror(table.readings[name]) for name, mirror in mirrors.items()})
+        yield Cure("the frame of the readings looks left-handed", robot, changed, _FRAME)
 
 
 def scaled(robot: Robot, table: Measurements, factor: float) -> Cure | None:
@@ -96,4 +111,4 @@ def others(robot: Robot, table: Measurements) -> Iterator[Cure]:
 
 def cures(robot: Robot, table: Measurements) -> Iterator[Cure]:
     """Yield all that may be wrong with a table, but for a scale, which has to be found."""
-    return chain(*(kind(robot, table) for kind in (exchanges, misreadings, delays, others)))
+    return chain(*(kind(robot, table) for kind in (exchanges, misreadings, records, delays, others)))

@@ -36,6 +36,8 @@ QUATERNION = Field(
             lambda value: value[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0],
         ),
     ),
+    # A mirror keeps the axis of a rotation as a vector and turns the angle round.
+    mirror=lambda value: value * [-1.0, 1.0, -1.0, 1.0],
 )
 
 

@@ -43,6 +43,7 @@ POSITION = Field(
     ("x", "y", "z"),
     "length",
     mistakes=tuple((words, partial(_mirrored, axes=axes)) for words, axes in (*_SWAPS, *_TURNS)),
+    mirror=partial(_mirrored, axes=(1,)),
 )
 
 # Joints whose median range [rad, m] exceeds this move the target visibly.
