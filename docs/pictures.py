@@ -1,4 +1,4 @@
-"""Make the pictures of the README from the program itself: ``python docs/pictures.py SERIES_B.csv``.
+"""Make the pictures of the README from the program itself, and print its figures: ``python docs/pictures.py SERIES_B.csv``.
 
 The table is that of ``examples/ur10_tracker.py``: a real UR10 before a laser tracker. The 3D view is drawn by Chromium,
 which Selenium has to find.
@@ -14,9 +14,10 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib import font_manager
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 from selenium import webdriver
 
 from pincal import Robot, read_measurements, run_discovery
@@ -42,6 +43,12 @@ for (const layer of pincal.layers)
 def draw_view(found: Discovery, table: Measurements) -> None:
     """Draw the robot with its deviations at the measured poses, before and after, side by side."""
     calibrated = found.calibration.fit.to_model()
+    error = found.calibration.result.error
+    told = {
+        "before": f"nominal kinematics: mean error {error['nominal']['test']['mean_mm']:.2f} mm",
+        "after": f"calibrated by pincal: mean error {error['calibrated']['test']['mean_mm']:.2f} mm",
+    }
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 26)
     # A pose in the middle, which hides little.
     middle = int(np.argmin(np.linalg.norm(table.position - table.position.mean(axis=0), axis=1)))
     options = webdriver.ChromeOptions()
@@ -59,12 +66,22 @@ def draw_view(found: Discovery, table: Measurements) -> None:
                 time.sleep(3.0)
                 shot = Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")
                 parts.append(shot.crop((_PANEL, 0, shot.width, shot.height)))
+                ImageDraw.Draw(parts[-1]).text((24, 20), told[layer], fill="white", font=font)
         finally:
             browser.quit()
     both = Image.new("RGB", (sum(part.width for part in parts), parts[0].height))
     for k, part in enumerate(parts):
         both.paste(part, (k * part.width, 0))
     both.save(PICTURES / "view.png", optimize=True)
+
+
+def tell(found: Discovery) -> None:
+    """Print the figures of the README: mean errors on held-out poses, stage by stage, and without the three largest."""
+    for stage in found.findings.chain:
+        print(f"{stage.name:60s} {stage.mean_mm:.3f} mm")
+    test = found.calibration.test
+    error = np.sort(np.linalg.norm(found.calibration.fit.predict(test.q)[:, :, 3] - test.position, axis=1))
+    print(f"{'all of it, without the three largest':60s} {1e3 * error[:-3].mean():.3f} mm, largest {1e3 * error[-4]:.2f} mm")
 
 
 def draw_gap(found: Discovery) -> None:
@@ -128,6 +145,7 @@ def main() -> None:
     table = read_measurements(arguments.table, robot.joint_names)
     found = run_discovery(robot, table)
     PICTURES.mkdir(exist_ok=True)
+    tell(found)
     draw_link()
     draw_gap(found)
     draw_view(found, table)
