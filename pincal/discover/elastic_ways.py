@@ -45,7 +45,7 @@ def elastic_way(fit: Fit, policy: Policy) -> ElasticWay | None:
 
     Where one drive or one bearing leaves nothing but chance to the others, it enters alone: among twenty parameters that
     trade with each other nobody could tell which it is. On a small table what bends least is enough: drives without
-    bearings, if that is likelier before the data than all.
+    bearings, or one of either, if that is likelier before the data than all.
     """
     chain, block = fit.problem.chain, missing_compliances(fit)
     if not block:
@@ -57,12 +57,10 @@ def elastic_way(fit: Fit, policy: Policy) -> ElasticWay | None:
     tests = score_test_beside_masses(fit, [effect for form in forms for effect in form])
     whole = [int(i) for i in starts[:-1]]
     families = [[i for i, part in zip(whole, parts, strict=True) if part.name == effect.name] for effect in block]
-    if is_small_table(fit, policy):
-        likeliest = max([whole, *families], key=tests.log_evidence)
-        is_there = tests.log_evidence(likeliest) > -np.log(policy.false_name)
-        effects = block if likeliest == whole else (block[families.index(likeliest)],)
-        return ElasticWay(effects, tests.score(likeliest, 1)) if is_there else None
     singles = [range(a, b) for a, b in pairwise(starts)]
+    if is_small_table(fit, policy):
+        ways = [*zip(zip(parts, strict=True), singles, strict=True), *zip(zip(block, strict=True), families, strict=True)]
+        return _likeliest(tests, [*ways, (block, whole)], policy)
     chances = _chance(tests, singles), _chance(tests, [whole]), _chance(tests, families)
     if min(chances) > policy.elastic:
         return None
@@ -77,6 +75,16 @@ def elastic_way(fit: Fit, policy: Policy) -> ElasticWay | None:
         return tests.score_given(singles[i], singles[given]).p_value
 
     return ElasticWay((parts[best],), scores[best], tuple(rivals_of(rows, best, left_given, policy)))
+
+
+def _likeliest(
+    tests: ScoreTests, ways: Sequence[tuple[tuple[Compliance, ...], Sequence[int]]], policy: Policy
+) -> ElasticWay | None:
+    """Return the way that is likeliest before the data, the choice among as many of its kind paid for; None without any."""
+    kinds = [len(effects) == 1 and effects[0].only is not None for effects, _ in ways]
+    evidence = [tests.log_evidence(of) - np.log(kinds.count(kind)) for (_, of), kind in zip(ways, kinds, strict=True)]
+    effects, of = ways[int(np.argmax(evidence))]
+    return ElasticWay(effects, tests.score(of, 1)) if max(evidence) > -np.log(policy.false_name) else None
 
 
 def missing_compliances(fit: Fit) -> tuple[Compliance, ...]:
