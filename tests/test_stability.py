@@ -14,14 +14,18 @@ from stability_study import by_class, study
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.discover.bootstrap import chance_of_best
 from pincal.discover.judge import findings_of
+from pincal.discover.nuisance import score_test_beside_masses
 from pincal.discover.policy import POLICY
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.discover.stability import Halves, _halves, repeat_on_halves
-from pincal.discover.widened import of_candidates
+from pincal.discover.widened import of_bearings, of_candidates
 from pincal.errors import BadInputError
+from pincal.identify.calibrate import refit
 from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings, Repeated, Stability
+from pincal.model.catalogue.bearings import bearing_features
+from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
 from pincal.report.illustrations import stability_drawings
 from pincal.report.search import _named
@@ -161,6 +165,18 @@ def test_candidates_weigh_as_likely_as_they_are(found: Discovery) -> None:
     assert of_candidates(left(0.0)) == pytest.approx(0.0, abs=1e-9)
     assert of_candidates(left(3.0)) < 0.5
     assert of_candidates(left(100.0)) == pytest.approx(100.0, rel=0.05)
+    # One that is there or not, whatever the others are.
+    assert of_candidates(left(100.0), [3]) == pytest.approx(100.0) and of_candidates(left(100.0), [0]) < 100.0
+
+
+def test_bearings_may_give_way_in_directions_that_no_data_called_for(found: Discovery) -> None:
+    """Each direction and place counts less than it could take off the squares; of a rigid arm there is none."""
+    fit = found.trail.final
+    refused = [e for e in bearing_features(fit.problem.chain, fit.options.effects) if e not in fit.options.effects]
+    gains = [score_test_beside_masses(fit, [effect]).gain([0])[0] for effect in refused]
+
+    assert 0.0 < of_bearings(fit) < sum(gains)
+    assert of_bearings(refit(fit, GEOMETRIC)) == 0.0
 
 
 def test_fewer_than_no_halves_are_refused(case: Case) -> None:

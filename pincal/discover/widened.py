@@ -1,31 +1,35 @@
 r"""Standard deviations that pay for the choice of a model: for what a discovery may have missed, and for masses.
 
-A fit's covariance holds if its effects are all there are. After a discovery they are those that were chosen, and two
+A fit's covariance holds if its effects are all there are. After a discovery they are those that were chosen, and three
 things are left out that move other poses as well: masses and centres of mass are a few per cent off, which the score tests
-grant and the model does not have; and among the candidates that were refused some may be there. What either adds to the
+grant and the model does not have; among the candidates that were refused some may be there; and each bearing has directions
+and a place of its own, which enter only where the data call for them. What each adds to the
 variance of a prediction follows, on average over the rows, from the projected products of the score tests,
 
 .. math:: e_m = m^T S' m + \operatorname{tr} S' C, \qquad C = (S' + D^{-2})^{-1}, \quad m = C b' ,
 
 for masses known to D, in units of the noise and summed over the readings, and the mean over candidates,
 :math:`e_c = \sum_g w_g T_g`, with weights from the information criterion, :math:`w_g \propto \exp(-\mathrm{EBIC}_g/2)`, 1
-for no candidate (Bayesian model averaging: Hoeting et al. 1999, Stat. Sci. 14, 382-417). What the fit's own parameters add
-is their effective number p. So the covariance is that of noise whose variance is :math:`1 + (e_m + e_c) / p` times as
-large.
+for no candidate (Bayesian model averaging: Hoeting et al. 1999, Stat. Sci. 14, 382-417); of bearings the same of each
+direction and place by itself, :math:`e_b`. What the fit's own parameters add
+is their effective number p. So the covariance is that of noise whose variance is :math:`1 + (e_m + e_c + e_b) / p`
+times as large.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pincal.discover.candidate_tests import sampled
 from pincal.discover.history import History
-from pincal.discover.nuisance import MassError
+from pincal.discover.nuisance import MassError, score_test_beside_masses
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit, posterior_of
+from pincal.model.catalogue.bearings import bearing_features
 
 
 def widened(trail: History, policy: Policy) -> Fit:
@@ -39,7 +43,7 @@ def widened(trail: History, policy: Policy) -> Fit:
     few, _ = sampled(fit, policy)
     rows = len(fit.problem) / max(len(few.problem), 1)
     noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
-    beyond = (of_masses(few) + of_candidates(trail.last)) * rows * noise
+    beyond = (of_masses(few) + of_candidates(trail.last) + of_bearings(few)) * rows * noise
     factor = 1.0 + beyond / max(fit.solution.posterior.effective, 1.0)
     solution = fit.solution
     wide = posterior_of(fit.problem, replace(solution, sigma=solution.sigma * np.sqrt(factor)), fit.priors)
@@ -61,10 +65,24 @@ def of_masses(fit: Fit) -> float:
     return float(most_probable @ S @ most_probable + np.sum(S * C))
 
 
-def of_candidates(tests: ScoreTests) -> float:
-    """Return the same of the candidates that were refused, each weighed by how likely it is there all the same."""
-    groups = len({effect.identity for effect in tests.effects})
-    scores = [tests.score([i], groups) for i in range(len(tests.effects))]
+def of_bearings(fit: Fit) -> float:
+    """Return the same of directions and places of bearings that the data did not call for: each may be there by itself."""
+    effects = fit.options.effects
+    refused = [effect for effect in bearing_features(fit.problem.chain, effects) if effect not in effects]
+    tests = score_test_beside_masses(fit, refused) if refused else None
+    return sum(of_candidates(tests, [i]) for i in range(len(refused))) if tests else 0.0
+
+
+def of_candidates(tests: ScoreTests, which: Sequence[int] | None = None) -> float:
+    """Return the same of the candidates that were refused, each weighed by how likely it is there all the same.
+
+    Args:
+        tests: those against the last model.
+        which: of which candidates, one of them at most there; default: all.
+    """
+    which = range(len(tests.effects)) if which is None else which
+    groups = len({tests.effects[i].identity for i in which})
+    scores = [tests.score([i], groups) for i in which]
     gains, costs = np.array([score.gain for score in scores]), np.array([score.ebic for score in scores])
     # Odds against no candidate, which costs nothing.
     best = min(float(costs.min(initial=0.0)), 0.0)
