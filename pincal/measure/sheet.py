@@ -210,5 +210,6 @@ def _check_cells(
         expected = "a name" if column.is_name else "a finite number"
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
-            f"cells like this in the table: {total}; correct them, delete their rows or ignore the column"
+            f"cells like this in the table: {total}; correct them, delete their rows, or leave the "
+            f"column out (--ignore '{column.label}')"
         )
