@@ -67,16 +67,54 @@ def _told(results: Iterator[R], label: str, of: int) -> Iterator[R]:
         yield result
 
 
+def repeated(function: Callable[[T], R], items: Iterable[T], *, label: str, executor: Executor) -> Iterator[R]:
+    """Return what :func:`spread` does, of a function that is called again: workers have it for as long as it lives here.
+
+    Args:
+        function: compared by identity, as objects are that define no equality of their own.
+        items: small things.
+        label: what one item is called if workers die.
+        executor: does the work.
+    """
+    known = _AT_WORKERS.setdefault(function, [])
+    sender = next((one for one in known if one.executor is executor), None)
+    if sender is None:
+        sender = _Sender(function, executor, label)
+        known.append(sender)
+    return sender.begun(function, list(items), label)
+
+
 def _begun(function: Callable[[T], R], tasks: Sequence[T], executor: Executor, label: str) -> Iterator[R]:
     """Submit all tasks."""
-    if isinstance(executor, ThreadPoolExecutor):
-        return executor.map(function, tasks)
-    if (client := _dask_client(executor)) is not None:
-        return _results(_on_dask(client, function, tasks), label)
-    file = _File(pickle.dumps(function, pickle.HIGHEST_PROTOCOL))
-    sent = _Sent(uuid.uuid4().hex, loaded_plugins(), file.path)
-    with _losses(label):
-        return _results([executor.submit(_call, sent, task) for task in tasks], label, file)
+    return _Sender(function, executor, label).begun(function, tasks, label)
+
+
+class _Sender:
+    """A function where the workers of an executor find it; here it may die meanwhile."""
+
+    def __init__(self, function: Callable[[Any], Any], executor: Executor, label: str) -> None:
+        self.executor = executor
+        self._client, self._file = _dask_client(executor), None
+        if isinstance(executor, ThreadPoolExecutor):
+            return
+        if self._client is not None:
+            self._held = _held_by_dask(self._client, function)
+            return
+        self._file = _File(pickle.dumps(function, pickle.HIGHEST_PROTOCOL))
+        self._held = _Sent(uuid.uuid4().hex, loaded_plugins(), self._file.path)
+
+    def begun(self, function: Callable[[T], R], tasks: Sequence[T], label: str) -> Iterator[R]:
+        """Submit all tasks."""
+        if isinstance(self.executor, ThreadPoolExecutor):
+            return self.executor.map(function, tasks)
+        if self._client is not None:
+            return _results([self._client.submit(_call, self._held, task, pure=False) for task in tasks], label)
+        with _losses(label):
+            return _results([self.executor.submit(_call, self._held, task) for task in tasks], label, self._file)
+
+
+# What is called again, and where its workers find it.
+_AT_WORKERS: weakref.WeakKeyDictionary[Callable[[Any], Any], list[_Sender]] = weakref.WeakKeyDictionary()
 
 
 def _results(futures: Sequence[Future[R]], label: str, *needed: object) -> Iterator[R]:
@@ -161,12 +199,11 @@ def _dask_client(executor: Executor) -> Any:
     return vars(executor)["_client"] if type(executor).__module__ == "distributed.cfexecutor" else None
 
 
-def _on_dask(client: Any, function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
-    """Submit tasks to a Dask cluster, as futures of the client: those of its executor wait for ever for what is lost."""
+def _held_by_dask(client: Any, function: Callable[[Any], Any]) -> Any:
+    """Give a function to a Dask cluster, by its client: futures of its executor wait for ever for what is lost."""
     import cloudpickle
 
     sent = _Sent(uuid.uuid4().hex, loaded_plugins(), cloudpickle.dumps(function))
     # A task and not scattered, as what only workers have is lost with them; Dask warns of tasks that hold much.
     with warnings.catch_warnings(action="ignore", category=UserWarning):
-        held = client.submit(_Sent.itself, sent, pure=False)
-    return [client.submit(_call, held, task, pure=False) for task in tasks]
+        return client.submit(_Sent.itself, sent, pure=False)

@@ -63,6 +63,13 @@ def test_a_worker_is_sent_the_function_once(client: Any, tmp_path: Path) -> None
     assert len(openings) == len(set(openings)) <= WORKERS
 
 
+def test_stations_are_summed_on_a_cluster(client: Any, kuka: Robot) -> None:
+    """To the last bit as here, by workers who have the stations from the first sum on."""
+    tables, options = [paper_table(kuka, 40, seed=seed) for seed in (1, 2)], Options(effects=GEOMETRIC)
+    there = calibrate(kuka, tables, options, executor=client.get_executor())
+    np.testing.assert_array_equal(there.values, calibrate(kuka, tables, options).values)
+
+
 def test_workers_know_the_plugins(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that were loaded here; without them an effect would not be looked for, and nobody would know."""
     assert not any(client.run(knows, "hose_pull").values())

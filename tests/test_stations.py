@@ -1,10 +1,12 @@
 """Several stations in one fit: the sum of their normal equations, whatever is eliminated, in whatever order, wherever."""
 
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+import pickle
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -398,6 +400,34 @@ def test_results_do_not_depend_on_the_executor(machine: sim.TrueMachine, kuka: R
         np.testing.assert_array_equal(there.estimate.sigma, here.estimate.sigma)
 
 
+class Scale(Executor):
+    """Weighs what it is given, and does it here."""
+
+    def __init__(self) -> None:
+        self.heaviest, self.tasks = 0, 0
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Weigh a call and make it."""
+        self.heaviest, self.tasks = max(self.heaviest, len(pickle.dumps((function, args, kwargs)))), self.tasks + 1
+        done: Future[Any] = Future()
+        done.set_result(function(*args, **kwargs))
+        return done
+
+
+def test_workers_are_sent_the_rows_once(two: Fit, kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not with each of the sums over them: a task is smaller than they are, and the stations are read once a problem."""
+    loaded: list[int] = []
+    loads = pickle.loads
+    monkeypatch.setattr(pickle, "loads", lambda content: loaded.append(len(content)) or loads(content))
+    scale = Scale()
+    problem, solution = two.problem, two.solution
+    for _ in range(3):
+        point = Linearised(problem, two.values, solution.free, solution.weights, two.priors.sizes, scale)
+        point.equations(solution.sigma)
+    assert scale.tasks == 3 and len(loaded) == 1
+    assert scale.heaviest < 0.1 * loaded[0]
+
+
 def test_what_needs_one_station_names_those_that_there_are(two: Fit) -> None:
     """Not the first one, silently."""
     with pytest.raises(BadInputError, match="there are 2: east, west"):
@@ -492,9 +522,9 @@ def test_small_stations_are_evaluated_together(machine: sim.TrueMachine, kuka: R
     assert [len(batch.stations) for batch in problem.batches] == [3, 1, 1]
     apart = Problem(problem.stations)
     apart.__dict__["batches"] = tuple(
-        Batch((station,), rows, blocks, places[None], own)
-        for station, rows, blocks, places, own in zip(
-            problem.stations, problem.rows, problem.block_spans, problem.places, problem.eliminated, strict=True
+        Batch((station,), rows, blocks, places[None], own, k)
+        for k, (station, rows, blocks, places, own) in enumerate(
+            zip(problem.stations, problem.rows, problem.block_spans, problem.places, problem.eliminated, strict=True)
         )
     )
     there = fit.values + np.where(free, fit.estimate.sigma, 0.0)

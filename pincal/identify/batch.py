@@ -6,7 +6,7 @@ the model is evaluated once over the rows of all, with the values of each statio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -29,6 +29,7 @@ class Batch:
         blocks: where their blocks of readings stand among all blocks.
         places: shape (S, P), where their parameters stand in the problem's table.
         own: shape (P,), which of them belong to one station alone.
+        first: the number of the first station in the problem.
     """
 
     stations: tuple[Station, ...]
@@ -36,6 +37,7 @@ class Batch:
     blocks: slice
     places: np.ndarray
     own: np.ndarray
+    first: int
 
     def alike(self, free: np.ndarray) -> Iterator[Batch]:
         """Yield parts of it in each of which the same parameters are free, given those of all stations."""
@@ -49,20 +51,21 @@ class Batch:
                 slice(self.blocks.start + size * a, self.blocks.start + size * b),
                 self.places[a:b],
                 self.own,
+                self.first + a,
             )
 
     @cached_property
     def ends(self) -> np.ndarray:
         """Where the rows of each station begin and end among theirs, shape (S + 1,)."""
-        return np.cumsum([0, *map(len, self.stations)])
+        return _ends(self.stations)
 
     def values(self, values: np.ndarray) -> np.ndarray:
         """Return the values of its parameters, given those of all, as :meth:`together` wants them."""
         return np.asarray(values[self.places].T if len(self.stations) > 1 else values[self.places[0]])
 
-    def work(self, values: np.ndarray) -> tuple[Station, np.ndarray, np.ndarray]:
-        """Return the stations as one, where the rows of each begin and end, and their values, given those of all."""
-        return self.together(), self.ends, self.values(values)
+    def work(self, function: Callable[..., Any], values: np.ndarray, *rest: Any) -> Task:
+        """Return the task to call a function with the stations, their values, given those of all, and further arguments."""
+        return Task(function, slice(self.first, self.first + len(self.stations)), self.values(values), rest)
 
     def residuals(self, values: np.ndarray) -> list[np.ndarray]:
         """Return reading minus prediction of each station, shape (m, its rows), for values of all parameters."""
@@ -70,23 +73,60 @@ class Batch:
 
     def together(self) -> Station:
         """Return one station with the rows of all, the parameters of each at its rows: values have shape (P, S)."""
-        first, n = self.stations[0], len(self.stations)
-        if n == 1:
-            return first
-        chains = [station.model.chain for station in self.stations]
-        bases, tools = [c.base_rotation for c in chains], [c.tool_rotations for c in chains]
-        chain = first.model.chain.with_references(np.array(bases), np.concatenate(tools))
-        parts = [station.conditions for station in self.stations]
-        columns = [f.name for f in fields(parts[0]) if f.name not in ("payload_centre", "setup")]
-        present = [name for name in columns if getattr(parts[0], name) is not None]
-        joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
-        setup = np.repeat(np.arange(n), np.diff(self.ends))
-        return Station(
-            model=first.model.with_chain(chain),
-            conditions=replace(parts[0], **joined, setup=setup),
-            sensor=first.sensor.joined([station.sensor for station in self.stations[1:]]),
-            weights=np.concatenate([station.weights for station in self.stations]),
-        )
+        return _together(self.stations)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A function to call with stations as one, where the rows of each begin and end, their values, and what else it takes.
+
+    Attributes:
+        function: as in :mod:`pincal.identify.sums`.
+        stations: which of a problem's.
+        values: as :meth:`Batch.together` wants them.
+        rest: further arguments.
+    """
+
+    function: Callable[..., Any]
+    stations: slice
+    values: np.ndarray
+    rest: tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """The stations of a problem, wherever tasks are done with them; they are much larger than these."""
+
+    stations: tuple[Station, ...]
+
+    def __call__(self, task: Task) -> Any:
+        """Do a task."""
+        stations = self.stations[task.stations]
+        return task.function(_together(stations), _ends(stations), task.values, *task.rest)
+
+
+def _ends(stations: Sequence[Station]) -> np.ndarray:
+    return np.cumsum([0, *map(len, stations)])
+
+
+def _together(stations: Sequence[Station]) -> Station:
+    first, n = stations[0], len(stations)
+    if n == 1:
+        return first
+    chains = [station.model.chain for station in stations]
+    bases, tools = [c.base_rotation for c in chains], [c.tool_rotations for c in chains]
+    chain = first.model.chain.with_references(np.array(bases), np.concatenate(tools))
+    parts = [station.conditions for station in stations]
+    columns = [f.name for f in fields(parts[0]) if f.name not in ("payload_centre", "setup")]
+    present = [name for name in columns if getattr(parts[0], name) is not None]
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
+    setup = np.repeat(np.arange(n), np.diff(_ends(stations)))
+    return Station(
+        model=first.model.with_chain(chain),
+        conditions=replace(parts[0], **joined, setup=setup),
+        sensor=first.sensor.joined([station.sensor for station in stations[1:]]),
+        weights=np.concatenate([station.weights for station in stations]),
+    )
 
 
 def runs(stations: Sequence[Station]) -> Iterator[range]:

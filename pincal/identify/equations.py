@@ -7,24 +7,22 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import starmap
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from pincal.identify.batch import Batch
+from pincal.identify.batch import Batch, Task
 from pincal.identify.posterior import Contribution, Eliminated, Posterior, posterior, posterior_step
 from pincal.identify.problem import Problem
 from pincal.identify.sums import Kept, Part, Squares, contribution, contribution_of, reweighted, squares, squares_of
+from pincal.spread import repeated
 
 # Bytes of normal equations of single stations that are kept at most at one point.
 _MOST_KEPT = 2_000_000
-
-_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True)
@@ -194,11 +192,11 @@ class Linearised:
             for kept, (_, robust) in zip(past, asked, strict=True)
         ]
         tasks = (
-            (*batch.work(self.values), self.free[batch.places[0]], robust, stale)
+            batch.work(reweighted, self.values, self.free[batch.places[0]], robust, stale)
             for kept, stale, (batch, robust) in zip(valid, past, asked, strict=True)
             if kept is None
         )
-        fresh = iter(self._map(reweighted, tasks))
+        fresh = iter(self._done(tasks))
         pairs = zip(valid, asked, strict=True)
         return [Kept(robust, next(fresh)) if kept is None else kept for kept, (_, robust) in pairs]
 
@@ -219,7 +217,7 @@ class Linearised:
         if self.sigma is not None:
             self.equations(self.sigma)
             return [part.squares for part in self._parts]
-        return list(self._map(squares, ((*batch.work(self.values), self.robust[batch.rows]) for batch in self._batches)))
+        return list(self._done(batch.work(squares, self.values, self.robust[batch.rows]) for batch in self._batches))
 
     @property
     def squares(self) -> np.ndarray:
@@ -340,22 +338,23 @@ class Linearised:
     def _from_rows(self, todo: list[int], sigma: np.ndarray) -> Iterable[tuple[Contribution, Squares]]:
         """Return what some batches contribute, from the rows of their stations."""
         batches = (self._batches[k] for k in todo)
-        tasks = (
-            (
-                *batch.work(self.values),
+        return self._done(
+            batch.work(
+                contribution,
+                self.values,
                 self.robust[batch.rows],
                 self.free[batch.places[0]],
                 *self._known(batch, sigma).values(),
             )
             for batch in batches
         )
-        return self._map(contribution, tasks)
 
     def _known(self, batch: Batch, sigma: np.ndarray) -> dict[str, np.ndarray]:
         """Return which parameters of a batch's stations are their own, their noise, and the sizes of their priors."""
         each = sigma[batch.blocks].reshape(len(batch.stations), -1)
         return {"own": batch.own, "sigma": each, "sizes": self.sizes[batch.places]}
 
-    def _map(self, function: Callable[..., _Found], tasks: Iterable[tuple[Any, ...]]) -> Iterable[_Found]:
-        """Call a function with the arguments of each task."""
-        return starmap(function, tasks) if self.executor is None else self.executor.map(function, *zip(*tasks, strict=True))
+    def _done(self, tasks: Iterable[Task]) -> Iterable[Any]:
+        """Do tasks, here or on the workers, who are sent the stations once."""
+        work = self.problem.work
+        return map(work, tasks) if self.executor is None else repeated(work, tasks, label="station", executor=self.executor)

@@ -15,7 +15,7 @@ from itertools import compress, pairwise
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.batch import Batch, runs
+from pincal.identify.batch import Batch, Work, runs
 from pincal.identify.earlier import Earlier
 from pincal.identify.station import Station
 from pincal.measure.rows import some_rows
@@ -193,9 +193,15 @@ class Problem:
                 slice(self.block_spans[run[0]].start, self.block_spans[run[-1]].stop),
                 np.array(self.places[run.start : run.stop]),
                 self.eliminated[run[0]],
+                run[0],
             )
             for run in runs(self.stations)
         )
+
+    @cached_property
+    def work(self) -> Work:
+        """The stations, to do tasks with."""
+        return Work(self.stations)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
