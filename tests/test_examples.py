@@ -32,6 +32,14 @@ def numbers(text: str, label: str) -> list[float]:
     return [float(number) for number in re.findall(NUMBER, line[1])]
 
 
+def figures(page: str, pattern: str) -> list[float]:
+    """Return the figures that a page has where a pattern of words, in which # stands for a number, is found."""
+    text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+    found = re.search(re.escape(pattern).replace(r"\#", r"(\d+(?:\.\d+)?)"), text)
+    assert found is not None, f"{page} does not say {pattern!r}"
+    return [float(figure) for figure in found.groups()]
+
+
 @pytest.fixture(scope="module")
 def kuka_output(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return what the case study prints with few repetitions, and check that it draws."""
@@ -154,6 +162,10 @@ def test_a_corrected_program_arrives(tmp_path: Path, seed: str) -> None:
     assert found[0] < 0.1 and found[2] < 2.0
     assert numbers(text, "unreachable")[0] == 0.0
     assert "backlash of joint_2" in text and "gear_eccentricity of joint_3" in text
+    if seed == "1":
+        pattern = "misses by # mm as programmed, by # mm compensated with geometry and elasticity, and by # mm compensated"
+        told = figures("docs/guide/compensation.md", pattern)
+        assert told == pytest.approx([before[0], plain[0], found[0]], rel=0.1)
 
 
 @pytest.mark.long
@@ -245,6 +257,11 @@ def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     before, after = numbers(text, "Regions held out, mean:")
     assert before == pytest.approx(0.4, abs=0.03)
     assert after < 0.12
+    told = (
+        figures("README.md", "geometry and elasticity leave # mm on"),
+        figures("README.md", "one joint after the other, and # mm are left"),
+    )
+    assert told[0] == pytest.approx([elastic[0]], abs=0.01) and told[1] == pytest.approx([after], abs=0.01)
 
 
 def test_real_robot_says_where_its_measurements_come_from(tmp_path: Path) -> None:
@@ -275,5 +292,9 @@ def test_a_controller_gives_its_calibration_away(tmp_path: Path, decimals: int, 
     error, turn = numbers(text, "calibrated,                        max:")
 
     assert error <= most and turn <= most
+    if decimals == 6:
+        assert figures("docs/guide/controllers.md", "recover the maker's parameters to # um") == pytest.approx(
+            [1e6 * error], rel=0.2
+        )
     assert numbers(text, "by the URDF, base and tool fitted, max:")[0] > 1e-3
     assert (tmp_path / "as_the_controller.urdf").is_file()
