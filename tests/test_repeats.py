@@ -5,8 +5,9 @@ import pytest
 from machines import kuka as true_kuka
 
 from pincal import simulate as sim
+from pincal.discover import resolution
 from pincal.discover.precheck import precheck
-from pincal.discover.resolution import curves_over, notes_on_repeats
+from pincal.discover.resolution import curves_over, notes_on_repeats, resolved
 from pincal.discover.run import run_discovery
 from pincal.identify.calibrate import calibrate
 from pincal.identify.options import Options
@@ -70,3 +71,19 @@ def test_no_curve_is_finer_than_the_positions_of_its_joint(kuka: Robot, rows: Me
     assert reasons == ["joint_2 takes 5 distinct positions, and the coarsest curve that is tried has 8 pieces"]
     curve = TransmissionError.over("joint_3", situation.positions("joint_3"), 8)
     assert [c.resolution for c in curves_over(fit, curve, [8, 12, 15, 18])] == [8, 12]
+
+
+def test_curves_tested_a_few_at_a_time_are_the_same(
+    kuka: Robot, rows: Measurements, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One at a time or all at once: the same resolution and heights, but for rounding."""
+    fit = calibrate(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5))
+    situation = Situation(fit.model.chain, fit.station.conditions)
+    curve = TransmissionError.over("joint_1", situation.positions("joint_1"), 8)
+    found = []
+    for most in (1, 10**6):
+        monkeypatch.setattr(resolution, "_AT_ONCE", most)
+        found.append(resolved(fit, curve, np.arange(ROWS) % 8))
+    (one, heights, _), (other, same, _) = found
+    assert one == other
+    np.testing.assert_allclose(heights, same, rtol=1e-6, atol=1e-12)

@@ -87,18 +87,19 @@ def locate(fit: Fit, sigma: np.ndarray) -> Location:
     """
     rows = np.flatnonzero(fit.solution.weights > 0.0)
     fit = some_rows(fit, rows[np.unique(np.linspace(0, len(rows) - 1, _ENOUGH_ROWS).astype(int))])
-    first = rest = _rest_of(fit, sigma)
-    p_value = float(chdtrc(first.dof, first.squares))
+    rest = _rest_of(fit, sigma)
+    left, dof, excess = rest.by_row(rest.left), rest.dof, rest.squares - rest.dof
+    p_value = float(chdtrc(dof, rest.squares))
     places: list[Place] = []
     while len(places) < _MOST_PLACES and (best := rest.best()) is not None:
-        place = rest.described(best, first.squares - first.dof)
+        place = rest.described(best, excess)
         if place.share < _SHARE:
             break
         places.append(place)
         rest = rest.without(best)
     regions: tuple[Disagreement, ...] = ()
     if fit.station.sensor.blocks[0].size == 3 and (places or p_value < _ALPHA):
-        regions = tuple(regions_of(fit, first.by_row(first.left)[:3], 3.0 * first.dof / first.readings))
+        regions = tuple(regions_of(fit, left[:3], 3.0 * dof / rest.readings))
     return Location(p_value, tuple(places), regions)
 
 
@@ -118,9 +119,9 @@ class _Candidate:
     columns: np.ndarray
     whole: np.ndarray
 
-    def projected(self, Q: np.ndarray) -> _Candidate:
-        """Return it with what orthonormal columns take up projected out."""
-        return replace(self, columns=self.columns - (self.columns @ Q) @ Q.T)
+    def project(self, Q: np.ndarray) -> None:
+        """Project out of its columns what orthonormal ones take up; in place, as all candidates take much memory."""
+        self.columns[:] -= (self.columns @ Q) @ Q.T
 
 
 @dataclass(frozen=True)
@@ -182,10 +183,11 @@ class _Rest:
         return self.readings * float(np.log1p(-gain / squares)) + rank * float(np.log(self.readings)), p_value
 
     def without(self, taken: _Candidate) -> _Rest:
-        """Return what is left once a candidate is taken up as well."""
+        """Return what is left once a candidate is taken up as well; the candidates are the same, and projected."""
         Q = _orthonormal(taken.columns.T)
-        candidates = [candidate.projected(Q) for candidate in self.candidates]
-        return _Rest(self.fit, self.left - Q @ (Q.T @ self.left), candidates, self.spent + Q.shape[1])
+        for candidate in self.candidates:
+            candidate.project(Q)
+        return replace(self, left=self.left - Q @ (Q.T @ self.left), spent=self.spent + Q.shape[1])
 
     def described(self, candidate: _Candidate, excess: float) -> Place:
         """Return a candidate with its share of the whole excess, its size and the range in which it sits."""
@@ -220,10 +222,10 @@ def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
     values = np.append(fit.values[free], np.zeros(own - int(free.sum())))
     r = np.append((residuals * weights).ravel(), -values / sizes)
     Q = _orthonormal(np.vstack([jacobian[:own].reshape(own, -1).T, np.diag(1.0 / sizes)]))
-    candidates = [
-        _Candidate(place, lever, np.pad(columns, ((0, 0), (0, own))), np.sum(columns**2, axis=1)).projected(Q)
-        for place, lever, columns in _candidates(fit, dict(zip(spots, jacobian[own:], strict=True)))
-    ]
+    candidates = []
+    for place, lever, columns in _candidates(fit, dict(zip(spots, jacobian[own:], strict=True))):
+        candidates.append(_Candidate(place, lever, np.pad(columns, ((0, 0), (0, own))), np.sum(columns**2, axis=1)))
+        candidates[-1].project(Q)
     return _Rest(fit, r - Q @ (Q.T @ r), candidates, fit.solution.posterior.effective)
 
 

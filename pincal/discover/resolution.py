@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
-from pincal.discover.score_tests import ScoreTests, standard_errors
+from pincal.discover.score_tests import standard_errors
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import most_pieces
 from pincal.model.conditions import distinct_values
@@ -16,6 +16,8 @@ from pincal.robot.robot import Robot
 
 # Numbers of basis functions that are tried.
 _SIZES = (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180)
+# Parameters of curves that are tested at once.
+_AT_ONCE = 400
 # Distinct positions of a joint that are enough for most gears; fewer are worth a word where the poses carry more.
 _ENOUGH_VALUES = 44
 
@@ -51,9 +53,9 @@ def resolved(fit: Fit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.n
         estimate = score_test_beside_masses(fit, [effect]).estimate([0])
         return effect, estimate, estimate
     forms = [*forms, effect]
-    tests, gains = _tested(fit, forms, groups)
+    estimates, gains = _tested(fit, forms, groups)
     best = int(np.argmax(gains[:-1].sum(axis=1)))
-    return forms[best], tests.estimate([best]), tests.estimate([len(forms) - 1])
+    return forms[best], estimates[best], estimates[-1]
 
 
 def _forms_of(fit: Fit, effect: Effect) -> list[Effect]:
@@ -68,14 +70,37 @@ def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarr
     Its heights are returned as well, to first order.
     """
     curves = [curve, *curves_over(fit, curve, [size for size in _SIZES if size > curve.resolution])]
-    tests, gains = _tested(fit, curves, groups)
+    estimates, gains = _tested(fit, curves, groups)
     more = gains - gains[0]
     best = int(np.argmax(more.sum(axis=1)))
     best = best if standard_errors(more[best]) > 1.0 else 0
-    return curves[best], tests.estimate([best])
+    return curves[best], estimates[best]
 
 
-def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[ScoreTests, np.ndarray]:
-    """Return tests of curves, and by how much each lowers the squared error on each block left out, (curves, blocks)."""
-    tests = score_test_beside_masses(fit, curves, groups)
-    return tests, np.array([tests.gains_by_block([i]) for i in range(len(curves))])
+def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the parameters of curves, and by how much each lowers the squared error on each block left out.
+
+    They are tested a few at a time, as nothing is asked of two together and the memory grows with the square of all.
+
+    Returns:
+        The parameters of each curve, to first order; the gains, shape (curves, blocks).
+    """
+    estimates, gains = list[np.ndarray](), list[np.ndarray]()
+    for some in _few_at_once(fit, curves):
+        tests = score_test_beside_masses(fit, some, groups)
+        estimates += [tests.estimate([i]) for i in range(len(some))]
+        gains += [tests.gains_by_block([i]) for i in range(len(some))]
+    return estimates, np.array(gains)
+
+
+def _few_at_once(fit: Fit, curves: Sequence[Effect]) -> Iterator[list[Effect]]:
+    """Yield curves in their order, several together as long as they have few parameters."""
+    some, total = list[Effect](), 0
+    for curve in curves:
+        size = len(curve.parameters(fit.problem.chain))
+        if some and total + size > _AT_ONCE:
+            yield some
+            some, total = [], 0
+        some.append(curve)
+        total += size
+    yield some

@@ -85,7 +85,7 @@ class ScoreTests:
     @cached_property
     def S(self) -> np.ndarray:
         """Gram matrix of all blocks, shape (P, P)."""
-        return np.asarray(self.blocks_S.sum(axis=0))
+        return self.blocks_S[0] if len(self.blocks_S) == 1 else np.asarray(self.blocks_S.sum(axis=0))
 
     @cached_property
     def b(self) -> np.ndarray:

@@ -120,29 +120,33 @@ class Station:
 
     def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
         """Yield what :meth:`linearise` does, with the structure of curves kept, for Gram matrices."""
+        # Nothing of a piece is held here while it is worked on.
+        for piece in self._pieces():
+            yield piece, *self._shared(self._part(piece), values, free)
+
+    def _shared(self, part: Station, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, Jacobian]:
+        """Return residuals and Jacobian of a piece of the rows."""
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
-        for piece in self._pieces():
-            part = self._part(piece)
-            poses, motion, shared = part.model.linearise_shared(
-                of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
-            )
-            apart = free.copy()
-            for group in shared:
-                apart[group.parameters] = False
-            columns = part.sensor.jacobian(poses, motion, own)
-            n_apart = int(self.split(apart)[0].sum())
-            of_sensor = columns[len(motion) :][own_free]
-            plain = not shared and not len(of_sensor)
-            dense = columns[:n_apart] if plain else np.concatenate([columns[:n_apart], of_sensor])
-            column_of = np.cumsum(free) - 1
-            families = (
-                SharedColumns(column_of[group.parameters[rows]], basis, columns[n_apart + i])
-                for i, group in enumerate(shared)
-                for rows, basis in split_by_density(group.basis)
-            )
-            jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
-            yield piece, part.sensor.residuals(poses, own), jacobian
+        poses, motion, shared = part.model.linearise_shared(
+            of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
+        )
+        apart = free.copy()
+        for group in shared:
+            apart[group.parameters] = False
+        columns = part.sensor.jacobian(poses, motion, own)
+        n_apart = int(self.split(apart)[0].sum())
+        of_sensor = columns[len(motion) :][own_free]
+        plain = not shared and not len(of_sensor)
+        dense = columns[:n_apart] if plain else np.concatenate([columns[:n_apart], of_sensor])
+        column_of = np.cumsum(free) - 1
+        families = (
+            SharedColumns(column_of[group.parameters[rows]], basis, columns[n_apart + i])
+            for i, group in enumerate(shared)
+            for rows, basis in split_by_density(group.basis)
+        )
+        jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
+        return part.sensor.residuals(poses, own), jacobian
 
     def _pieces(self) -> Iterator[slice]:
         size = max(len(self), 1) if self.sensor.is_whole else PIECE
