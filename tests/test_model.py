@@ -21,7 +21,7 @@ from pincal.model import kernels
 from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
 from pincal.model.catalogue.bearings import ObliqueBearing
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
-from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
+from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, JointOffset, LinkGeometry, ToolFrame
 from pincal.model.kernels import BLOCK, FRAME
 from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS
@@ -766,3 +766,26 @@ def test_compiling_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
             compiling.append(not gc.isenabled())
     assert [record.getMessage()[:14] for record in caplog.records] == ["compiling once"]
     assert compiling == [False, True, True, True, True, False]
+
+
+def test_an_effect_is_asked_once_for_its_terms_over_the_same_poses(kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By all models that have it, whatever their values; over other poses it is asked again."""
+    asked = []
+    terms = JointOffset.terms
+
+    def count(self, chain, conditions, moments):
+        asked.append(len(conditions))
+        return terms(self, chain, conditions, moments)
+
+    monkeypatch.setattr(JointOffset, "terms", count)
+    chain, offset = Chain.of(kuka), JointOffset()
+    model, other = Model(chain, (offset,)), Model(chain, (offset, LinkGeometry()))
+    q = kuka.random_configurations(7, np.random.default_rng(0))
+    conditions = Conditions.at(q)
+    zero, moved = np.zeros(model.n_parameters), np.full(model.n_parameters, 1e-3)
+    first, second = model.predict(zero, conditions), model.predict(moved, conditions)
+    other.predict(np.zeros(other.n_parameters), conditions)
+    assert asked == [7]
+    assert not np.allclose(first, second)
+    np.testing.assert_array_equal(model.predict(zero, Conditions.at(q[:3])), first[:3])
+    assert asked == [7, 3]

@@ -348,12 +348,15 @@ def _gram(
     n_blocks, squares = int(groups.max()) + 1, 0.0
     whole_S, whole_b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
     for i, station in enumerate(problem.stations):
-        order = np.argsort(groups[problem.rows[i]], kind="stable")
+        order: slice | np.ndarray = slice(None)
+        if n_blocks > 1:
+            order = np.argsort(groups[problem.rows[i]], kind="stable")
+            station = station.select(order)
         local = values[problem.places[i]], free[problem.places[i]]
         weights = fit.solution.weights[problem.rows[i]][order]
         sigma = fit.solution.estimated[problem.block_spans[i]]
         S, b, found = _station_gram(
-            station.select(order), *local, weights=weights, sigma=sigma, groups=groups[problem.rows[i]][order], n=n_blocks
+            station, *local, weights=weights, sigma=sigma, groups=groups[problem.rows[i]][order], n=n_blocks
         )
         mine = column[problem.places[i][local[1]]]
         squares += found

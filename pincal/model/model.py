@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -25,6 +26,8 @@ _SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 # Parameters that act on one coordinate by a basis function from which their column is shared.
 _WORTH_SHARING = 6
+# Numbers in bases that are kept at most for the next evaluation (8 MB).
+_MOST_NUMBERS_KEPT = 1_000_000
 # A link that weighs less than this [kg] is given it: its centre is its first moment over its mass.
 _LIGHTEST = 1e-9
 # What a model keeps of its parameters once it has been asked for it.
@@ -389,12 +392,44 @@ class _State:
 
 def _terms(model: Model, conditions: Conditions, moments: np.ndarray | None) -> list[tuple[int, Term]]:
     """Return the terms, with their place in the vector of values, of the effects that do or don't use moments."""
-    return [
-        (span.start + term.parameter, term)
+    pairs = [
+        (span.start, effect)
         for span, effect in zip(model.spans, model.effects, strict=True)
         if effect.uses_moments == (moments is not None)
-        for term in effect.terms(model.chain, conditions, moments)
     ]
+    if moments is not None:
+        each = [effect.terms(model.chain, conditions, moments) for _, effect in pairs]
+    else:
+        each = _plain_terms([effect for _, effect in pairs], model.chain, conditions)
+    return [(start + term.parameter, term) for (start, _), terms in zip(pairs, each, strict=True) for term in terms]
+
+
+class _Evaluated(NamedTuple):
+    """Terms of effects that do not use moments, over some poses; the objects that they are of are held, too."""
+
+    conditions: Conditions
+    chain: Chain
+    of_effect: dict[int, tuple[Effect, tuple[Term, ...]]]
+
+
+# Those of the latest two evaluations: a fit asks again and again for the same, a test of candidates twice.
+_EVALUATED: deque[_Evaluated] = deque(maxlen=2)
+
+
+def _plain_terms(effects: Sequence[Effect], chain: Chain, conditions: Conditions) -> list[tuple[Term, ...]]:
+    """Return the terms of effects that do not use moments, taken from the latest evaluations as far as they are there."""
+    past = [kept.of_effect for kept in tuple(_EVALUATED) if kept.conditions is conditions and kept.chain is chain]
+    known = {key: value for of_effect in past for key, value in of_effect.items()}
+    found = {}
+    for effect in effects:
+        key = id(effect)
+        found[key] = known[key] if key in known else (effect, effect.terms(chain, conditions, None))
+    if any(len(of_effect) == len(found) and of_effect.keys() == found.keys() for of_effect in past):
+        return [found[id(effect)][1] for effect in effects]
+    n_bases = sum(term.basis is not None for _, terms in found.values() for term in terms)
+    if n_bases * len(conditions) <= _MOST_NUMBERS_KEPT:
+        _EVALUATED.append(_Evaluated(conditions, chain, found))
+    return [found[id(effect)][1] for effect in effects]
 
 
 def _laden(model: Model, by_row: _RowValues) -> Layout:
