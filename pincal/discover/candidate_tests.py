@@ -178,3 +178,11 @@ def some_rows(fit: Fit, rows: np.ndarray) -> Fit:
     """Return a fit as it is, of some of its rows."""
     solution = replace(fit.solution, weights=fit.solution.weights[rows])
     return replace(fit, problem=fit.problem.select(rows), solution=solution)
+
+
+def over_rows_of(fit: Fit, whole: Fit) -> Fit:
+    """Return a fit of some rows as it is, over all the rows of another one, with their weights."""
+    solution = replace(fit.solution, weights=whole.solution.weights)
+    pairs = zip(whole.problem.stations, fit.problem.stations, strict=True)
+    rows = replace(whole.problem, stations=tuple(station.with_model(part.model) for station, part in pairs))
+    return replace(fit, problem=rows, solution=solution)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from pincal.discover.candidate_tests import over_rows_of, sampled
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.score_tests import ScoreTests
@@ -40,7 +41,7 @@ def instead_of(tests: ScoreTests, compliance: Effect, estimate: Estimate, policy
 
 
 def without_compliance(fit: Fit, compliance: Effect) -> Fit:
-    """Return a fit without the compliance of one joint."""
+    """Return a fit without the compliance of one joint, close to its end by as many rows as effects are chosen by."""
     joint = compliance.locus.joint
     others = tuple(name for name in fit.problem.chain.robot.joint_names if name != joint)
     effects: list[Effect] = []
@@ -55,7 +56,9 @@ def without_compliance(fit: Fit, compliance: Effect) -> Fit:
             effects += [replace(feature, joint=name) for name in others]
         elif not own or effect.locus.joint != joint:
             effects.append(effect)
-    return refit(fit, effects, rough=True)
+    few, _ = sampled(fit, POLICY)
+    rest = refit(few, effects, rough=True)
+    return rest if few is fit else over_rows_of(rest, fit)
 
 
 def _place(effect: Effect) -> tuple[str | None, str, str | None]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.discover.backward import drop_needless, merge_parts, name_again
-from pincal.discover.candidate_tests import Search, addable, named_tests, sampled, variants
+from pincal.discover.candidate_tests import Search, addable, named_tests, over_rows_of, sampled, variants
 from pincal.discover.decisions import each_heading_once, is_own_curve
 from pincal.discover.forward import add_effects, bent
 from pincal.discover.history import History, State
@@ -97,10 +97,7 @@ def fit_all_rows(state: State, search: Search) -> State:
     fit, first = state.fit, search.first
     is_thinned = len(fit.problem) < len(first.problem)
     if is_thinned:
-        solution = replace(fit.solution, weights=first.solution.weights)
-        pairs = zip(first.problem.stations, fit.problem.stations, strict=True)
-        rows = replace(first.problem, stations=tuple(whole.with_model(part.model) for whole, part in pairs))
-        whole = replace(fit, problem=rows, solution=solution)
+        whole = over_rows_of(fit, first)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
         state = _with_curves(state, wider, fit)
