@@ -12,7 +12,7 @@ import pincal.simulate as sim
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal.discover.elastic_ways import elastic_way, missing_compliances, with_features
 from pincal.discover.forward import bent
-from pincal.discover.moment_frames import single_compliance
+from pincal.discover.moment_frames import elastic_ways, single_compliance
 from pincal.discover.policy import POLICY
 from pincal.discover.where import sure_compliances
 from pincal.identify.calibrate import refit
@@ -38,7 +38,7 @@ def test_one_soft_bearing_enters_alone(tmp_path: Path) -> None:
     soft = sim.BearingElasticity(joint="axis_3", size=6e-7, size_y=2e-7, moment_frame="before")
     fit = fit_of(tmp_path, soft)
 
-    frame, way = single_compliance(fit, MOMENT_FRAMES, POLICY) or ("", None)
+    frame, way = single_compliance(elastic_ways(fit, MOMENT_FRAMES, POLICY), MOMENT_FRAMES, POLICY) or ("", None)
 
     assert frame == "before" and way is not None and way.effects == (BearingElasticity(("axis_3",)),) and way.is_single
     step = bent(fit, way)

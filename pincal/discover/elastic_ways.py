@@ -51,8 +51,8 @@ def elastic_way(fit: Fit, policy: Policy) -> ElasticWay | None:
     if not block:
         return None
     parts = [part for effect in block for part in effect.parts(chain)]
-    # One bearing alone gives way in directions of its own.
-    forms = [(part, *bearing_features(chain, (part,))) for part in parts]
+    # One bearing alone gives way in directions of its own; where it sits, nothing shows before it gives way.
+    forms = [(part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments)) for part in parts]
     starts = np.cumsum([0, *map(len, forms)])
     tests = score_test_beside_masses(fit, [effect for form in forms for effect in form])
     whole = [int(i) for i in starts[:-1]]

@@ -13,7 +13,15 @@ from pincal.discover.candidate_tests import Search, addable, named_tests, over_r
 from pincal.discover.decisions import each_heading_once, is_own_curve
 from pincal.discover.forward import add_effects, bent
 from pincal.discover.history import History, State
-from pincal.discover.moment_frames import best_frame, fit_cost, in_frame, is_brought, likeliest_frame, single_compliance
+from pincal.discover.moment_frames import (
+    best_frame,
+    elastic_ways,
+    fit_cost,
+    in_frame,
+    is_brought,
+    likeliest_frame,
+    single_compliance,
+)
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import curves_over, refined
 from pincal.discover.settling import settle
@@ -60,12 +68,11 @@ def start_in_likeliest_frame(state: State, search: Search) -> State:
     """Take the convention of moments in which elasticity explains most."""
     if len(search.frames) < 2:
         return state
-    single = single_compliance(state.fit, search.frames, search.policy)
-    if single is None:
-        return State(in_frame(state.fit, likeliest_frame(state.fit, search.frames)))
-    frame, way = single
-    fit = in_frame(state.fit, frame)
-    return State(fit).with_step(bent(fit, way))
+    ways = elastic_ways(state.fit, search.frames, search.policy)
+    single = single_compliance(ways, search.frames, search.policy)
+    frame = likeliest_frame(state.fit, search.frames) if single is None else single[0]
+    fit, way = in_frame(state.fit, frame), ways.get(frame) if single is None else single[1]
+    return State(fit) if way is None else State(fit).with_step(bent(fit, way))
 
 
 def compare_frames(state: State, search: Search) -> State:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,24 +33,35 @@ def in_frame(fit: Fit, frame: MomentFrame) -> Fit:
     )
 
 
+def elastic_ways(fit: Fit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, ElasticWay]:
+    """Return how an arm that has no elasticity yet gives way in each convention; nothing where it does not."""
+    if has_compliance(fit.options.effects):
+        return {}
+    return {frame: way for frame in frames if (way := elastic_way(in_frame(fit, frame), policy))}
+
+
 def likeliest_frame(fit: Fit, frames: Sequence[MomentFrame]) -> MomentFrame:
     """Return the convention in which elasticity explains most; the first unless another does so beyond chance."""
     effects = [*fit.options.effects, *(e for e in ELASTIC if e.uses_moments and e not in fit.options.effects)]
     return best_of([refit(fit, effects, moment_frame=frame) for frame in frames])
 
 
-def single_compliance(fit: Fit, frames: Sequence[MomentFrame], policy: Policy) -> tuple[MomentFrame, ElasticWay] | None:
+def single_compliance(
+    ways: Mapping[MomentFrame, ElasticWay], frames: Sequence[MomentFrame], policy: Policy
+) -> tuple[MomentFrame, ElasticWay] | None:
     """Return the convention in which one drive or bearing is all that gives way; None where more does, or nothing.
 
     It would be lost among the many parameters by which whole arms differ between conventions. What explains as much in
     another convention is told as equivalent.
+
+    Args:
+        ways: how the arm gives way, by convention.
+        frames: the conventions; the first is kept unless another is better beyond chance.
+        policy: what counts as a tie.
     """
-    if has_compliance(fit.options.effects):
-        return None
-    ways = {frame: way for frame in frames if (way := elastic_way(in_frame(fit, frame), policy))}
-    costs = {frame: way.score.ebic for frame, way in ways.items()}
     if not ways:
         return None
+    costs = {frame: way.score.ebic for frame, way in ways.items()}
     least = min(costs, key=lambda frame: costs[frame])
     frame = frames[0] if costs.get(frames[0], np.inf) < costs[least] + FRAME_BETTER else least
     if not ways[frame].is_single:

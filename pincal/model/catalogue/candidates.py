@@ -41,19 +41,21 @@ def _judged(situation: Situation) -> list[tuple[Effect, str]]:
 
 def elasticity(situation: Situation) -> tuple[Effect, ...]:
     """Return the linear compliances that these poses excite."""
-    return tuple(candidate.effect for candidate in _every(situation) if candidate.effect.family is Family.ELASTICITY)
+    return tuple(candidate.effect for candidate in _every(situation, elastic=True))
 
 
-def _every(situation: Situation) -> list[Candidate]:
+def _every(situation: Situation, *, elastic: bool) -> list[Candidate]:
     classes = [cls for cls in EFFECTS.known().values() if issubclass(cls, Discoverable)]
-    return [candidate for cls in classes for candidate in cls.candidates(situation)]
+    chosen = [cls for cls in classes if (cls.family is Family.ELASTICITY) == elastic]
+    return [candidate for cls in chosen for candidate in cls.candidates(situation)]
 
 
 def _all(situation: Situation) -> list[Candidate]:
     """Return all candidates but elasticity, those of a joint before those of the next, those of the whole arm last."""
     place = {joint: i for i, joint in enumerate(situation.joints)}
-    found = [candidate for candidate in _every(situation) if candidate.effect.family is not Family.ELASTICITY]
-    return sorted(found, key=lambda candidate: place.get(candidate.effect.locus.joint or "", len(place)))
+    return sorted(
+        _every(situation, elastic=False), key=lambda candidate: place.get(candidate.effect.locus.joint or "", len(place))
+    )
 
 
 def why_not_testable(candidate: Candidate, situation: Situation) -> str:
