@@ -222,8 +222,11 @@ def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
     values = np.append(fit.values[free], np.zeros(own - int(free.sum())))
     r = np.append((residuals * weights).ravel(), -values / sizes)
     Q = _orthonormal(np.vstack([jacobian[:own].reshape(own, -1).T, np.diag(1.0 / sizes)]))
+    motions = jacobian[own:].copy()
+    # As large as all candidates together.
+    del jacobian
     candidates = []
-    for place, lever, columns in _candidates(fit, dict(zip(spots, jacobian[own:], strict=True))):
+    for place, lever, columns in _candidates(fit, dict(zip(spots, motions, strict=True))):
         candidates.append(_Candidate(place, lever, np.pad(columns, ((0, 0), (0, own))), np.sum(columns**2, axis=1)))
         candidates[-1].project(Q)
     return _Rest(fit, r - Q @ (Q.T @ r), candidates, fit.solution.posterior.effective)

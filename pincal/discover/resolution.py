@@ -90,6 +90,8 @@ def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[lis
         tests = score_test_beside_masses(fit, some, groups)
         estimates += [tests.estimate([i]) for i in range(len(some))]
         gains += [tests.gains_by_block([i]) for i in range(len(some))]
+        # Before the next tests are made, and not after it.
+        del tests
     return estimates, np.array(gains)
 
 
