@@ -9,23 +9,24 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import benchmark_history as history
 import click
 import nbformat
+import pages
 import pytest
+import transcripts
 from nbclient import NotebookClient
 
 from pincal.cli import pincal
 from pincal.io.effect_entry import known_effects
-from pincal.plugins import load_plugin
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-TRANSCRIPTS = load_plugin(str(ROOT / "docs" / "transcripts.py"))
 
 
 def is_played(page: Path) -> bool:
     """Return whether any block of a page is run."""
-    return any(block.is_played for block in TRANSCRIPTS.blocks(page.read_text(encoding="utf-8")))
+    return any(block.is_played for block in transcripts.blocks(page.read_text(encoding="utf-8")))
 
 
 def anchors_of(page: Path) -> set[str]:
@@ -43,7 +44,6 @@ def links_of(page: Path) -> Iterator[str]:
 @pytest.mark.parametrize("name", ["commands.md", "files.md", "effects.md", "python.md"])
 def test_reference_pages_are_those_of_the_program(name: str) -> None:
     """Made anew, a page is as it stands, and no cell of its tables is empty; ``python docs/pages.py`` writes them."""
-    pages = load_plugin(str(ROOT / "docs" / "pages.py"))
     page = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
 
     assert page == pages.text_of(name)
@@ -92,7 +92,6 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
 
 def test_the_history_of_speed_has_a_line_of_every_release() -> None:
     """The last line is that of the changelog's first heading; every figure is a number, paired but for the first line."""
-    history = load_plugin(str(ROOT / "tests" / "benchmark_history.py"))
     rows = list(csv.DictReader(history.HISTORY.open(encoding="utf-8")))
     versions = [row["version"] for row in rows]
 
@@ -106,7 +105,6 @@ def test_the_history_of_speed_has_a_line_of_every_release() -> None:
 @pytest.mark.long
 def test_the_history_of_speed_times_every_figure() -> None:
     """Of a small table, by public names alone."""
-    history = load_plugin(str(ROOT / "tests" / "benchmark_history.py"))
     found = history.probe(rows=60)
 
     assert tuple(found) == history.FIGURES and min(found.values()) > 0.0
@@ -122,14 +120,14 @@ def told(page: str) -> tuple[list[str], list[float]]:
 def test_every_block_is_run_or_says_why_not(tests: dict[str, bool]) -> None:
     """A block is played, a directive of the site, or marked: held by tests that are there, or not run for a reason."""
     not_run = []
-    for page in TRANSCRIPTS.PAGES:
-        for block in TRANSCRIPTS.blocks(page.read_text(encoding="utf-8")):
+    for page in transcripts.PAGES:
+        for block in transcripts.blocks(page.read_text(encoding="utf-8")):
             if block.not_run:
                 not_run.append(f"{page.stem}: {block.not_run}")
             elif block.held_by:
                 assert set(block.held_by.split(", ")) <= tests.keys(), (page, block)
             else:
-                assert block.language in TRANSCRIPTS.LANGUAGES or block.language.startswith("{"), (page, block)
+                assert block.language in transcripts.LANGUAGES or block.language.startswith("{"), (page, block)
 
     assert sorted(not_run) == [
         "CONTRIBUTING: it is what runs the tests",
@@ -138,7 +136,7 @@ def test_every_block_is_run_or_says_why_not(tests: dict[str, bool]) -> None:
     ]
 
 
-@pytest.mark.parametrize("page", TRANSCRIPTS.PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", transcripts.PAGES, ids=lambda page: page.stem)
 def test_commands_and_places_in_the_text_are_there(page: Path) -> None:
     """Verbs and options that a sentence or a block names are those of the program, and files are in the repository."""
     text = page.read_text(encoding="utf-8")
@@ -159,12 +157,12 @@ def code_of(page: str) -> list[str]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("page", [page for page in TRANSCRIPTS.PAGES if is_played(page)], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [page for page in transcripts.PAGES if is_played(page)], ids=lambda page: page.stem)
 def test_pages_show_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every block runs in an empty folder, and prints the words that it shows and, nearly, the numbers."""
     monkeypatch.chdir(tmp_path)
     shown = page.read_text(encoding="utf-8")
-    (words, numbers), (words_now, numbers_now) = told(shown), told(TRANSCRIPTS.played(shown))
+    (words, numbers), (words_now, numbers_now) = told(shown), told(transcripts.played(shown))
 
     assert words_now == words
     assert numbers_now == pytest.approx(numbers, rel=0.1, abs=1e-9)

@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal import plugins
 from pincal.errors import MeasurementError
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import measurements_from_arrays
@@ -151,11 +152,13 @@ SEEN[:, 2, 3] = np.abs(SEEN[:, 2, 3]) + 2.0  # Before a camera that stands at th
 READING = {case.kind: case.read for case in reversed(cases())}
 
 
-KNOWN_BEFORE = dict(SENSORS._classes)
+KNOWN_BEFORE, LOADED_BEFORE = dict(SENSORS._classes), dict(plugins._loaded)
 CASES = [*cases(), laser_case()]
-# The example's sensor is under test here; no other test shall know it.
+# The example's sensor is under test here; no other test, and no worker of one, shall know it.
 SENSORS._classes.clear()
 SENSORS._classes.update(KNOWN_BEFORE)
+plugins._loaded.clear()
+plugins._loaded.update(LOADED_BEFORE)
 sys.modules.pop("line_laser", None)
 
 
