@@ -59,8 +59,8 @@ def trials(
     """Yield the steps to try, shape (F,), the largest first; each wants to be sent the point that it led to.
 
     Where two parameters multiply each other and the readings hardly tell them apart, such as a bearing's compliance and its
-    place, what Gauss-Newton wants along this bent ridge leads far off it. A step is then damped by the priors, and what it
-    did wrong all the same is put right from where it led to, by what the readings are surest of. A step that is halved
+    place, what Gauss-Newton wants along this bent ridge leads far off it. A step is then damped by the priors, and what such
+    a one did wrong all the same is put right from where it led to, by what the readings are surest of. A step that is halved
     instead creeps along the ridge.
 
     Args:
@@ -78,8 +78,10 @@ def trials(
             step = here.equations(sigma).step(bounds, damping)[0]
         memory.damping = damping / _LESS if damping > _FIRST else 0.0
         there = yield step
-        worse = there.objective(sigma) / max(here.objective(sigma), 1e-300)
-        yield step + there.equations(sigma).step(bounds, _REPAIR * (1.0 + damping) * max(worse, 1.0))[0]
+        # From where a whole step led to, putting it right may lead on into another valley.
+        if damping:
+            worse = there.objective(sigma) / max(here.objective(sigma), 1e-300)
+            yield step + there.equations(sigma).step(bounds, _REPAIR * (1.0 + damping) * max(worse, 1.0))[0]
         damping = max(_FIRST, _MORE * damping)
     memory.damping = damping
     for k in range(_HALVINGS):
