@@ -392,7 +392,11 @@ QUICK: dict[str, Callable[[], Iterator[Line]]] = {
     "discover": time_discovery,
     "process": time_processes,
 }
-SLOW: dict[str, Callable[[], Iterator[Line]]] = {"large-series": time_large_series, "million": time_million}
+SLOW: dict[str, Callable[[], Iterator[Line]]] = {
+    "large-series": time_large_series,
+    "million": time_million,
+    "ten-million": time_ten_million,
+}
 
 
 def main() -> None:
