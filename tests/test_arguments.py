@@ -124,6 +124,7 @@ def test_every_error_has_an_exit_code_that_has_a_meaning() -> None:
     assert [(int(code), code.meaning) for code in Exit][:3] == [(0, "done"), (1, "internal error"), (2, "usage error")]
 
 
+@pytest.mark.long
 def test_calibrate_and_discover_record_the_same_inputs(
     tmp_path: Path,
     columns: Any,  # noqa: F811

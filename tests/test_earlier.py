@@ -173,6 +173,7 @@ def test_too_few_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, both: F
         calibrate(kuka, few, Options(effects=ELASTIC, earlier=both.robot_estimate))
 
 
+@pytest.mark.long
 def test_parts_give_what_all_rows_do(tmp_path: Path, machine: sim.TrueMachine, kuka: Robot) -> None:
     """A Parquet file read and fitted in three parts: the rows are those of the file, the robot that of a joint fit."""
     table = tracked(machine, kuka, 0, poses=400)
