@@ -1,7 +1,7 @@
 """Fixtures shared by all tests."""
 
+import ast
 import os
-import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,9 +42,12 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def tests() -> dict[str, bool]:
     """Return the names of all tests, and whether they are long."""
-    files = (file.read_text(encoding="utf-8") for file in Path(__file__).parent.glob("test_*.py"))
-    test = re.compile(r"^((?:@.*\n(?:[ )\]].*\n)*)*)def (test_\w+)", re.MULTILINE)
-    return {found[2]: "@pytest.mark.long\n" in found[1] for text in files for found in test.finditer(text)}
+    return {
+        test.name: any(ast.unparse(mark) == "pytest.mark.long" for mark in test.decorator_list)
+        for file in Path(__file__).parent.glob("test_*.py")
+        for test in ast.parse(file.read_text(encoding="utf-8")).body
+        if isinstance(test, ast.FunctionDef) and test.name.startswith("test_")
+    }
 
 
 @pytest.fixture(scope="session")

@@ -85,8 +85,12 @@ def _measured(machine: sim.TrueMachine, robot: Robot, rng: np.random.Generator, 
 
 
 def calibrated(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
-    """Names of all parameters, and predictions."""
-    return [(fit.names, {"tip": fit.predict(case.at())[:, :3, 3]}) for fit in case.fits]
+    """The convention of moments and all parameters but where bearings sit along their axes, and predictions."""
+    names = [{name for name in fit.estimate.names if not name.endswith(".h")} for fit in case.fits]
+    return [
+        ((fit.options.moment_frame, found), {"tip": fit.predict(case.at())[:, :3, 3]})
+        for fit, found in zip(case.fits, names, strict=True)
+    ]
 
 
 def validated(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
