@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from pincal.io.entries import ModelEntry, plain, restored
 from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.measure.table import read_measurements
 from pincal.model.catalogue.bearings import BearingPlace, ObliqueBearing
+from pincal.model.catalogue.drives import AxisWobble
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effects import ELASTIC, BearingElasticity
@@ -103,12 +105,37 @@ def test_a_bearing_bends_as_the_true_machine(tmp_path: Path, seed: int, moment_f
 
 
 @pytest.mark.parametrize("moment_frame", ["before", "after"])
+def test_an_axis_wobbles_as_the_true_machine(tmp_path: Path, moment_frame: MomentFrame) -> None:
+    """About the URDF's joint, seen from either side; about the foot of the common normal a hundredth or more is left."""
+    urdf = written(tmp_path / "skew.urdf", skew_arm(0))
+    robot = Robot.from_urdf(urdf)
+    conditions = conditions_of(robot)
+    machine = sim.TrueMachine.from_urdf(urdf, tip=robot.tip, base=robot.base)
+    plain = machine.tip(conditions.q)[:, :3, 3]
+    chain = Chain.of(robot, moment_frame=moment_frame)
+    at_foot = replace(chain, bearing_heights=np.zeros(robot.n_joints))
+
+    for joint, (order, frame) in product(robot.joint_names[1:-1], ((2, "before"), (1, "after"))):
+        hidden = sim.AxisWobble(joint=joint, size=1e-6, order=order, frame=frame, roundness=0.4)
+        signal = (machine.with_effects(hidden).tip(conditions.q)[:, :3, 3] - plain).ravel()
+        left = []
+        for where in (chain, at_foot):
+            model = Model(where, (AxisWobble(joint, order, frame),))
+            columns = model.linearise(np.zeros(4), conditions, rows=3)[1].reshape(-1, 4)
+            left.append(np.linalg.norm(signal - columns @ np.linalg.lstsq(columns, signal)[0]) / np.linalg.norm(signal))
+
+        assert left[0] < 1e-4 and left[1] > 1e-2, joint
+
+
+@pytest.mark.parametrize("moment_frame", ["before", "after"])
 def test_turned_joint_frames_are_the_same_machine(tmp_path: Path, moment_frame: MomentFrame) -> None:
     """Whatever the frames of a URDF, the same compliances predict the same places to rounding."""
     arms = [Robot.from_urdf(written(tmp_path / f"{turned}.urdf", skew_arm(3, turned=turned))) for turned in (False, True)]
     conditions = conditions_of(arms[0])
-    effects = (BearingElasticity(), *(ObliqueBearing(joint) for joint in arms[0].joint_names))
-    values = 1e-8 * np.random.default_rng(2).uniform(0.5, 1.5, 18)
+    joints = arms[0].joint_names
+    wobbles = (AxisWobble(joint, 2, frame) for joint in joints for frame in ("before", "after"))
+    effects = (BearingElasticity(), *(ObliqueBearing(joint) for joint in joints), *wobbles)
+    values = 1e-8 * np.random.default_rng(2).uniform(0.5, 1.5, 18 + 48)
     places = [Model(Chain.of(arm, moment_frame=moment_frame), effects).predict(values, conditions) for arm in arms]
     stiff = Model(Chain.of(arms[0]), ()).predict(np.zeros(0), conditions)
 

@@ -397,8 +397,8 @@ def comparison(request: pytest.FixtureRequest) -> Comparison:
 
 
 Pair = tuple[Callable[[tuple[str, ...]], sim.HiddenEffect], Make]
-# On joints whose bearing stands where the fit's frames have it: the fit tilts an axis about the foot of the common normal,
-# the simulator about the place of the URDF's joint, which on joint 3 of the Panda is 0.3 m further along the axis.
+# On joints whose bearing stands at the origin of its frame, where the paper has it; on joint 3 of the Panda the URDF's joint
+# is 0.3 m further along the axis.
 # Hidden effect, its name in the catalogue, and the best parameters where each is the physical one.
 SAME_FORM: dict[str, tuple[*Pair, list[float] | None]] = {
     "base_elasticity": (lambda j: sim.BaseElasticity(size=1e-8), lambda j: BaseElasticity(), [1e-8, 1e-8]),

@@ -25,6 +25,7 @@ from pincal.errors import BadInputError
 from pincal.export import FORMATS, Exported, Format, export_model
 from pincal.model.at_station import AtStation
 from pincal.model.catalogue.bearings import ObliqueBearing
+from pincal.model.catalogue.drives import AxisWobble
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Locus, Term
@@ -209,7 +210,8 @@ def test_what_is_known_only_afterwards_is_not_exported(kuka: Robot) -> None:
 @pytest.mark.parametrize("frame", ["before", "after"])
 def test_bearings_beside_the_origins_of_their_frames_are_exported(frame: MomentFrame, rng: np.random.Generator) -> None:
     """Two joints of the Panda sit a third of a metre along their axes, where their moments are taken."""
-    check_python(drawn(ObliqueBearing("panda_joint3"), Robot.from_urdf("panda"), frame=frame), rng)
+    for effect in (ObliqueBearing("panda_joint3"), AxisWobble("panda_joint3")):
+        check_python(drawn(effect, Robot.from_urdf("panda"), frame=frame), rng)
 
 
 def test_the_whole_catalogue_at_once_is_exported(kuka: Robot, rng: np.random.Generator) -> None:

@@ -169,7 +169,7 @@ class AxisWobble(Discoverable):
     a circle of order 1. So of order 1 before q that circle (two of four parameters) repeats constant geometry of the link,
     and of order 1 after q the circle that stands still repeats s_x, s_y. As circles a turn seen from the previous link,
     "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before) of (2, after).
-    The axis tilts about the origin of the frame before q: the foot of the common normal, wherever the bearing is.
+    The axis tilts about the bearing: where the chain has it on the axis, in the paper the foot of the common normal.
 
     Told apart by:
         the joint turned alone, by many small steps, with a target far off its axis and one close to it: a wobble moves both,
@@ -214,13 +214,16 @@ class AxisWobble(Discoverable):
         return parameters_of(self, self.joint, symbols, unit="rad", size=TILT)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add sines and cosines to s_x and s_y."""
+        """Add sines and cosines to the tilts at the bearing: s_x and s_y before q, or gamma_x and gamma_y up the axis."""
         i = joint_index(chain, self.joint)
         both = waves(self.order * positions(chain, conditions, self.joint))
-        tilts = chain.joint(i, "s_x"), chain.joint(i, "s_y")
-        if self.frame == "before":
+        # Up the axis the bearing is where its compliance acts, found there if the data say where.
+        side, symbols = ("before", "s") if not chain.bearing_heights[i] else (chain.moment_frame, "gamma")
+        tilts = chain.joint(i, f"{symbols}_x"), chain.joint(i, f"{symbols}_y")
+        if self.frame == side:
             return tuple(Term(2 * axis + p, tilts[axis], wave) for axis in range(2) for p, wave in enumerate(both))
         turned = turning(chain, conditions, i)
+        turned = turned if side == "before" else turned.transpose(0, 2, 1)
         return tuple(
             Term(2 * axis + p, tilts[c], turned[:, c, axis] * wave)
             for axis in range(2)
