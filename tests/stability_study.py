@@ -28,6 +28,7 @@ from pincal.errors import PincalWarning
 from pincal.identify.split import hold_out, row_groups
 
 HALVES = 20
+STRENGTHS = (30.0, 300.0)  # lambda of what is hidden: some of it comes up in few halves only
 CLASSES = ((0, 6), (6, 12), (12, 18), (18, 21))  # numbers of halves, the last one left out
 
 
@@ -52,7 +53,8 @@ def printed(task: tuple[str, int]) -> Printed:
     """Return what a discovery prints of a case, given by its kind and its seed."""
     warnings.simplefilter("ignore", PincalWarning)
     kind, seed = task
-    case = draw_case(kind, seed, **{**fresh(seed), "n": 150, "strength": 250.0})
+    strength = float(np.exp(np.random.default_rng([seed, 1]).uniform(*np.log(STRENGTHS))))
+    case = draw_case(kind, seed, **{**fresh(seed), "n": 150, "strength": strength})
     training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
     trail = discover(case)
     halves = repeat_on_halves(trail, [row_groups(training, split="blocked", seed=0)], HALVES, policy=POLICY)
