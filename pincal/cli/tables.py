@@ -154,7 +154,8 @@ def print_discovery(found: Discovery, out: Console) -> None:
     for scatter in findings.scatter:
         text = f"{scatter.joint} scatters by {scatter.sigma_rad * 1e3:.3f} mrad; record {scatter.missing}"
         out.print(one_line(text), markup=False)
-    _print_untestable(((e.effect, e.joint, e.reason) for e in findings.not_testable), 0, out)
+    joints = found.calibration.fit.problem.chain.robot.joint_names
+    _print_untestable(((e.effect, e.joint, e.reason) for e in findings.not_testable), len(joints), out)
 
 
 def print_design(found: Design, out: Console) -> None:

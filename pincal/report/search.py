@@ -53,7 +53,8 @@ def missing(subject: Subject) -> Section | None:
         "of what the mean square error fell by, in this order, and add up to 100 %; where the error grew they are negative."
     )
     blocks += [stage_table(found.noise_floor_mm, subject.discovery.gaps), paragraph(text, "mute")]
-    untestable = by_reason(((e.effect, e.joint, e.reason) for e in found.not_testable), 0)
+    n_joints = len(subject.discovery.calibration.fit.problem.chain.robot.joint_names)
+    untestable = by_reason(((e.effect, e.joint, e.reason) for e in found.not_testable), n_joints)
     if untestable:
         items = (rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
         blocks += [heading("What could not be tested"), bullets(items)]
