@@ -105,6 +105,17 @@ def test_a_stage_is_found_at_its_order(machine: sim.TrueMachine) -> None:
     assert found[:2] == ("gear_ripple", "joint_2") and found[2] == pytest.approx(161.3, abs=0.3)
 
 
+def test_an_encoder_of_unknown_lines_is_told_beside_the_ripple_that_it_looks_like(machine: sim.TrueMachine) -> None:
+    """Its second wave alone, as signals of unequal size make it, is gear ripple of that order to the last digit."""
+    rows = measured(machine, sim.EncoderSubdivision(joint="joint_2", size=6e-5, order=64.0, offset=0.0))
+    options = Options(effects=GEOMETRIC, sigma=SIGMA)
+    (found,) = run_discovery(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, options).findings.effects
+    could_be = [(e.effect, e.order) for e in found.equivalent]
+
+    assert (found.effect, found.joint, found.order) == ("gear_ripple", "joint_2", pytest.approx(128.0, abs=0.3))
+    assert ("encoder_subdivision", pytest.approx(64.0, abs=0.15)) in could_be
+
+
 def test_sound_residuals_show_no_wave(machine: sim.TrueMachine) -> None:
     """Noise alone makes no candidate; nor does a wave that the model has."""
     rows = measured(machine, sim.GearRipple(joint="joint_1", size=1e-4, order=77.0))

@@ -133,7 +133,8 @@ def _better_without_name(contest: CandidateTable, best: Effect | None) -> int | 
 
 def _decision(table: CandidateTable, best: int, others: Iterable[Effect], policy: Policy) -> Decision:
     row = table.rows[best]
-    return Decision(row, each_heading_once([*table.rivals(best, policy), *others], row.effect, policy))
+    same = row.effect.same if isinstance(row.effect, Tone) else ()
+    return Decision(row, each_heading_once([*table.rivals(best, policy), *others, *same], row.effect, policy))
 
 
 def each_heading_once(effects: Iterable[Effect], best: Effect, policy: Policy) -> tuple[Effect, ...]:

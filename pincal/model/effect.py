@@ -262,6 +262,11 @@ class Tone(Discoverable):
     def tuned(self, order: float, chosen_among: float = 1.0) -> Tone:
         """Return the wave of another number of waves a turn, chosen among so many by what the data show."""
 
+    @property
+    def same(self) -> tuple[Tone, ...]:
+        """Other causes of this very wave, which no data can tell from it."""
+        return ()
+
 
 class Settling(Discoverable):
     """An effect with a time constant, linearised about what is expected of its parameters."""

@@ -34,7 +34,8 @@ class GearRipple(Tone):
 
     Told apart by:
         many poses of this joint alone, closer together than half a wave; a ratio from the data sheet leaves one order to
-        look for instead of hundreds. Noise of few poses resembles some wave.
+        look for instead of hundreds. Noise of few poses resembles some wave. An encoder with a line, or half a line, a wave
+        makes the same one.
 
     Source:
         Tuttle (1992); the chance of a false wave after Baluev (2008).
@@ -76,6 +77,11 @@ class GearRipple(Tone):
     def tuned(self, order: float, chosen_among: float = 1.0) -> GearRipple:
         """Return the ripple of another order."""
         return replace(self, order=order, chosen_among=chosen_among)
+
+    @property
+    def same(self) -> tuple[Tone, ...]:
+        """An encoder with a line a wave, or with one every two waves."""
+        return tuple(EncoderSubdivision(self.joint, order) for order in (self.order, self.order / 2.0))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s and c [rad]."""
