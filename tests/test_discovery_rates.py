@@ -190,6 +190,15 @@ def test_sound_data_bring_in_no_name(options: dict[str, Any], rate: float, count
 
 
 @pytest.mark.long
+def test_on_few_rows_no_load_stands_for_a_bearing() -> None:
+    """With 100 poses of a skew arm most bearings stay out of the model; what they do is no link that bends."""
+    tasks = [("null", seed, fresh(seed) | {"n": 100}) for seed in (10110, 10118, 10123, 10131)]
+    verdicts, _ = verdicts_on(tasks)
+
+    assert not any(v.named for v in verdicts)
+
+
+@pytest.mark.long
 def test_what_can_not_be_seen_is_never_named() -> None:
     """Free lengths absorb the scale of an instrument: on no arm is a name given."""
     verdicts, _ = verdicts_of(["measurement_scale"], range(8400, 8410))

@@ -10,9 +10,10 @@ from placed_arms import FIRST, TOOL
 
 import pincal.simulate as sim
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
-from pincal.discover.elastic_ways import elastic_way, missing_compliances, with_features
+from pincal.discover.elastic_ways import elastic_way, with_features
 from pincal.discover.forward import bent
 from pincal.discover.moment_frames import elastic_ways, single_compliance
+from pincal.discover.nuisance import missing_compliances
 from pincal.discover.policy import POLICY
 from pincal.discover.where import sure_compliances
 from pincal.identify.calibrate import refit

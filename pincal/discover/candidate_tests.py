@@ -9,17 +9,19 @@ import numpy as np
 
 from pincal.discover.decisions import CandidateTable, Decision, Row, decide
 from pincal.discover.maps import likely_maps
-from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.nuisance import missing_compliances, score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests, enough_errors, standard_errors
 from pincal.discover.tones import strongest_tones
 from pincal.identify.fit import Fit
 from pincal.model.at_station import changed_effects, own_effects
+from pincal.model.catalogue.bearings import bearing_features
 from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MomentFrame
 from pincal.model.conditions import Situation
 from pincal.model.effect import Candidate, Effect, Family
+from pincal.model.effects import Compliance
 
 
 @dataclass(frozen=True)
@@ -68,14 +70,18 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
     """
     policy = search.policy
     # Blocks of rows would take as many times the memory, so they wait for the few of which it is asked what they predict.
-    tests = score_test_beside_masses(fit, effects)
-    count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
     is_small = is_small_table(fit, policy)
+    # Few rows do not bring in all that gives way, and what loads do beside it would stand for the rest.
+    spare = _spare_compliances(fit) if is_small and any(e.is_of_loads for e in effects) else []
+    tests = score_test_beside_masses(fit, [*effects, *spare])
+    count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
     rows = []
     for i, effect in enumerate(effects):
         n, more = count[effect.is_nameless], _surcharge(effect, policy)
-        score, limit = tests.score([i], n), policy.false_name / n
-        if is_small and tests.log_evidence([i]) < 0.5 * more - np.log(limit):
+        given = range(len(effects), len(effects) + len(spare)) if effect.is_of_loads else range(0)
+        score, limit = tests.score_given([i], given, n) if given else tests.score([i], n), policy.false_name / n
+        evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
+        if is_small and evidence < 0.5 * more - np.log(limit):
             limit = 0.0
         rows.append(Row(effect, score, costs.get(id(effect), score.ebic + more), limit))
 
@@ -90,6 +96,15 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
         cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
         predicts=predicts,
     )
+
+
+def _spare_compliances(fit: Fit) -> list[Effect]:
+    """Return what else may give way, drives and bearings in all directions, that a fit does not have."""
+    missing, chain = missing_compliances(fit), fit.problem.chain
+    present = {effect.identity for effect in fit.problem.effects}
+    bearings = [effect for effect in (*fit.problem.effects, *missing) if isinstance(effect, Compliance)]
+    features = [e for e in bearing_features(chain, bearings) if e.uses_moments and e.identity not in present]
+    return [*missing, *features]
 
 
 def is_small_table(fit: Fit, policy: Policy) -> bool:

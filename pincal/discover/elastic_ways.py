@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from pincal.discover.candidate_tests import is_small_table
 from pincal.discover.decisions import Row, rivals_of
-from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.nuisance import missing_compliances, score_test_beside_masses
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.bearings import bearing_features
-from pincal.model.catalogue.candidates import elasticity
 from pincal.model.effect import Effect
 from pincal.model.effects import Compliance
 
@@ -85,20 +84,6 @@ def _likeliest(
     evidence = [tests.log_evidence(of) - np.log(kinds.count(kind)) for (_, of), kind in zip(ways, kinds, strict=True)]
     effects, of = ways[int(np.argmax(evidence))]
     return ElasticWay(effects, tests.score(of, 1)) if max(evidence) > -np.log(policy.false_name) else None
-
-
-def missing_compliances(fit: Fit) -> tuple[Compliance, ...]:
-    """Return the linear compliances that the poses excite and a fit does not have yet."""
-    chain = fit.problem.chain
-    present = {p.name for e in fit.problem.effects if isinstance(e, Compliance) for p in e.parameters(chain)}
-    found = []
-    for effect in elasticity(situation_of(fit)):
-        assert isinstance(effect, Compliance)
-        parts = effect.parts(chain)
-        left = tuple(str(part.only) for part in parts if part.parameters(chain)[0].name not in present)
-        if left:
-            found.append(effect if len(left) == len(parts) else replace(effect, joints=left))
-    return tuple(found)
 
 
 def with_features(fit: Fit, effects: Iterable[Effect]) -> tuple[Effect, ...]:

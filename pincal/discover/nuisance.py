@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit
 from pincal.model import kernels
+from pincal.model.catalogue.candidates import elasticity
 from pincal.model.chain import Chain
 from pincal.model.conditions import MOMENT, Conditions, Situation
 from pincal.model.effect import Effect, Family, Locus, Term
@@ -124,6 +125,20 @@ def situation_of(fit: Fit) -> Situation:
     """Return where effects look for what they could do beyond a fit."""
     compliances = tuple(compliances_of(*fit.arm).tolist())
     return Situation(fit.problem.chain, fit.problem.conditions, compliances)
+
+
+def missing_compliances(fit: Fit) -> tuple[Compliance, ...]:
+    """Return the linear compliances that the poses excite and a fit does not have yet."""
+    chain = fit.problem.chain
+    present = {p.name for e in fit.problem.effects if isinstance(e, Compliance) for p in e.parameters(chain)}
+    found = []
+    for effect in elasticity(situation_of(fit)):
+        assert isinstance(effect, Compliance)
+        parts = effect.parts(chain)
+        left = tuple(str(part.only) for part in parts if part.parameters(chain)[0].name not in present)
+        if left:
+            found.append(effect if len(left) == len(parts) else replace(effect, joints=left))
+    return tuple(found)
 
 
 def score_test_beside_masses(fit: Fit, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:

@@ -138,11 +138,11 @@ class ScoreTests:
         looks = float(np.prod([self.effects[i].looks for i in which]))
         return self._judged(*self.gain(which), groups, looks)
 
-    def score_given(self, which: Sequence[int], given: Sequence[int]) -> Score:
+    def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> Score:
         """Return the test of what some candidates still explain once others are in the model."""
         both, rank_both = self.gain(sorted({*which, *given}))
         alone, rank_alone = self.gain(given)
-        return self._judged(both - alone, max(rank_both - rank_alone, 0), 1, beside=(alone, rank_alone))
+        return self._judged(both - alone, max(rank_both - rank_alone, 0), groups, beside=(alone, rank_alone))
 
     def p_value_of_any(self, which: Sequence[int]) -> float:
         """Return the p-value of some candidates, of all as one or of one of them alone, its choice paid for.
