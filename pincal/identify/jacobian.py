@@ -9,20 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
-from pincal.identify.sparse_basis import SparseBasis, sparse_product, sparse_rows, sparse_times
+from pincal.model.sparse_basis import Basis, SparseBasis, sparse_product, sparse_times
 
-# Part of a basis function's values that are not zero, below which it is kept sparse.
-_THIN = 0.25
 # Parts of the poses are padded to one length if that makes no more of them than this many times, so many poses at once.
 _PADDING = 1.5
 _AT_ONCE = 512
-
-
-Basis: TypeAlias = np.ndarray | SparseBasis
 
 
 @dataclass(frozen=True)
@@ -170,15 +164,3 @@ def _product(left: Basis, weights: np.ndarray, right: Basis) -> np.ndarray:
             return np.asarray(sparse_product(left, weights, right))
         return _times(right, np.ascontiguousarray((left * weights).T)).T
     return _times(left, np.ascontiguousarray((right * weights).T))
-
-
-def split_by_density(basis: np.ndarray) -> list[tuple[np.ndarray, Basis]]:
-    """Return the rows of a basis that are mostly zero, sparse, and the others, dense, each with their indices."""
-    thin = np.count_nonzero(basis, axis=1) < _THIN * basis.shape[1]
-    split: list[tuple[np.ndarray, Basis]] = []
-    if thin.any():
-        rows = np.flatnonzero(thin)
-        split.append((rows, sparse_rows(basis, rows)))
-    if not thin.all():
-        split.append((np.flatnonzero(~thin), basis[~thin]))
-    return split

@@ -21,7 +21,7 @@ from pincal.identify.station import Station
 from pincal.measure.rows import some_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
-from pincal.model.conditions import Conditions, joined
+from pincal.model.conditions import Conditions, joined, part_of
 from pincal.model.effects import BaseFrame, Effect, ToolFrame
 from pincal.parameters import Parameter, carried_over
 
@@ -323,4 +323,7 @@ def _spans(lengths: Iterable[int]) -> tuple[slice, ...]:
 
 def _sample(station: Station) -> Station:
     """Return the station with rows spread over the table, enough to judge sizes by."""
-    return station if len(station) <= _ROWS else station.select(some_rows(len(station), _ROWS))
+    if len(station) <= _ROWS:
+        return station
+    rows = some_rows(len(station), _ROWS)
+    return replace(station.select(rows), conditions=part_of(station.conditions, rows, (_ROWS,)))

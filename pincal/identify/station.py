@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.jacobian import Jacobian, SharedColumns, split_by_density
+from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
 from pincal.measure.sensing import sensor_of
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
+from pincal.model.conditions import part_of
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
 from pincal.parameters import Parameter
@@ -133,7 +134,8 @@ class Station:
         )
         apart = free.copy()
         for group in shared:
-            apart[group.parameters] = False
+            for parameters, _ in group.families:
+                apart[parameters] = False
         columns = part.sensor.jacobian(poses, motion, own)
         n_apart = int(self.split(apart)[0].sum())
         of_sensor = columns[len(motion) :][own_free]
@@ -141,9 +143,9 @@ class Station:
         dense = columns[:n_apart] if plain else np.concatenate([columns[:n_apart], of_sensor])
         column_of = np.cumsum(free) - 1
         families = (
-            SharedColumns(column_of[group.parameters[rows]], basis, columns[n_apart + i])
+            SharedColumns(column_of[parameters], basis, columns[n_apart + i])
             for i, group in enumerate(shared)
-            for rows, basis in split_by_density(group.basis)
+            for parameters, basis in group.families
         )
         jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
         return part.sensor.residuals(poses, own), jacobian
@@ -156,7 +158,8 @@ class Station:
     def _part(self, piece: slice) -> Station:
         if piece == slice(0, len(self)):
             return self
-        return replace(self, conditions=self.conditions.select(piece), sensor=self.sensor.select(piece))
+        conditions = part_of(self.conditions, piece, (piece.start, piece.stop))
+        return replace(self, conditions=conditions, sensor=self.sensor.select(piece))
 
 
 def station_of(

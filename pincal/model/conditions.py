@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,6 +76,32 @@ class Conditions:
         """Return a recorded column of ``COLUMN_UNITS``, shape (N, n) or (N,), or None."""
         found: np.ndarray | None = getattr(self, name)
         return found
+
+
+class _Parts(NamedTuple):
+    whole: Conditions
+    of: dict[tuple[int, ...], Conditions]
+
+
+# Those of the latest tables.
+_PARTS: deque[_Parts] = deque(maxlen=2)
+
+
+def part_of(whole: Conditions, rows: slice | np.ndarray, key: tuple[int, ...]) -> Conditions:
+    """Return the conditions of some rows, the same object if asked again: what was evaluated there is then known.
+
+    Args:
+        whole: the conditions.
+        rows: the rows.
+        key: tells them from other rows of these conditions.
+    """
+    parts = next((parts for parts in tuple(_PARTS) if parts.whole is whole), None)
+    if parts is None:
+        parts = _Parts(whole, {})
+        _PARTS.append(parts)
+    if key not in parts.of:
+        parts.of[key] = whole.select(rows)
+    return parts.of[key]
 
 
 def joined(parts: Sequence[Conditions]) -> Conditions:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -16,7 +15,9 @@ from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.effect import Body, Effect, Term
+from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, plain_terms
 from pincal.model.kernels import Bodies, Compliances, Layout, Payload, Places, Terms, Values
+from pincal.model.sparse_basis import Basis, dense_rows, joined_rows, sparse_sum
 from pincal.parameters import Parameter
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
@@ -24,10 +25,6 @@ from pincal.parameters import Parameter
 _EQUILIBRIUM_ROUNDS = 20
 _SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
-# Parameters that act on one coordinate by a basis function from which their column is shared.
-_WORTH_SHARING = 6
-# Numbers in bases that are kept at most for the next evaluation (8 MB).
-_MOST_NUMBERS_KEPT = 1_000_000
 # A link that weighs less than this [kg] is given it: its centre is its first moment over its mass.
 _LIGHTEST = 1e-9
 # What a model keeps of its parameters once it has been asked for it.
@@ -40,13 +37,11 @@ class Shared:
 
     Attributes:
         coordinate: index in the chain.
-        parameters: shape (S,), their places among the parameters.
-        basis: shape (S, N).
+        families: places of some of them among the parameters, shape (S,), and their basis, dense of shape (S, N) or thin.
     """
 
     coordinate: int
-    parameters: np.ndarray
-    basis: np.ndarray
+    families: tuple[tuple[np.ndarray, Basis], ...]
 
 
 @dataclass(frozen=True, repr=False)
@@ -182,7 +177,8 @@ class Model:
         shared = state.shared(free)
         apart = free.copy()
         for group in shared:
-            apart[group.parameters] = False
+            for parameters, _ in group.families:
+                apart[parameters] = False
         columns = np.where(apart, np.cumsum(apart) - 1, -1)
         poses, jacobian = self._linearise(state, columns, [group.coordinate for group in shared], rows)
         return np.moveaxis(poses, -1, 0), jacobian, shared
@@ -271,6 +267,10 @@ class Model:
             else:
                 excited[:, p] |= size > 0.0
             largest[:, p] = np.maximum(largest[:, p], size)
+        for at, _, basis in state.curves:
+            for row, p in zip(dense_rows(basis), at.tolist(), strict=True):
+                largest[:, p] = most(row)
+            excited[:, at] = largest[:, at] > 0.0
         for body in self.bodies:
             excited[:, body.parameter] = heaviest > 0.0
         for span, effect in zip(self.spans, self.effects, strict=True):
@@ -293,6 +293,7 @@ class _State:
     model: Model
     layout: Layout
     terms: list[tuple[int, Term]]
+    curves: list[Thin]
     values: _RowValues
     rigid: Values
     deformed: Values
@@ -311,17 +312,19 @@ class _State:
         by_row = _RowValues.of(values, base)
         mass = np.require(conditions.payload, np.float64, ["C", "W"])
         payload = Payload(mass, np.array(conditions.payload_centre, float))
-        plain = _terms(model, conditions, None)
-        rigid = _coordinates(model, by_row, conditions, plain)
+        plain, curves = _plain(model, conditions)
+        if by_row.varied:
+            plain, curves = [*plain, *(term for curve in curves for term in curve.terms())], []
+        rigid = _coordinates(model, by_row, conditions, plain, curves)
         layout = _laden(model, by_row)
         if not any(effect.uses_moments for effect in model.effects):
-            return cls(model, layout, plain, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
+            return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
         deformed = rigid
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
             moments = kernels.static_moments(layout, deformed, payload)
-            elastic = _terms(model, conditions, moments.T)
-            deformed = _coordinates(model, by_row, conditions, plain + elastic)
+            elastic = _elastic(model, conditions, moments.T)
+            deformed = _coordinates(model, by_row, conditions, plain + elastic, curves)
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
@@ -329,6 +332,7 @@ class _State:
             model,
             layout,
             plain + elastic,
+            curves,
             by_row,
             deformed if model.equilibrium else rigid,
             deformed,
@@ -339,7 +343,8 @@ class _State:
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
         """Return the terms of the parameters that have a column, and of coordinates, from column ``first`` on."""
-        used = [(int(columns[p]), term) for p, term in self.terms if columns[p] >= 0]
+        curves = (term for curve in self.curves if np.any(columns[curve.parameters] >= 0) for term in curve.terms())
+        used = [(int(columns[p]), term) for p, term in (*self.terms, *curves) if columns[p] >= 0]
         used += [(first + i, Term(0, k)) for i, k in enumerate(coordinates)]
         bases = [term.basis for _, term in used if term.basis is not None]
         varies = np.array([term.basis is not None for _, term in used], bool)
@@ -363,16 +368,26 @@ class _State:
 
     def shared(self, free: np.ndarray) -> list[Shared]:
         """Return the free parameters that are a basis function on one coordinate and nothing else, by coordinate."""
-        count = np.bincount([p for p, _ in self.terms], minlength=len(free))
-        found: dict[int, list[tuple[int, np.ndarray]]] = {}
-        for p, term in self.terms:
-            if free[p] and count[p] == 1 and term.basis is not None and term.moment is None:
-                found.setdefault(term.coordinate, []).append((p, term.basis))
-        return [
-            Shared(k, np.array([p for p, _ in group]), _stack([basis for _, basis in group], len(self.places.tool)))
-            for k, group in found.items()
-            if len(group) >= _WORTH_SHARING
-        ]
+        n, count = len(self.places.tool), np.bincount([p for p, _ in self.terms], minlength=len(free))
+        loose: dict[int, list[tuple[int, np.ndarray]]] = {}
+        thin: dict[int, list[Thin]] = {}
+        for curve in self.curves:
+            if free[curve.parameters].all():
+                thin.setdefault(curve.coordinate, []).append(curve)
+        half_free = (term for curve in self.curves if not free[curve.parameters].all() for term in curve.terms())
+        for p, term in (*self.terms, *half_free):
+            if free[p] and count[p] <= 1 and term.basis is not None and term.moment is None:
+                loose.setdefault(term.coordinate, []).append((p, term.basis))
+        found = []
+        for k in dict.fromkeys((*loose, *thin)):
+            families: list[tuple[np.ndarray, Basis]] = []
+            if curves := thin.get(k):
+                families.append((np.concatenate([c.parameters for c in curves]), joined_rows([c.basis for c in curves])))
+            if len(group := loose.get(k, [])) >= WORTH_SHARING:
+                families.append((np.array([p for p, _ in group]), _stack([basis for _, basis in group], n)))
+            if families:
+                found.append(Shared(k, tuple(families)))
+        return found
 
     def compliances(self) -> Compliances:
         """Return how the coordinates follow the moments at these values."""
@@ -390,46 +405,16 @@ class _State:
         )
 
 
-def _terms(model: Model, conditions: Conditions, moments: np.ndarray | None) -> list[tuple[int, Term]]:
-    """Return the terms, with their place in the vector of values, of the effects that do or don't use moments."""
-    pairs = [
-        (span.start, effect)
-        for span, effect in zip(model.spans, model.effects, strict=True)
-        if effect.uses_moments == (moments is not None)
-    ]
-    if moments is not None:
-        each = [effect.terms(model.chain, conditions, moments) for _, effect in pairs]
-    else:
-        each = _plain_terms([effect for _, effect in pairs], model.chain, conditions)
-    return [(start + term.parameter, term) for (start, _), terms in zip(pairs, each, strict=True) for term in terms]
+def _plain(model: Model, conditions: Conditions) -> Plain:
+    """Return what the effects add that do not use moments."""
+    pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if not e.uses_moments]
+    return plain_terms([effect for _, effect in pairs], [start for start, _ in pairs], model.chain, conditions)
 
 
-class _Evaluated(NamedTuple):
-    """Terms of effects that do not use moments, over some poses; the objects that they are of are held, too."""
-
-    conditions: Conditions
-    chain: Chain
-    of_effect: dict[int, tuple[Effect, tuple[Term, ...]]]
-
-
-# Those of the latest two evaluations: a fit asks again and again for the same, a test of candidates twice.
-_EVALUATED: deque[_Evaluated] = deque(maxlen=2)
-
-
-def _plain_terms(effects: Sequence[Effect], chain: Chain, conditions: Conditions) -> list[tuple[Term, ...]]:
-    """Return the terms of effects that do not use moments, taken from the latest evaluations as far as they are there."""
-    past = [kept.of_effect for kept in tuple(_EVALUATED) if kept.conditions is conditions and kept.chain is chain]
-    known = {key: value for of_effect in past for key, value in of_effect.items()}
-    found = {}
-    for effect in effects:
-        key = id(effect)
-        found[key] = known[key] if key in known else (effect, effect.terms(chain, conditions, None))
-    if any(len(of_effect) == len(found) and of_effect.keys() == found.keys() for of_effect in past):
-        return [found[id(effect)][1] for effect in effects]
-    n_bases = sum(term.basis is not None for _, terms in found.values() for term in terms)
-    if n_bases * len(conditions) <= _MOST_NUMBERS_KEPT:
-        _EVALUATED.append(_Evaluated(conditions, chain, found))
-    return [found[id(effect)][1] for effect in effects]
+def _elastic(model: Model, conditions: Conditions, moments: np.ndarray) -> list[tuple[int, Term]]:
+    """Return the terms, with their place in the vector of values, of the effects that use moments, shape (N, 3 n)."""
+    pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if e.uses_moments]
+    return [(at + t.parameter, t) for at, effect in pairs for t in effect.terms(model.chain, conditions, moments)]
 
 
 def _laden(model: Model, by_row: _RowValues) -> Layout:
@@ -468,7 +453,9 @@ class _RowValues(NamedTuple):
         return cls(by_row, frozenset(np.flatnonzero(varied).tolist()))
 
 
-def _coordinates(model: Model, by_row: _RowValues, conditions: Conditions, terms: list[tuple[int, Term]]) -> Values:
+def _coordinates(
+    model: Model, by_row: _RowValues, conditions: Conditions, terms: list[tuple[int, Term]], curves: list[Thin]
+) -> Values:
     values, varied = by_row
     # Python adds its own numbers faster than those of an array.
     constant = model.chain.nominal.tolist()
@@ -484,6 +471,10 @@ def _coordinates(model: Model, by_row: _RowValues, conditions: Conditions, terms
             k = term.coordinate
             change = values[p] if term.basis is None else values[p] * term.basis
             varying[k] = (varying[k] if k in varying else constant[k]) + change
+    for at, k, basis in curves:
+        heights = np.array([values[p] for p in at.tolist()])
+        if heights.any():
+            varying[k] = (varying[k] if k in varying else constant[k]) + sparse_sum(heights, basis)
     slot = np.full(len(constant), -1)
     slot[list(varying)] = np.arange(len(varying))
     return Values(np.array(constant), slot, _stack(list(varying.values()), len(conditions)))

@@ -1,0 +1,80 @@
+"""Terms that are evaluated once are those that effects give, whether kept sparse or not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibrate, measurements_from_arrays
+from pincal.builtin import kuka_urdf_path
+from pincal.discover.score_tests import score_test
+from pincal.identify.fit import without
+from pincal.model.catalogue.curves import TransmissionError
+from pincal.model.catalogue.drives import GearEccentricity
+from pincal.model.conditions import part_of
+from pincal.model.evaluated import plain_terms
+from pincal.model.sparse_basis import dense_rows, joined_rows, sparse_rows, sparse_sum
+from pincal.robot.robot import Robot
+
+ROBOT = Robot.from_urdf(kuka_urdf_path())
+
+
+def test_a_basis_without_its_zeros_is_the_same() -> None:
+    rng = np.random.default_rng(0)
+    first, second = (rng.normal(size=(size, 7)) * (rng.random((size, 7)) < 0.3) for size in (5, 3))
+    both, heights = joined_rows([sparse_rows(first), sparse_rows(second)]), rng.normal(size=8)
+    assert np.array_equal(dense_rows(both), np.vstack([first, second]))
+    assert np.allclose(sparse_sum(heights, both), heights @ np.vstack([first, second]), atol=1e-15)
+
+
+def test_a_curve_moves_and_is_differentiated_as_its_functions_say() -> None:
+    chain, rng = Chain.of(ROBOT), np.random.default_rng(1)
+    q = ROBOT.random_configurations(60, rng)
+    curve = TransmissionError.over("joint_3", q[:, 2], 40)
+    model, conditions = Model(chain, (*ELASTIC, curve)), Conditions.at(q)
+    assert len(plain_terms([curve], [0], chain, conditions).curves) == 1
+    values = np.zeros(model.n_parameters)
+    values[-40:] = 1e-3 * rng.normal(size=40)
+    # The oracle: a joint that stands where the curve brings it.
+    bent = q.copy()
+    bent[:, 2] += values[-40:] @ curve.basis(q[:, 2])
+    straight = Model(chain, ELASTIC).predict(values[:-40], Conditions.at(bent))
+    assert np.allclose(model.predict(values, conditions), straight, atol=1e-14)
+    free = np.zeros(len(values), bool)
+    free[-40:-10] = True
+    _, dense = model.linearise(values, conditions, free=free)
+    for chosen in (free, free | (np.arange(len(values)) >= len(values) - 40)):
+        _, columns, (shared,) = model.linearise_shared(values, conditions, free=chosen)
+        ((places, basis),) = shared.families
+        rows = basis if isinstance(basis, np.ndarray) else dense_rows(basis)
+        kept = free[places]
+        assert np.allclose(rows[kept, :, None] * columns[-1].T, dense.transpose(2, 0, 1), atol=1e-15)
+
+
+def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> None:
+    whole = Conditions.at(ROBOT.random_configurations(10, np.random.default_rng(2)))
+    rows = slice(2, 5)
+    assert part_of(whole, rows, (2, 5)) is part_of(whole, rows, (2, 5))
+    assert np.array_equal(part_of(whole, rows, (2, 5)).q, whole.q[rows])
+    assert part_of(replace(whole), rows, (2, 5)) is not part_of(whole, rows, (2, 5))
+
+
+@pytest.mark.parametrize("blocks", [1, 4])
+def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
+    rng = np.random.default_rng(3)
+    q = ROBOT.random_configurations(90, rng)
+    bent = q + 1e-3 * np.sin(q) * (np.arange(6) == 3)
+    tips = ROBOT.forward_kinematics(bent)
+    position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((90, 3))
+    table = measurements_from_arrays(ROBOT.joint_names, q, position=position)
+    gone = GearEccentricity("joint_4")
+    fit = calibrate(ROBOT, table, Options(effects=(*GEOMETRIC, gone), sigma=5e-5))
+    candidates = [GearEccentricity("joint_3"), GearEccentricity("joint_4", order=2), GearEccentricity("joint_5")]
+    groups = np.arange(90) % blocks
+    found = score_test(fit, candidates, groups=groups).among([1, 2], fit.names_of([gone]))
+    # Evaluated where the effect is zero; a mrad turns what the columns are by as much.
+    direct = score_test(without(fit, gone), candidates[1:], groups=groups)
+    assert found.names == direct.names and found.effects == direct.effects
+    assert found.squares == pytest.approx(direct.squares, rel=3e-3)
+    assert found.gains_by_block([0]) == pytest.approx(direct.gains_by_block([0]), rel=0.01, abs=0.5)
+    assert found.score([0], 1).gain == pytest.approx(direct.score([0], 1).gain, rel=0.01)
