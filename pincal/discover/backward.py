@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, choose
-from pincal.discover.decisions import each_heading_once
+from pincal.discover.candidate_tests import Search
+from pincal.discover.decisions import Decision, each_heading_once
 from pincal.discover.elastic_ways import with_features
 from pincal.discover.forward import decided, listed
 from pincal.discover.history import State, Step
+from pincal.discover.named_beside import named_beside
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import enough_errors, standard_errors
@@ -25,10 +27,12 @@ log = logging.getLogger(__name__)
 def name_again(state: State, search: Search) -> State:
     """Name each effect once more beside all the others, which were not there when it was named."""
     named = [step for step in state.steps if not step.is_elastic]
-    for step in named if len(named) > 1 else []:
+    beside: Iterator[tuple[Fit, Decision | None]] | None = None
+    for k, step in enumerate(named if len(named) > 1 else []):
         (effect,) = step.effects
-        rest = without(state.fit, effect)
-        decision = choose(rest, search)
+        if beside is None:
+            beside = named_beside(state.fit, [later.effect for later in named[k:]], search)
+        rest, decision = next(beside)
         if decision is None:
             continue
         if decision.effect.identity == effect.identity:
@@ -42,7 +46,7 @@ def name_again(state: State, search: Search) -> State:
             continue
         log.info("%s is %s beside what was found later", listed([effect]), listed([decision.effect]))
         steps = state.with_replaced(step, replace(new, before=step.before, after=step.after)).steps
-        state = state.changed(new.after, steps, (decision.effect,), (effect,))
+        state, beside = state.changed(new.after, steps, (decision.effect,), (effect,)), None
     return state
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -47,33 +49,48 @@ class Search:
     nameless: Collection[object] | None = None
 
 
+class Test(Protocol):
+    """Tests candidates against a fit, masses projected out, perhaps block of rows by block."""
+
+    def __call__(self, effects: Sequence[Effect], groups: np.ndarray | None = None, /) -> ScoreTests:
+        """Return the tests of candidates; ``groups``, shape (N,), the block of each row."""
+
+
 def choose(fit: Fit, search: Search) -> Decision | None:
     """Return the best explanation of what a fit leaves, if it is more than chance."""
-    names = _table(fit, addable(fit, search), search, {})
+    test = partial(score_test_beside_masses, fit)
+    return explanation(fit, search, test, table_of(fit, search, test, addable(fit, search)))
+
+
+def explanation(fit: Fit, search: Search, test: Test, names: CandidateTable) -> Decision | None:
+    """Return the same, given the table of all that may be added by name."""
 
     def contest_of(close: Sequence[Row]) -> CandidateTable:
-        nameless = _nameless(fit, close[0].effect.locus.joint if close else None, search)
+        nameless = nameless_near(fit, close[0].effect.locus.joint if close else None, search)
         together = [*(row.effect for row in close), *nameless]
-        return _table(fit, together, search, {id(row.effect): row.cost for row in close}) if nameless else names
+        costs = {id(row.effect): row.cost for row in close}
+        return table_of(fit, search, test, together, costs) if nameless else names
 
     return decide(names, contest_of, search.policy)
 
 
-def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[int, float]) -> CandidateTable:
-    """Test candidates, named and nameless ones; each kind shares the chance of a false name.
+def table_of(
+    fit: Fit, search: Search, test: Test, effects: Sequence[Effect], costs: Mapping[int, float] | None = None
+) -> CandidateTable:
+    """Return the table of candidates, named and nameless ones; each kind shares the chance of a false name.
 
     Args:
         fit: the fit.
-        effects: the candidates.
         search: what is looked for.
+        test: tests candidates against the fit.
+        effects: the candidates.
         costs: of candidates, by their identity, that are known already.
     """
-    policy = search.policy
+    policy, costs = search.policy, costs or {}
     # Blocks of rows would take as many times the memory, so they wait for the few of which it is asked what they predict.
     is_small = is_small_table(fit, policy)
-    # Few rows do not bring in all that gives way, and what loads do beside it would stand for the rest.
-    spare = _spare_compliances(fit) if is_small and any(e.is_of_loads for e in effects) else []
-    tests = score_test_beside_masses(fit, [*effects, *spare])
+    spare = spare_compliances(fit, effects, policy)
+    tests = test([*effects, *spare])
     count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
     rows = []
     for i, effect in enumerate(effects):
@@ -86,8 +103,7 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
         rows.append(Row(effect, score, costs.get(id(effect), score.ebic + more), limit))
 
     def predicts(i: int) -> bool:
-        tests = score_test_beside_masses(fit, [effects[i]], search.groups)
-        return standard_errors(tests.gains_by_block([0])) > enough_errors(effects[i])
+        return standard_errors(test([effects[i]], search.groups).gains_by_block([0])) > enough_errors(effects[i])
 
     return CandidateTable(
         rows,
@@ -98,8 +114,13 @@ def _table(fit: Fit, effects: Sequence[Effect], search: Search, costs: Mapping[i
     )
 
 
-def _spare_compliances(fit: Fit) -> list[Effect]:
-    """Return what else may give way, drives and bearings in all directions, that a fit does not have."""
+def spare_compliances(fit: Fit, effects: Sequence[Effect], policy: Policy) -> list[Effect]:
+    """Return what else may give way, drives and bearings in all directions, beside which candidates are tested.
+
+    Few rows do not bring in all that gives way, and what loads do beside it would stand for the rest.
+    """
+    if not is_small_table(fit, policy) or not any(effect.is_of_loads for effect in effects):
+        return []
     missing, chain = missing_compliances(fit), fit.problem.chain
     present = {effect.identity for effect in fit.problem.effects}
     bearings = [effect for effect in (*fit.problem.effects, *missing) if isinstance(effect, Compliance)]
@@ -166,7 +187,7 @@ def _forms(fit: Fit, tested: Sequence[Candidate]) -> Iterator[Effect]:
         yield from (form for form in candidate.forms if is_alone or form.scope == "robot")
 
 
-def _nameless(fit: Fit, near: str | None, search: Search) -> list[Effect]:
+def nameless_near(fit: Fit, near: str | None, search: Search) -> list[Effect]:
     """Return dependences without a name that take part and the model does not have; near one joint or everywhere."""
     if search.nameless is not None and not search.nameless:
         return []

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
+from pincal.discover.candidate_tests import sampled
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import ALPHA, POLICY
 from pincal.discover.score_tests import ScoreTests, score_test
@@ -214,15 +215,17 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
         value: its parameters, shape (K,).
         rival: the other one.
     """
-    stations = fit.problem.stations
+    few, _ = sampled(fit, POLICY)
+    stations, whole = few.problem.stations, len(fit.problem) / len(few.problem)
 
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
         problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        return score_test(replace(fit, problem=problem), [effect, rival])
+        found = score_test(replace(few, problem=problem), [effect, rival])
+        return replace(found, blocks_S=whole * found.blocks_S)
 
     here = tests_at(station.conditions for station in stations)
     again = _separation(here, 2.0 * here.blocks_S, value)
-    designs = [dict(_designs(fit.problem.chain.robot, station.conditions)) for station in stations]
+    designs = [dict(_designs(few.problem.chain.robot, station.conditions)) for station in stations]
     for words in (words for words in designs[0] if all(words in others for others in designs)):
         try:
             there = tests_at(design[words] for design in designs)

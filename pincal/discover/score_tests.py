@@ -12,8 +12,9 @@ k_g degrees of freedom if g is not there). One pass over the data serves all can
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -122,8 +123,28 @@ class ScoreTests:
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together."""
+        if len(which) == 1:
+            gains, ranks = self._alone
+            return float(gains[which[0]]), int(ranks[which[0]])
         j, whitening = self.whitening(which)
         return float(np.sum((self.projected[1][j] @ whitening) ** 2)), whitening.shape[1]
+
+    @cached_property
+    def _alone(self) -> tuple[np.ndarray, np.ndarray]:
+        """T and rank of each of C candidates by itself, shape (C,); those of one size are worked out at once."""
+        S, b = self.projected
+        sizes = np.array([len(j) for j in self.columns])
+        gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
+        for size in np.unique(sizes):
+            some = np.flatnonzero(sizes == size)
+            j = np.array([self.columns[i] for i in some])
+            scale = 1.0 / np.sqrt(np.maximum(np.diag(self.S)[self.n_model + j], 1e-300))
+            values, vectors = np.linalg.eigh(S[j[:, :, None], j[:, None]] * scale[:, :, None] * scale[:, None])
+            seen = values > _SEEN
+            along = np.einsum("gi,gik->gk", scale * b[j], vectors) ** 2
+            gains[some] = np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=1)
+            ranks[some] = seen.sum(axis=1)
+        return gains, ranks
 
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
@@ -135,7 +156,7 @@ class ScoreTests:
 
     def score(self, which: Sequence[int], groups: int) -> Score:
         """Return the test of some candidates taken as one, of so many groups that are tested."""
-        looks = float(np.prod([self.effects[i].looks for i in which]))
+        looks = math.prod(self.effects[i].looks for i in which)
         return self._judged(*self.gain(which), groups, looks)
 
     def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> Score:
@@ -252,6 +273,30 @@ class ScoreTests:
             slope = scale * (self.b[N] - b[N] - self.pull)
             found.append((scale, factor, scale * cho_solve((factor, True), slope, check_finite=False)))
         return found
+
+    def among(self, which: Sequence[int], gone: Collection[str]) -> ScoreTests:
+        """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
+
+        To first order nothing has to be evaluated again: without columns J of value v, r grows by J v, and b by S v.
+        """
+        stays = np.array([name not in gone for name in self.names], bool)
+        model, out = np.flatnonzero(stays), np.flatnonzero(~stays)
+        kept = np.concatenate([model, self.n_model + self.columns_of(which)])
+        v, S = self.values[out], self.blocks_S[:, :, out]
+        ends = np.cumsum([0, *(len(self.columns[i]) for i in which)])
+        return replace(
+            self,
+            effects=tuple(self.effects[i] for i in which),
+            columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
+            names=tuple(self.names[i] for i in model),
+            values=self.values[model],
+            sizes=self.sizes[kept],
+            known=self.known[np.ix_(model, model)],
+            pull=self.pull[model],
+            blocks_S=self.blocks_S[:, kept[:, None], kept],
+            blocks_b=self.blocks_b[:, kept] + S[:, kept] @ v,
+            squares=self.squares + float(v @ (2.0 * self.b[out] + S[:, out].sum(axis=0) @ v)),
+        )
 
     def estimate(self, which: Sequence[int]) -> np.ndarray:
         """Return some candidates' parameters to first order, priors included."""

@@ -1,0 +1,74 @@
+"""Name each of several effects beside the others, from one pass over the rows.
+
+What a fit leaves without one of its effects follows from its own Gram matrices: taking the effect out only adds its columns,
+times their values, to the residuals. So all are named from the same tests of all that could take the place of any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from pincal.discover.candidate_tests import Search, addable, explanation, nameless_near, spare_compliances, table_of
+from pincal.discover.decisions import Decision
+from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.score_tests import ScoreTests
+from pincal.identify.fit import Fit, without
+from pincal.model.effect import Effect
+
+
+def named_beside(fit: Fit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[Fit, Decision | None]]:
+    """Yield, for each of some effects of a fit, the fit without it and the best explanation of what this leaves.
+
+    Args:
+        fit: the fit.
+        effects: those of its effects that are to be named.
+        search: what is looked for.
+    """
+    shared = _Shared(fit)
+    rests = [without(fit, effect) for effect in effects]
+    tests = [partial(shared.without, effect) for effect in effects]
+    tried = [addable(rest, search) for rest in rests]
+    pairs = zip(rests, tried, strict=True)
+    spare = [effect for rest, some in pairs for effect in spare_compliances(rest, some, search.policy)]
+    shared.test([*(effect for some in tried for effect in some), *spare])
+    others, likely = list[Effect](), list[Effect]()
+    for effect, rest, test, some in zip(effects, rests, tests, tried, strict=True):
+        # Most are themselves again; of the others that are asked for later each is tested as it comes.
+        names = table_of(rest, search, test, some)
+        likely += [names.rows[i].effect for i in names.passed()[:1]]
+        others += [names.rows[i].effect for i in names.cheapest()[: search.policy.close]]
+        others += nameless_near(rest, effect.locus.joint, search)
+    shared.test(likely, search.groups)
+    shared.test([*others, *spare])
+    for rest, test, some in zip(rests, tests, tried, strict=True):
+        yield rest, explanation(rest, search, test, table_of(rest, search, test, some))
+
+
+@dataclass
+class _Shared:
+    """Tests against a fit, for tests against the fit without one of its effects.
+
+    Attributes:
+        fit: the fit.
+        passes: what was tested at once, with blocks of rows or without, each candidate with its number.
+    """
+
+    fit: Fit
+    passes: list[tuple[bool, dict[Effect, int], ScoreTests]] = field(default_factory=list)
+
+    def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> None:
+        """Test candidates at once, equal ones once."""
+        number = {effect: i for i, effect in enumerate(dict.fromkeys(effects))}
+        if number:
+            self.passes.append((groups is not None, number, score_test_beside_masses(self.fit, tuple(number), groups)))
+
+    def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
+        """Return the tests of candidates against the fit without one of its effects."""
+        for has_blocks, number, tests in self.passes:
+            if has_blocks == (groups is not None) and all(effect in number for effect in effects):
+                return tests.among([number[effect] for effect in effects], self.fit.names_of([gone]))
+        return score_test_beside_masses(without(self.fit, gone), effects, groups)
