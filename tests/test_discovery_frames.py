@@ -21,7 +21,7 @@ def test_what_was_found_in_a_wrong_frame_is_taken_over_by_the_one_that_fits_bett
     case = draw_case("backlash", 3, n=160, arm="kuka", strength=200.0)
     first = calibrate(case.robot, case.rows, replace(case.options, moment_frame="paper"))
     groups = row_groups(case.rows, split="blocked", seed=0) % 8
-    search = Search(POLICY, (), first, groups, groups, MOMENT_FRAMES)
+    search = Search(POLICY, (), first, groups, MOMENT_FRAMES)
     wrong = add_effects(State(first), search)
 
     found = compare_frames(wrong, search)

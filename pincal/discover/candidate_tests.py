@@ -34,7 +34,6 @@ class Search:
         policy: what to go by.
         extra: effects of the user's own, which take part like those of the catalogue.
         first: the fit to start from, all rows of it.
-        all_groups: shape (all rows,), blocks of its rows for cross-validation.
         groups: shape (N,), those of the rows from which effects are chosen.
         frames: conventions of where moments bend the arm to choose from.
         nameless: identities of the dependences without a name that take part; default: all.
@@ -43,7 +42,6 @@ class Search:
     policy: Policy
     extra: tuple[Effect, ...]
     first: Fit
-    all_groups: np.ndarray
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
     nameless: Collection[object] | None = None

@@ -220,16 +220,27 @@ def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
     # Masses are known as they are, whatever they move.
     sizes = np.concatenate([fit.priors.sizes[free], *([p.size for p in e.parameters(fit.model.chain)] for e in extra)])
     values = np.append(fit.values[free], np.zeros(own - int(free.sum())))
-    r = np.append((residuals * weights).ravel(), -values / sizes)
-    Q = _orthonormal(np.vstack([jacobian[:own].reshape(own, -1).T, np.diag(1.0 / sizes)]))
+    beliefs = np.vstack([np.diag(1.0 / sizes), *_smoothness(fit, own)])
+    r = np.append((residuals * weights).ravel(), -beliefs @ values)
+    Q = _orthonormal(np.vstack([jacobian[:own].reshape(own, -1).T, beliefs]))
     motions = jacobian[own:].copy()
     # As large as all candidates together.
     del jacobian
     candidates = []
     for place, lever, columns in _candidates(fit, dict(zip(spots, motions, strict=True))):
-        candidates.append(_Candidate(place, lever, np.pad(columns, ((0, 0), (0, own))), np.sum(columns**2, axis=1)))
+        candidates.append(_Candidate(place, lever, np.pad(columns, ((0, 0), (0, len(beliefs)))), np.sum(columns**2, axis=1)))
         candidates[-1].project(Q)
     return _Rest(fit, r - Q @ (Q.T @ r), candidates, fit.solution.posterior.effective)
+
+
+def _smoothness(fit: Fit, own: int) -> Iterator[np.ndarray]:
+    """Yield what is believed of curves as readings of their heights, shape (K, own) each."""
+    column = np.cumsum(fit.solution.free) - 1
+    for places, information in fit.problem.smooth:
+        squares, axes = np.linalg.eigh(information)
+        rows = np.zeros((len(places), own))
+        rows[:, column[places]] = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
+        yield rows
 
 
 def _orthonormal(A: np.ndarray) -> np.ndarray:

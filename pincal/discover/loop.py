@@ -23,11 +23,13 @@ from pincal.discover.moment_frames import (
     single_compliance,
 )
 from pincal.discover.policy import POLICY, Policy
-from pincal.discover.resolution import curves_over, refined
+from pincal.discover.resolution import curves_over
 from pincal.discover.settling import settle
+from pincal.discover.smoothness import smoothed
 from pincal.identify.calibrate import refit
-from pincal.identify.fit import Fit, without
+from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
+from pincal.identify.solve import Exit
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Curve, Effect
 
@@ -55,7 +57,7 @@ def discover_effects(
         nameless: identities of the dependences without a name that take part; default: all.
     """
     few, rows = sampled(fit, policy)
-    search = Search(policy, tuple(extra), fit, groups, groups[rows], tuple(frames), nameless)
+    search = Search(policy, tuple(extra), fit, groups[rows], tuple(frames), nameless)
     state = State(few)
     for step_on in PASSES:
         state = step_on(state, search)
@@ -100,7 +102,7 @@ def _cost(state: State, search: Search) -> float:
 
 
 def fit_all_rows(state: State, search: Search) -> State:
-    """Fit all rows of the first fit, and every curve that was found as fine as they and all the others let it be."""
+    """Fit all rows of the first fit, and every curve that was found in fine pieces, as smooth as they say that it is."""
     fit, first = state.fit, search.first
     is_thinned = len(fit.problem) < len(first.problem)
     if is_thinned:
@@ -108,14 +110,14 @@ def fit_all_rows(state: State, search: Search) -> State:
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
         state = _with_curves(state, wider, fit)
-    chosen = {curve: refined(without(fit, curve), curve, search.all_groups) for curve in _curves_of(state)}
-    finer = {curve: other for curve, (other, _) in chosen.items() if other != curve}
-    if finer:
-        names = (f"{c.locus.joint} {c.resolution} to {other.resolution}" for c, other in finer.items())
-        log.info("resolved again: %s", ", ".join(names))
-    elif not is_thinned:
+    curves = _curves_of(state)
+    if not curves and not is_thinned:
         return state
-    start: dict[Effect, np.ndarray] = {finer[curve]: heights for curve, (_, heights) in chosen.items() if curve in finer}
+    chosen = smoothed(fit, curves) if curves and fit.solution.exit is not Exit.EXACT else {}
+    finer = {curve: other for curve, (other, _) in chosen.items()}
+    for curve, other in finer.items():
+        log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, other.resolution)
+    start: dict[Effect, np.ndarray] = {other: heights for other, heights in chosen.values()}
     state = _with_curves(state, finer, refit(fit, _exchanged(fit.options.effects, finer), start=start))
     return state.changed(state.fit, state.steps, (), ())
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
-from pincal.discover.score_tests import standard_errors
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import most_pieces
 from pincal.model.conditions import distinct_values
@@ -62,19 +61,6 @@ def _forms_of(fit: Fit, effect: Effect) -> list[Effect]:
     if isinstance(effect, Resolvable):
         return list(effect.resolutions(situation_of(fit)))
     return list(curves_over(fit, effect, _SIZES)) if isinstance(effect, Curve) else []
-
-
-def refined(fit: Fit, curve: Curve, groups: np.ndarray) -> tuple[Curve, np.ndarray]:
-    """Return a finer curve of this joint if it predicts blocks of poses left out better by more than chance, else this.
-
-    Its heights are returned as well, to first order.
-    """
-    curves = [curve, *curves_over(fit, curve, [size for size in _SIZES if size > curve.resolution])]
-    estimates, gains = _tested(fit, curves, groups)
-    more = gains - gains[0]
-    best = int(np.argmax(more.sum(axis=1)))
-    best = best if standard_errors(more[best]) > 1.0 else 0
-    return curves[best], estimates[best]
 
 
 def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:

@@ -62,7 +62,7 @@ def _words(change: Change) -> str:
     entered, left = (", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left))
     if entered and left:
         return f"{entered} instead of {left}"
-    return f"+ {entered}" if entered else f"- {left}" if left else "all fitted again, curves as fine as the rows tell"
+    return f"+ {entered}" if entered else f"- {left}" if left else "all fitted again, curves as smooth as the rows tell"
 
 
 @dataclass(frozen=True)

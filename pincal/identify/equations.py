@@ -37,7 +37,8 @@ class Equations:
         own: the parameters that were eliminated; with one station none.
         sizes: shape (F,), standard deviations of the priors; inf for none.
         values: shape (F,), present values.
-        remembered: shape (C, C), the part of G that is known from an earlier fit; None for nothing.
+        remembered: shape (C, C), the part of G that is believed beyond the priors, known from an earlier fit or that curves
+            are smooth; None for nothing.
     """
 
     G: np.ndarray
@@ -258,7 +259,7 @@ class Linearised:
         known = self.free & np.isfinite(self.sizes)
         prior = float(np.sum((self.values[known] / self.sizes[known]) ** 2))
         beliefs = sum(float(found.beliefs.sum()) for found in self._squares)
-        return self.chi2(sigma) + beliefs + prior + self._remembered_square()
+        return self.chi2(sigma) + beliefs + prior + self.problem.beliefs_squared(self.values, self.sizes)
 
     @cached_property
     def _equations(self) -> dict[bytes, Equations]:
@@ -280,20 +281,14 @@ class Linearised:
         return Equations(G, g, np.ones(len(g), bool), np.diag(G), (), self.sizes[free], self.values[free], known)
 
     def _remember(self, G: np.ndarray, g: np.ndarray) -> np.ndarray | None:
-        """Add what is known from an earlier fit to the equations of the shared parameters, and return its part of G."""
-        if self.problem.remembered is None:
+        """Add beliefs beyond priors to the equations of the shared parameters, and return their part of G."""
+        if not self.problem.has_beliefs:
             return None
         kept = np.flatnonzero(self.free & self.problem.is_shared)
         known, slope = self.problem.beyond_priors(kept, self.values, self.sizes)
         G += known
         g += slope
         return known
-
-    def _remembered_square(self) -> float:
-        if self.problem.remembered is None:
-            return 0.0
-        places, earlier = self.problem.remembered
-        return earlier.square(self.values[places], self.sizes[places])
 
     def _sum(self, sigma: np.ndarray) -> Equations:
         free, batches = self.free, self._batches

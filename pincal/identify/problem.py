@@ -154,8 +154,35 @@ class Problem:
         recalled[places] = earlier.mean
         return recalled
 
+    @cached_property
+    def smooth(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """The places of parameters that are believed to know of each other, and this information beyond their priors.
+
+        What is known from an earlier fit has it already; a station's own parameters are not known that well.
+        """
+        found = []
+        for effect in self.effects:
+            information = effect.smoothness()
+            places = np.zeros(0, int) if information is None else self.places_at(effect)
+            if information is not None and np.all(self.is_shared[places] & ~self.is_remembered[places]):
+                found.append((places, information))
+        return tuple(found)
+
+    @property
+    def has_beliefs(self) -> bool:
+        """Whether anything is believed of parameters beyond the priors of each."""
+        return self.earlier is not None or bool(self.smooth)
+
+    def beliefs_squared(self, values: np.ndarray, sizes: np.ndarray) -> float:
+        """Return what these beliefs add to the sum of squares of the priors; arguments as of :meth:`beyond_priors`."""
+        total = sum(float(values[at] @ information @ values[at]) for at, information in self.smooth)
+        if self.remembered is not None:
+            places, earlier = self.remembered
+            total += earlier.square(values[places], sizes[places])
+        return total
+
     def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return information and slope that an earlier fit adds to priors of some parameters, shape (K, K) and (K,).
+        """Return information and slope that these beliefs add to priors of some parameters, shape (K, K) and (K,).
 
         Args:
             kept: shape (K,), their places.
@@ -168,6 +195,10 @@ class Problem:
             at, of = np.nonzero(kept[:, None] == places)
             information[at[:, None], at] = earlier.beyond(sizes[places])[of[:, None], of]
             slope[at] = earlier.pull(values[places], sizes[places])[of]
+        for places, smooth in self.smooth:
+            at, of = np.nonzero(kept[:, None] == places)
+            information[at[:, None], at] += smooth[of[:, None], of]
+            slope[at] -= (smooth @ values[places])[of]
         return information, slope
 
     @cached_property

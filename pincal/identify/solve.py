@@ -269,9 +269,9 @@ class _Fit:
     def is_beyond_normal_equations(self, state: _State) -> bool:
         """Return whether readings are so exact that J^T J can't hold what they say, and few enough for J itself.
 
-        What is known from an earlier fit has no part in J.
+        What is believed beyond the priors of each parameter has no part in J.
         """
-        if self.problem.earlier is not None:
+        if self.problem.has_beliefs:
             return False
         diagonal = state.point.equations(state.judged.sigma).diagonal
         return is_exact(diagonal, self.priors.sizes[self.free]) and len(self.problem) * len(diagonal) <= MOST_EXACT

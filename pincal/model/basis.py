@@ -31,12 +31,29 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
     """
     from scipy.interpolate import BSpline
 
-    inner = np.linspace(lower, upper, size - _DEGREE + 1)
-    knots = np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
+    knots = _knots(lower, upper, size)
     if are_symbols(x):
         curves = [_cubic(BSpline(knots, row, _DEGREE), size) for row in np.eye(size)]
         return np.array([[cubic(curve, at) for at in x] for curve in curves], object)
     return np.asarray(BSpline.design_matrix(np.clip(x, lower, upper), knots, _DEGREE).T.toarray(order="C"))
+
+
+def spline_roughness(lower: float, upper: float, size: int) -> np.ndarray:
+    """Return the integrals of products of second derivatives of these splines, shape (size, size)."""
+    from scipy.interpolate import BSpline
+
+    knots = _knots(lower, upper, size)
+    places, step = knots[_DEGREE : size + 1], (upper - lower) / (size - _DEGREE)
+    # Second derivatives are straight between knots: Gauss's two points make the integrals of their products exact.
+    middle, aside = 0.5 * (places[:-1] + places[1:]), 0.5 * step / np.sqrt(3.0)
+    x = np.concatenate([middle - aside, middle + aside])
+    bend = BSpline(knots, np.eye(size), _DEGREE).derivative(2)(x)
+    return np.asarray(0.5 * step * bend.T @ bend)
+
+
+def _knots(lower: float, upper: float, size: int) -> np.ndarray:
+    inner = np.linspace(lower, upper, size - _DEGREE + 1)
+    return np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
 
 
 def _cubic(spline: Any, size: int) -> Cubic:

@@ -154,6 +154,13 @@ class Effect(ABC):
         """Return what each parameter adds to the masses of which the static moments are taken; most add nothing."""
         return ()
 
+    def smoothness(self) -> np.ndarray | None:
+        """Return what is believed of its K parameters together, as information beyond their sizes, shape (K, K).
+
+        None, as most effects have it, if to know one of them says nothing of the others.
+        """
+        return None
+
     @property
     def needs(self) -> tuple[str, ...]:
         """The columns that must be recorded of the poses."""
@@ -250,6 +257,14 @@ class Curve(Discoverable, Reducible):
     @abstractmethod
     def resized(self, situation: Situation, resolution: int) -> Curve:
         """Return the curve with another number of basis functions, over the positions that the poses cover."""
+
+    @abstractmethod
+    def smooth(self, situation: Situation, roughness: float | None) -> Curve:
+        """Return the curve as fine as the poses carry it, believed to be as smooth as a roughness says, if one is given."""
+
+    @abstractmethod
+    def basis(self, q: np.ndarray) -> np.ndarray:
+        """Return the basis functions at positions of shape (N,), shape (resolution, N)."""
 
 
 class Tone(Discoverable):

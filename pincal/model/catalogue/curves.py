@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.model.basis import FEWEST_SPLINES, spline_basis
+from pincal.model.basis import FEWEST_SPLINES, spline_basis, spline_roughness
 from pincal.model.chain import Chain
 from pincal.model.conditions import TURN, Conditions, Situation, distinct_values, recorded_variable
 from pincal.model.effect import Candidate, Curve, Locus, Term
@@ -22,6 +22,11 @@ _NEARLY_A_TURN = 0.9
 # Number of basis functions unless another is asked for; the numbers that a discovery tries first, from coarse to fine.
 _SIZE = 24
 _SIZES = (8, 12, 18, 26, 44, 80)
+# Width of the pieces of a curve that is believed to be smooth [rad]: the teeth of a strain wave gear of 100 : 1 are 1.8 deg
+# wide. Along a rail, the most pieces.
+_PIECE, _MOST_PIECES = np.radians(1.0), 180
+# Typical size of the curve as a whole [rad or m], where its pieces are held together by its smoothness.
+_HEIGHT = 1e-3
 # Poses that each basis function needs to be fitted at all: six of position show the size of a bump and its scatter.
 POSES_PER_PIECE = 6
 
@@ -45,18 +50,25 @@ class TransmissionError(Curve):
     that stands a turn away is taken at the turn that was measured, as if the curve repeated. The splines add up to 1, which
     repeats the joint offset; the prior settles that.
 
+    How smooth it is may be known: a rough curve's second derivative is as good as white noise of intensity w, so that
+
+    .. math:: \int g''(q)^2 dq / w^2
+
+    is added to the squares, and the most probable curve is a smoothing spline. Without w pieces know nothing of each other.
+
     Told apart by:
         two payloads: a curve of the drive follows the position and not the load. What it is made of (eccentricity, ratio,
         teeth) shows in its shape, over a full turn.
 
     Source:
-        Tuttle (1992); splines after de Boor (1978).
+        Tuttle (1992); splines after de Boor (1978), smooth ones as a prior after Wahba (1978).
 
     Attributes:
         joint: the joint.
         lower, upper: the positions covered by measurements [rad or m].
         size: number of basis functions, at least 4; even if periodic.
         periodic: whether the curve repeats after a turn.
+        roughness: w, [rad^-0.5] or [m^-0.5]; default: nothing is known of it.
     """
 
     joint: str
@@ -64,6 +76,7 @@ class TransmissionError(Curve):
     upper: float
     size: int = _SIZE
     periodic: bool = False
+    roughness: float | None = None
     name: ClassVar[str] = "transmission_error"
     meaning: ClassVar[str] = "the joint errs by a curve of its own angle: gear teeth, scale, wave generator"
 
@@ -74,6 +87,8 @@ class TransmissionError(Curve):
         if self.size < FEWEST_SPLINES or (self.periodic and self.size % 2):
             kind = "an even number of at least 4" if self.periodic else "at least 4"
             raise BadInputError(f"{self.name} of {self.joint}: size {self.size}; expected {kind}")
+        if self.roughness is not None and not 0.0 < self.roughness < np.inf:
+            raise BadInputError(f"{self.name} of {self.joint}: roughness {self.roughness}; expected a number above 0")
 
     @classmethod
     def over(cls, joint: str, q_column: np.ndarray, size: int = _SIZE, *, periodic: bool | None = None) -> TransmissionError:
@@ -118,10 +133,28 @@ class TransmissionError(Curve):
         """Return the curve in the fewest pieces that a discovery tries."""
         return self.resized(situation, _SIZES[0])
 
+    def smooth(self, situation: Situation, roughness: float | None) -> TransmissionError:
+        """Return the curve as fine as the poses carry it, and not finer than gear teeth call for."""
+        q = situation.positions(self.joint)
+        turns = situation.revolute
+        finest = int(np.ceil(np.ptp(q) / _PIECE)) if self.joint in turns else _MOST_PIECES
+        size = max(self.size, min(most_pieces(q), finest))
+        return replace(self.resized(situation, size), roughness=roughness)
+
+    def smoothness(self) -> np.ndarray | None:
+        """Return the information of the roughness about the coefficients, shape (size, size); None if it isn't known."""
+        if self.roughness is None:
+            return None
+        if not self.periodic:
+            return spline_roughness(self.lower, self.upper, self.size) / self.roughness**2
+        orders = np.repeat(np.arange(1.0, self.size // 2 + 1), 2)
+        return np.diag(np.pi * orders**4) / self.roughness**2
+
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Coefficients of the basis functions [rad or m]."""
         symbols = [f"curve_{p + 1}" for p in range(self.size)]
-        return parameters_of(self, self.joint, symbols, unit=drive_unit(chain, self.joint), size=WAVE)
+        size = WAVE if self.roughness is None else _HEIGHT
+        return parameters_of(self, self.joint, symbols, unit=drive_unit(chain, self.joint), size=size)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add the basis functions of the joint's position to its drive."""

@@ -1,0 +1,182 @@
+"""Drive curves that are believed to be smooth: what that adds to a fit, and how smooth the data call for."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import kuka as true_kuka
+from scipy.interpolate import make_smoothing_spline
+from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
+
+from pincal import GEOMETRIC, Measurements, Options, Robot
+from pincal import simulate as sim
+from pincal.calibration.calibrated import load_model
+from pincal.calibration.fit import Fit as CalibratedFit
+from pincal.discover.smoothness import Quadratic, smoothed
+from pincal.identify.calibrate import calibrate, refit
+from pincal.identify.fit import Fit
+from pincal.measure.measurements import measurements_from_arrays
+from pincal.model.basis import spline_basis, spline_roughness
+from pincal.model.catalogue import TransmissionError
+
+SIGMA = 5e-5
+BUMPS = sim.TransmissionError(joint="joint_2", size=3e-4, seed=4, bumps=9, periodic=False)
+
+
+def line(rng: np.random.Generator, n: int, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return even positions, readings of a curve there, and splines whose knots are the positions."""
+    x = np.linspace(0.0, 2.0, n)
+    return x, np.sin(3.0 * x) + 0.3 * x + sigma * rng.standard_normal(n), spline_basis(x, 0.0, 2.0, n + 2)
+
+
+def quadratic(B: np.ndarray, y: np.ndarray, sigma: float, *, size: float) -> Quadratic:
+    """Return the squares of readings about a curve of height zero."""
+    K, nothing = len(B), np.zeros(len(B))
+    return Quadratic(
+        G=B @ B.T / sigma**2,
+        g=B @ y / sigma**2,
+        believed=np.zeros((K, K)),
+        slope=nothing,
+        sizes=np.full(K, size),
+        values=nothing,
+        squares=float(y @ y) / sigma**2,
+        readings=len(y),
+    )
+
+
+def test_roughness_is_the_integral_of_squared_second_derivatives() -> None:
+    """Of a cubic, which splines are exactly: integral of (2 a + 6 b x)^2; of a straight line nothing."""
+    lower, upper, x = -0.5, 1.5, np.linspace(-0.5, 1.5, 200)
+    B, R = spline_basis(x, lower, upper, 9), spline_roughness(lower, upper, 9)
+    a, b = 0.7, -1.3
+    cubic, straight = (np.linalg.lstsq(B.T, y, rcond=None)[0] for y in (a * x**2 + b * x**3, 3.0 - x))
+
+    def antiderivative(x: float) -> float:
+        return 4 * a**2 * x + 12 * a * b * x**2 + 12 * b**2 * x**3
+
+    assert cubic @ R @ cubic == pytest.approx(antiderivative(upper) - antiderivative(lower), rel=1e-9)
+    assert straight @ R @ straight == pytest.approx(0.0, abs=1e-9)
+    wave = TransmissionError("joint_1", -np.pi, np.pi, 8, periodic=True, roughness=0.5)
+    heights, q = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.2]), np.linspace(0.0, 2.0 * np.pi, 2001)
+    bend = -4.0 * 0.3 * np.sin(2.0 * q) - 16.0 * 0.2 * np.cos(4.0 * q)
+    assert heights @ wave.smoothness() @ heights == pytest.approx(np.trapezoid(bend**2, q) / 0.25, rel=1e-6)
+
+
+def test_the_most_probable_curve_is_the_smoothing_spline(rng: np.random.Generator) -> None:
+    """With a knot at every reading; the smoothing spline is SciPy's, its penalty the noise over the roughness."""
+    x, y, B = line(rng, 40, 0.05)
+    R = spline_roughness(0.0, 2.0, len(B))
+    (w,), heights = quadratic(B, y, 0.05, size=1e4).likeliest([np.arange(len(B))], [R])
+    fitted = heights @ B
+    # The noise is found together with the roughness, from what is left.
+    penalties = np.geomspace(1e-7, 1e-2, 100)
+    distance = [np.max(np.abs(make_smoothing_spline(x, y, lam=lam)(x) - fitted)) for lam in penalties]
+    noise = np.sqrt(penalties[np.argmin(distance)]) * w
+
+    assert min(distance) < 1e-3
+    assert noise == pytest.approx(0.05, rel=0.35)
+
+
+def test_roughness_is_where_the_readings_are_likeliest(rng: np.random.Generator) -> None:
+    """Against the normal density of the readings, heights integrated out, at its largest over noise and roughness."""
+    sigma = 0.05
+    _, y, B = line(rng, 60, sigma)
+    R, size = spline_roughness(0.0, 2.0, len(B)), 10.0
+
+    def cost(logs: np.ndarray) -> float:
+        noise, w = np.exp(logs)
+        C = B.T @ np.linalg.solve(R / w**2 + np.eye(len(B)) / size**2, B) + noise**2 * np.eye(len(y))
+        return -float(multivariate_normal(cov=C).logpdf(y))
+
+    best = np.exp(minimize(cost, np.log([sigma, 3.0]), method="Nelder-Mead").x)
+    (w,), _ = quadratic(B, y, sigma, size=size).likeliest([np.arange(len(B))], [R])
+
+    assert w == pytest.approx(best[1], rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def rows(kuka: Robot) -> Measurements:
+    """Return a table of an arm whose second gear has many bumps; joint 2 hardly ever stands in the middle of its range."""
+    rng = np.random.default_rng(5)
+    machine = true_kuka(effects=(BUMPS,)).draw_errors(rng, sigma_length=5e-4, sigma_angle=5e-4)
+    q = sim.plan_poses(machine.nominal, 400, rng)
+    at = q[:, 1]
+    lower, upper = np.quantile(at, [0.35, 0.65])
+    q = q[(at < lower) | (at > upper) | (rng.random(len(q)) < 0.1)]
+    table = sim.Instrument(targets={"ball": (0.1, 0.0, 0.1)}, sigma=SIGMA).measure(machine, q, rng=rng)
+    return measurements_from_arrays(kuka.joint_names, q, position=np.column_stack([table[axis] for axis in "xyz"]))
+
+
+@pytest.fixture(scope="module")
+def fits(kuka: Robot, rows: Measurements) -> tuple[Fit, Fit]:
+    """Return fits of the table with a coarse curve, and with the smooth one that it calls for."""
+    curve = TransmissionError.over("joint_2", rows.q[:, 1], 18)
+    coarse = calibrate(kuka, rows, Options(effects=(*GEOMETRIC, curve)))
+    ((smooth, heights),) = smoothed(coarse, [curve]).values()
+    return coarse, refit(coarse, [*GEOMETRIC, smooth], start={smooth: heights})
+
+
+def test_a_fit_with_a_smooth_curve_is_penalised_least_squares(fits: tuple[Fit, Fit]) -> None:
+    """The slope of data, priors and roughness vanishes, and their information is that of the posterior."""
+    fit = fits[1]
+    curve = next(e for e in fit.options.effects if isinstance(e, TransmissionError))
+    free, at = fit.solution.free, fit.problem.places_at(curve)
+    ((_, residuals, jacobian),) = fit.station.linearise(fit.values, free)
+    J = (jacobian * np.sqrt(fit.solution.weights)).reshape(int(free.sum()), -1) / fit.solution.sigma[0]
+    r = (residuals * np.sqrt(fit.solution.weights)).ravel() / fit.solution.sigma[0]
+    L = np.diag(fit.priors.sizes**-2.0)
+    L[np.ix_(at, at)] += spline_roughness(curve.lower, curve.upper, curve.size) / curve.roughness**2
+    L = L[np.ix_(free, free)]
+    H, slope = J @ J.T + L, J @ r - L @ fit.values[free]
+
+    covariance = fit.solution.posterior.covariance
+    assert slope @ np.linalg.solve(H, slope) < 1e-4 * r @ r
+    scale = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(np.linalg.inv(H) / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-4)
+    spent = np.sum(covariance * (J @ J.T))
+    assert fit.solution.posterior.effective == pytest.approx(spent, rel=1e-3)
+
+
+def test_a_smooth_curve_is_closer_to_the_true_one(fits: tuple[Fit, Fit]) -> None:
+    """Over the whole range, but for level and slope, which the geometry has; rows are few in the middle of it."""
+    errors = []
+    for fit in fits:
+        curve = next(e for e in fit.options.effects if isinstance(e, TransmissionError))
+        q = np.linspace(curve.lower, curve.upper, 200)
+        B, heights = curve.basis(q), fit.values[fit.problem.places_at(curve)]
+        plain = np.vander(q, 2)
+        rest = heights @ B - BUMPS.curve(q)
+        rest -= plain @ np.linalg.lstsq(plain, rest, rcond=None)[0]
+        errors.append(np.sqrt(np.mean(rest**2)))
+
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_what_an_earlier_fit_knows_of_a_curve_has_its_smoothness(
+    fits: tuple[Fit, Fit], kuka: Robot, rows: Measurements
+) -> None:
+    """So that it is not counted again; and a file keeps it."""
+    fit = fits[1]
+    options = replace(fit.options, earlier=CalibratedFit.of(fit).robot_estimate)
+    later = calibrate(kuka, rows.select(slice(0, 60)), options)
+
+    assert fit.problem.smooth and not later.problem.smooth
+
+
+def test_a_file_keeps_how_rough_a_curve_is(fits: tuple[Fit, Fit], tmp_path: Path) -> None:
+    """And one that says nothing of it is of a curve of which nothing was known."""
+    fit = CalibratedFit.of(fits[1])
+    fit.save(tmp_path / "model.json")
+    read = load_model(tmp_path / "model.json")
+    text = (tmp_path / "model.json").read_text(encoding="utf-8")
+    rough = next(e.roughness for e in fit.options.effects if isinstance(e, TransmissionError))
+
+    assert [e.roughness for e in read.model.effects if isinstance(e, TransmissionError)] == [rough]
+    (tmp_path / "old.json").write_text(re.sub(r',\s*"roughness": [-0-9.e]+', "", text), encoding="utf-8")
+    old = load_model(tmp_path / "old.json")
+    assert [e.roughness for e in old.model.effects if isinstance(e, TransmissionError)] == [None]
