@@ -15,6 +15,7 @@ from pincal.discover.nuisance import missing_compliances, score_test_beside_mass
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests, enough_errors, standard_errors
 from pincal.discover.tones import strongest_tones
+from pincal.discover.uneven import p_value_of_uneven_noise
 from pincal.identify.fit import Fit
 from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.bearings import bearing_features
@@ -101,7 +102,10 @@ def table_of(
         rows.append(Row(effect, score, costs.get(id(effect), score.ebic + more), limit))
 
     def predicts(i: int) -> bool:
-        return standard_errors(test([effects[i]], search.groups).gains_by_block([0])) > enough_errors(effects[i])
+        left_out = test([effects[i]], search.groups)
+        if standard_errors(left_out.gains_by_block([0])) <= enough_errors(effects[i]):
+            return False
+        return p_value_of_uneven_noise(fit, left_out) < rows[i].limit
 
     return CandidateTable(
         rows,

@@ -1,0 +1,41 @@
+"""Score tests where a joint scatters: right p-values there, the same as ever where the noise is even."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from test_scatter import NOISE, measured
+
+from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.uneven import p_value_of_uneven_noise
+from pincal.identify.calibrate import calibrate
+from pincal.identify.options import Options
+from pincal.model.catalogue import GearRipple
+from pincal.model.effects import GEOMETRIC
+from pincal.robot.robot import Robot
+
+RIPPLE = GearRipple("joint_3", 77.3)
+
+
+def p_values(robot: Robot, scatter: float, seed: int, poses: int = 70) -> tuple[float, float]:
+    """Return the p-value of the ripple by the score test, and that which holds whatever the noise is."""
+    fit = calibrate(robot, measured(robot, scatter, seed=seed, poses=poses), Options(effects=GEOMETRIC, sigma=NOISE))
+    tests = score_test_beside_masses(fit, [RIPPLE])
+    return tests.score([0], 1).p_value, p_value_of_uneven_noise(fit, tests)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_even_noise_changes_nothing(seed: int, kuka: Robot) -> None:
+    """The noise along the effect is no more than chance explains: the score test stands."""
+    plain, held = p_values(kuka, 0.0, seed)
+
+    assert held == pytest.approx(plain, rel=1e-9)
+
+
+@pytest.mark.long
+def test_a_scattering_joint_makes_no_more_of_chance_than_it_says(kuka: Robot) -> None:
+    """Three targets share what the joint does in a visit: the score test calls most draws rare, this one a twentieth."""
+    drawn = np.array([p_values(kuka, 2e-4, seed) for seed in range(100, 300)])
+    plain, held = (drawn < 0.05).sum(axis=0)
+
+    assert plain > 80
+    assert binom.ppf(1e-3, 200, 0.03) <= held <= binom.ppf(0.999, 200, 0.06)
