@@ -96,9 +96,10 @@ def table_of(
         n, more = count[effect.is_nameless], _surcharge(effect, policy)
         given = range(len(effects), len(effects) + len(spare)) if effect.is_of_loads else range(0)
         score, limit = tests.score_given([i], given, n) if given else tests.score([i], n), policy.false_name / n
-        evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
-        if is_small and evidence < 0.5 * more - np.log(limit):
-            limit = 0.0
+        # Asked only where chance does not explain the candidate anyway.
+        if is_small and score.p_value < limit:
+            evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
+            limit = 0.0 if evidence < 0.5 * more - np.log(limit) else limit
         rows.append(Row(effect, score, costs.get(id(effect), score.ebic + more), limit))
 
     def predicts(i: int) -> bool:

@@ -18,6 +18,7 @@ from pincal.discover.nuisance import score_test_beside_masses
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit, without
 from pincal.model.effect import Effect
+from pincal.model.evaluated import key_of
 
 
 def named_beside(fit: Fit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[Fit, Decision | None]]:
@@ -58,17 +59,20 @@ class _Shared:
     """
 
     fit: Fit
-    passes: list[tuple[bool, dict[Effect, int], ScoreTests]] = field(default_factory=list)
+    passes: list[tuple[bool, dict[object, int], ScoreTests]] = field(default_factory=list)
 
     def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> None:
         """Test candidates at once, equal ones once."""
-        number = {effect: i for i, effect in enumerate(dict.fromkeys(effects))}
-        if number:
-            self.passes.append((groups is not None, number, score_test_beside_masses(self.fit, tuple(number), groups)))
+        once = {key_of(effect): effect for effect in effects}
+        if once:
+            number = {key: i for i, key in enumerate(once)}
+            tests = score_test_beside_masses(self.fit, tuple(once.values()), groups)
+            self.passes.append((groups is not None, number, tests))
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
         """Return the tests of candidates against the fit without one of its effects."""
         for has_blocks, number, tests in self.passes:
-            if has_blocks == (groups is not None) and all(effect in number for effect in effects):
-                return tests.among([number[effect] for effect in effects], self.fit.names_of([gone]))
+            which = [number.get(key_of(effect), -1) for effect in effects]
+            if has_blocks == (groups is not None) and min(which) >= 0:
+                return tests.among(which, self.fit.names_of([gone]))
         return score_test_beside_masses(without(self.fit, gone), effects, groups)

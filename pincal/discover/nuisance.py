@@ -27,7 +27,7 @@ MASS_SIZE = 0.05
 CENTRE_SIZE = 0.05
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class MassError(Effect):
     """Mass and first moment of each link are off, seen through compliances as they are known so far.
 
@@ -36,12 +36,12 @@ class MassError(Effect):
 
     Attributes:
         compliances: coordinates that bend, each with the moment that it follows and its k [rad/(N m)].
-        coordinates: shape (K,), the rigid arm's coordinates at q = 0.
+        coordinates: the K coordinates of the rigid arm at q = 0.
         links: the joints that move the links whose masses a URDF tells; of the others they are parameters of the model.
     """
 
     compliances: tuple[tuple[int, int, float], ...]
-    coordinates: np.ndarray
+    coordinates: tuple[float, ...]
     links: tuple[int, ...]
     name: ClassVar[str] = "mass_error"
     meaning: ClassVar[str] = "masses and centres of mass of the links differ from the URDF"
@@ -59,7 +59,7 @@ class MassError(Effect):
                 own = values[span]
                 bent += [(t.coordinate, t.moment, float(own[t.parameter])) for t in terms if t.moment is not None]
         compliances = tuple(entry for entry in bent if entry[2])
-        return cls(compliances, model.rigid_coordinates(values), links) if compliances and links else None
+        return cls(compliances, tuple(model.rigid_coordinates(values).tolist()), links) if compliances and links else None
 
     @property
     def locus(self) -> Locus:
@@ -76,7 +76,7 @@ class MassError(Effect):
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add each compliance times the change of its moment."""
-        values, terms = _values(chain, conditions, self.coordinates), list[Term]()
+        values, terms = _values(chain, conditions, np.array(self.coordinates)), list[Term]()
         for p, i in enumerate(self.links):
             for c, change in enumerate(self._moments(chain, conditions, values, i)):
                 terms += [Term(4 * p + c, at, k * change[m]) for at, m, k in self.compliances if m // 3 <= i]
@@ -94,11 +94,11 @@ class MassError(Effect):
             centres[i] = centre
             return np.asarray(kernels.static_moments(layout._replace(masses=masses, centres=centres), values, no_load))
 
-        yield moments_at(robot.centres[i])
         straight = moments_at(np.zeros(3))
         size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
-        for axis in np.eye(3):
-            yield moments_at(size * axis) - straight
+        along = [moments_at(size * axis) - straight for axis in np.eye(3)]
+        yield straight + sum(part * of for part, of in zip(robot.centres[i] / size, along, strict=True))
+        yield from along
 
 
 def _values(chain: Chain, conditions: Conditions, coordinates: np.ndarray) -> Values:

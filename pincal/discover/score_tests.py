@@ -27,6 +27,7 @@ from pincal.identify.fit import Fit
 from pincal.identify.normal import believed, block_rows
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
+from pincal.model.conditions import part_of
 from pincal.model.effects import Effect
 
 # Part of a column's square that must be left after projection for the data to see it.
@@ -396,7 +397,8 @@ def _gram(
         order: slice | np.ndarray = slice(None)
         if n_blocks > 1:
             order = np.argsort(groups[problem.rows[i]], kind="stable")
-            station = station.select(order)
+            sorted_rows = part_of(station.conditions, order, ("sorted", order.tobytes()))
+            station = replace(station.select(order), conditions=sorted_rows)
         local = values[problem.places[i]], free[problem.places[i]]
         weights = fit.solution.weights[problem.rows[i]][order]
         sigma = fit.solution.estimated[problem.block_spans[i]]

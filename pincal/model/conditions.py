@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +12,7 @@ from numpy.typing import ArrayLike
 from pincal.errors import BadInputError
 from pincal.model import kernels, walk
 from pincal.model.chain import Chain
+from pincal.model.latest import Latest
 from pincal.model.symbols import are_symbols
 
 # Variables that have a column of their own in a table, with their units; positions of joints are the others.
@@ -78,16 +77,10 @@ class Conditions:
         return found
 
 
-class _Parts(NamedTuple):
-    whole: Conditions
-    of: dict[tuple[int, ...], Conditions]
+_PARTS = Latest["Conditions"](4)
 
 
-# Those of the latest tables.
-_PARTS: deque[_Parts] = deque(maxlen=2)
-
-
-def part_of(whole: Conditions, rows: slice | np.ndarray, key: tuple[int, ...]) -> Conditions:
+def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Conditions:
     """Return the conditions of some rows, the same object if asked again: what was evaluated there is then known.
 
     Args:
@@ -95,13 +88,10 @@ def part_of(whole: Conditions, rows: slice | np.ndarray, key: tuple[int, ...]) -
         rows: the rows.
         key: tells them from other rows of these conditions.
     """
-    parts = next((parts for parts in tuple(_PARTS) if parts.whole is whole), None)
-    if parts is None:
-        parts = _Parts(whole, {})
-        _PARTS.append(parts)
-    if key not in parts.of:
-        parts.of[key] = whole.select(rows)
-    return parts.of[key]
+    known = _PARTS.of(whole)
+    if key not in known:
+        known[key] = whole.select(rows)
+    return known[key]
 
 
 def joined(parts: Sequence[Conditions]) -> Conditions:

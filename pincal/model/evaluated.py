@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from math import copysign
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +17,16 @@ import numpy as np
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Term
+from pincal.model.latest import Latest
 from pincal.model.sparse_basis import SparseBasis, dense_rows, sparse_rows
+from pincal.parameters import Parameter
 
 # Parameters that act on one coordinate by a basis function from which their column is shared.
 WORTH_SHARING = 6
 # Part of a curve's basis functions that is not zero, below which it is kept sparse.
 _THIN = 0.25
 # Numbers that are kept at most (24 MB), and tables that they are of.
-_MOST_NUMBERS, _TABLES = 3_000_000, 16
+_MOST_NUMBERS, _TABLES = 6_000_000, 16
 
 
 class Thin(NamedTuple):
@@ -52,15 +56,12 @@ class Plain(NamedTuple):
 
 
 class _OfEffect(NamedTuple):
+    """Terms, or a curve, of an effect, which is held, too; and how many numbers they have."""
+
     effect: Effect
     terms: tuple[Term, ...]
     curve: Thin | None
-
-    @property
-    def numbers(self) -> int:
-        """How many numbers it holds."""
-        of_curve = 0 if self.curve is None else 2 * len(self.curve.basis.value)
-        return of_curve + sum(len(term.basis) for term in self.terms if term.basis is not None)
+    numbers: int
 
 
 class _Table(NamedTuple):
@@ -75,6 +76,27 @@ class _Table(NamedTuple):
 _KEPT: deque[_Table] = deque(maxlen=_TABLES)
 
 
+# By equal effects, which are held, too.
+_PARAMETERS = Latest[tuple[Effect, tuple[Parameter, ...]]](4)
+
+
+def parameters_of_each(effects: Sequence[Effect], chain: Chain) -> list[tuple[Parameter, ...]]:
+    """Return the parameters of effects, equal ones the same objects, so that many stations hold the robot's but once."""
+    known, found = _PARAMETERS.of(chain), []
+    for effect in effects:
+        key = key_of(effect)
+        if key not in known:
+            known[key] = effect, tuple(_interned(p, copysign(1.0, p.nominal)) for p in effect.parameters(chain))
+        found.append(known[key][1])
+    return found
+
+
+@lru_cache(maxsize=4096)
+def _interned(parameter: Parameter, sign: float) -> Parameter:
+    """Return one object for all equal parameters; 0.0 equals -0.0."""
+    return parameter
+
+
 def plain_terms(effects: Sequence[Effect], starts: Sequence[int], chain: Chain, conditions: Conditions) -> Plain:
     """Return what effects that use no moments add to coordinates.
 
@@ -85,7 +107,7 @@ def plain_terms(effects: Sequence[Effect], starts: Sequence[int], chain: Chain, 
         conditions: the poses.
     """
     found, plain = _evaluated(effects, chain, conditions), Plain([], [])
-    for start, (_, terms, curve) in zip(starts, found, strict=True):
+    for start, (_, terms, curve, _) in zip(starts, found, strict=True):
         plain.terms.extend([(start + term.parameter, term) for term in terms])
         if curve is not None:
             plain.curves.append(curve._replace(parameters=start + curve.parameters))
@@ -95,7 +117,7 @@ def plain_terms(effects: Sequence[Effect], starts: Sequence[int], chain: Chain, 
 def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) -> list[_OfEffect]:
     past = next((table for table in tuple(_KEPT) if table.conditions is conditions and table.chain is chain), None)
     known = {} if past is None else past.of_effect
-    keys = [_key(effect) for effect in effects]
+    keys = [key_of(effect) for effect in effects]
     found = [known.get(key) or _of_effect(effect, chain, conditions) for key, effect in zip(keys, effects, strict=True)]
     asked = dict(zip(keys, found, strict=True))
     if past is None or not asked.keys() <= known.keys():
@@ -114,7 +136,7 @@ def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) 
     return found
 
 
-def _key(effect: Effect) -> object:
+def key_of(effect: Effect) -> object:
     """Return what tells an effect from others: equal ones have the same terms."""
     try:
         hash(effect)
@@ -129,12 +151,11 @@ def _numbers(of_effect: dict[object, _OfEffect]) -> int:
 
 def _of_effect(effect: Effect, chain: Chain, conditions: Conditions) -> _OfEffect:
     terms = effect.terms(chain, conditions, None)
-    if len(terms) < WORTH_SHARING or len({term.coordinate for term in terms}) > 1:
-        return _OfEffect(effect, terms, None)
-    bases, places = [term.basis for term in terms if term.basis is not None], [term.parameter for term in terms]
-    if len(bases) < len(terms) or len(set(places)) < len(places):
-        return _OfEffect(effect, terms, None)
-    basis = np.array(bases)
-    if np.count_nonzero(basis) >= _THIN * basis.size:
-        return _OfEffect(effect, terms, None)
-    return _OfEffect(effect, (), Thin(np.array(places), terms[0].coordinate, sparse_rows(basis)))
+    bases, places = [term.basis for term in terms if term.basis is not None], {term.parameter for term in terms}
+    dense = _OfEffect(effect, terms, None, sum(map(len, bases)))
+    is_curve = len(bases) == len(terms) == len(places) >= WORTH_SHARING and len({term.coordinate for term in terms}) == 1
+    if not is_curve or np.count_nonzero(basis := np.array(bases)) >= _THIN * basis.size:
+        return dense
+    thin = sparse_rows(basis)
+    curve = Thin(np.array([term.parameter for term in terms]), terms[0].coordinate, thin)
+    return _OfEffect(effect, (), curve, 2 * len(thin.value))

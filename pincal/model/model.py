@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.effect import Body, Effect, Term
-from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, plain_terms
+from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, parameters_of_each, plain_terms
 from pincal.model.kernels import Bodies, Compliances, Layout, Payload, Places, Terms, Values
 from pincal.model.sparse_basis import Basis, dense_rows, joined_rows, sparse_sum
 from pincal.parameters import Parameter
@@ -73,14 +72,13 @@ class Model:
     @cached_property
     def spans(self) -> tuple[slice, ...]:
         """For each effect, where its parameters stand."""
-        starts = np.cumsum([0, *(len(effect.parameters(self.chain)) for effect in self.effects)]).tolist()
+        starts = np.cumsum([0, *map(len, parameters_of_each(self.effects, self.chain))]).tolist()
         return tuple(slice(a, b) for a, b in pairwise(starts))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, effect by effect."""
-        found = (p for effect in self.effects for p in effect.parameters(self.chain))
-        return tuple(_interned(p, math.copysign(1.0, p.nominal)) for p in found)
+        return tuple(p for of_effect in parameters_of_each(self.effects, self.chain) for p in of_effect)
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
@@ -278,12 +276,6 @@ class Model:
                 largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
                 excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
         return np.where(largest > 0.0, largest, 1.0), excited
-
-
-@lru_cache(maxsize=4096)
-def _interned(parameter: Parameter, sign: float) -> Parameter:
-    """Return one object for all equal parameters, so that many stations hold the robot's but once; 0.0 equals -0.0."""
-    return parameter
 
 
 @dataclass(frozen=True)

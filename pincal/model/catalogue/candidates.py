@@ -9,12 +9,16 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import COLUMN_UNITS, OF_JOINTS, Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Tone
 from pincal.model.effects import Compliance
+from pincal.model.evaluated import key_of
+from pincal.model.latest import Latest
 from pincal.model.model import Model
 from pincal.model.registry import EFFECTS
 from pincal.robot.robot import Robot
 
 # A basis that changes by less than this part of its size is a constant.
 _CONSTANT = 1e-9
+# What keeps effects from showing on the latest tables; the effects are held, too.
+_STILL = Latest[tuple[Effect, str]](4)
 
 
 def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
@@ -70,10 +74,15 @@ def why_not_testable(candidate: Candidate, situation: Situation) -> str:
             return f"column {OF_JOINTS[name].replace('<joint>', str(joint))} is missing or the same in all rows"
     if candidate.obstacle:
         return candidate.obstacle
-    if effect.uses_moments:
-        excited = bool(Model(chain, (effect,)).largest_basis(conditions)[1].any())
-        return "" if excited else "gravity exerts no moment about its axis in any pose"
-    return _standing_still(effect, situation)
+    known, key = _STILL.of(chain, conditions), key_of(effect)
+    if key not in known:
+        known[key] = effect, _unmoved(effect, situation) if effect.uses_moments else _standing_still(effect, situation)
+    return known[key][1]
+
+
+def _unmoved(effect: Effect, situation: Situation) -> str:
+    excited = bool(Model(situation.chain, (effect,)).largest_basis(situation.conditions)[1].any())
+    return "" if excited else "gravity exerts no moment about its axis in any pose"
 
 
 def _lacking(column: str, conditions: Conditions) -> str:
