@@ -178,9 +178,9 @@ def has_compliance(effects: Sequence[Effect]) -> bool:
     return any(effect.family is Family.ELASTICITY for effect in effects)
 
 
-def variants(fit: Fit) -> Iterator[Effect]:
-    """Yield what the data can test, each in the forms that are worth telling apart."""
-    return _forms(fit, testable(situation_of(fit)))
+def variants(fit: Fit, acts_on: Collection[str] | None = None) -> Iterator[Effect]:
+    """Yield what the data can test, or what of it acts in some places, each in the forms that are worth telling apart."""
+    return _forms(fit, testable(situation_of(fit), acts_on))
 
 
 def _forms(fit: Fit, tested: Sequence[Candidate]) -> Iterator[Effect]:

@@ -41,9 +41,9 @@ def _next_step(fit: Fit, search: Search) -> Step | None:
     return None if decision is None else decided(fit, decision, search)
 
 
-def bent(fit: Fit, way: ElasticWay) -> Step:
-    """Return the step that adds compliances."""
-    after = refit(fit, [*fit.options.effects, *way.effects])
+def bent(fit: Fit, way: ElasticWay, after: Fit | None = None) -> Step:
+    """Return the step that adds compliances, to the fit with them if it is known."""
+    after = refit(fit, [*fit.options.effects, *way.effects]) if after is None else after
     return Step(way.effects, way.score, way.equivalent, fit, after, way.effects[0], np.zeros(0))
 
 

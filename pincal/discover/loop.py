@@ -19,9 +19,10 @@ from pincal.discover.moment_frames import (
     fit_cost,
     in_frame,
     is_brought,
-    likeliest_frame,
+    likeliest_fit,
     single_compliance,
 )
+from pincal.discover.nuisance import missing_compliances
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import settle
@@ -72,9 +73,17 @@ def start_in_likeliest_frame(state: State, search: Search) -> State:
         return state
     ways = elastic_ways(state.fit, search.frames, search.policy)
     single = single_compliance(ways, search.frames, search.policy)
-    frame = likeliest_frame(state.fit, search.frames) if single is None else single[0]
-    fit, way = in_frame(state.fit, frame), ways.get(frame) if single is None else single[1]
-    return State(fit) if way is None else State(fit).with_step(bent(fit, way))
+    if single is not None:
+        fit = in_frame(state.fit, single[0])
+        return State(fit).with_step(bent(fit, single[1]))
+    every = missing_compliances(state.fit)
+    whole = likeliest_fit(state.fit, every, search.frames)
+    frame = whole.problem.chain.moment_frame
+    fit, way = in_frame(state.fit, frame), ways.get(frame)
+    if way is None:
+        return State(fit)
+    is_known = way.effects == every
+    return State(fit).with_step(bent(fit, replace(way, effects=every), whole) if is_known else bent(fit, way))
 
 
 def compare_frames(state: State, search: Search) -> State:

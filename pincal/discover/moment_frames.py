@@ -7,16 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import has_compliance
+from pincal.discover.candidate_tests import has_compliance, variants
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
 from pincal.discover.policy import Policy
+from pincal.discover.score_tests import score_test
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER, best_of, misfit
 from pincal.model.chain import MomentFrame
-from pincal.model.effects import ELASTIC
+from pincal.model.effect import Effect
+
+# What loads move where a bearing gives way in another convention.
+_LIKE_A_BEARING = ("base", "link")
 
 
 def in_frame(fit: Fit, frame: MomentFrame) -> Fit:
@@ -40,10 +44,10 @@ def elastic_ways(fit: Fit, frames: Sequence[MomentFrame], policy: Policy) -> dic
     return {frame: way for frame in frames if (way := elastic_way(in_frame(fit, frame), policy))}
 
 
-def likeliest_frame(fit: Fit, frames: Sequence[MomentFrame]) -> MomentFrame:
-    """Return the convention in which elasticity explains most; the first unless another does so beyond chance."""
-    effects = [*fit.options.effects, *(e for e in ELASTIC if e.uses_moments and e not in fit.options.effects)]
-    return best_of([refit(fit, effects, moment_frame=frame) for frame in frames])
+def likeliest_fit(fit: Fit, compliances: Sequence[Effect], frames: Sequence[MomentFrame]) -> Fit:
+    """Return a fit with compliances in the convention in which they explain most; the first unless beyond chance."""
+    fits = {frame: refit(fit, [*fit.options.effects, *compliances], moment_frame=frame) for frame in frames}
+    return fits[best_of(list(fits.values()))]
 
 
 def single_compliance(
@@ -74,8 +78,9 @@ def single_compliance(
 def best_frame(state: State, frames: Sequence[MomentFrame], policy: Policy, *, rough: bool) -> MomentFrame:
     """Return the convention in which it is best to go on from what was found; that of the fit unless another is better.
 
-    Another has to fit what was found better, or as well without the effects that a wrong convention brings about. If it
-    would take less off the squares than an effect must, it matters to nobody.
+    Another has to fit what was found better, or as well without the effects that a wrong convention brings about, or with
+    one of loads that a wrong convention takes for a compliance: a base that tilts is a bearing that tilts with the link
+    before. If it would take less off the squares than an effect must, it matters to nobody.
 
     Args:
         state: what was found.
@@ -93,11 +98,21 @@ def best_frame(state: State, frames: Sequence[MomentFrame], policy: Policy, *, r
     enough = policy.least_gain(fit.solution.degrees, declared=fit.is_declared)
     costs = {}
     for frame in others:
-        costs[frame] = fit_cost(refit(fit, effects, moment_frame=frame, rough=rough)) + enough
+        other = refit(fit, effects, moment_frame=frame, rough=rough)
+        costs[frame] = fit_cost(other) + enough + _still_to_gain(other, policy)
         if brought:
             costs[frame] = min(costs[frame], fit_cost(refit(fit, plain, moment_frame=frame, rough=rough)))
     best = min(others, key=lambda frame: costs[frame])
     return best if costs[best] < cost else here
+
+
+def _still_to_gain(fit: Fit, policy: Policy) -> float:
+    """Return what the best load on base or links would change of the information criterion; 0 where that may be chance."""
+    effects = [effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects]
+    tests = score_test(fit, effects)
+    scores = [tests.score([i], len(effects)) for i in range(len(effects))]
+    sure = [score.ebic for score in scores if score.p_value < policy.false_name / len(effects)]
+    return min(sure, default=0.0)
 
 
 def is_brought(step: Step) -> bool:

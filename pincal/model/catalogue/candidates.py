@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
@@ -29,9 +31,15 @@ def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
     return tuple(effect for effect, reason in _judged(Situation(chain, conditions)) if not reason)
 
 
-def testable(situation: Situation) -> tuple[Candidate, ...]:
-    """Return every candidate, joint by joint, that these poses could show; effects of plugins among them."""
-    return tuple(candidate for candidate in _all(situation) if not why_not_testable(candidate, situation))
+def testable(situation: Situation, acts_on: Collection[str] | None = None) -> tuple[Candidate, ...]:
+    """Return every candidate, joint by joint, that these poses could show; effects of plugins among them.
+
+    Args:
+        situation: the arm and its poses.
+        acts_on: what they move, see :class:`Locus`; default: anything.
+    """
+    every = (c for c in _all(situation) if acts_on is None or c.effect.locus.acts_on in acts_on)
+    return tuple(candidate for candidate in every if not why_not_testable(candidate, situation))
 
 
 def untestable(chain: Chain, conditions: Conditions) -> tuple[tuple[Effect, str], ...]:
