@@ -112,9 +112,11 @@ def test_a_hidden_effect_is_named_with_its_joint(kind: str, seed: int) -> None:
     assert gap_over_oracle(case, trail) < 1.1
 
 
-@pytest.mark.parametrize("kind", ["product", pytest.param("step", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "kind", ["product", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("step", LIKE_A_NAME))]
+)
 def test_what_has_no_name_gets_none(kind: str) -> None:
-    """A jump of a drive and the product of two joints' sines are found at their joint, without a name."""
+    """A jump of a drive, the product of two joints' sines and a tilt by sin^3 are found at their joint, without a name."""
     verdict = judge(draw_case(kind, 2, n=200, strength=150.0))
 
     assert verdict.right and not verdict.false_names, str(verdict)

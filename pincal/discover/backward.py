@@ -14,12 +14,12 @@ from pincal.discover.elastic_ways import with_features
 from pincal.discover.forward import decided, listed
 from pincal.discover.history import State, Step
 from pincal.discover.named_beside import named_beside
-from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.nuisance import score_test_beside_masses
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import enough_errors, standard_errors
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
-from pincal.model.effect import Effect, Family, Resolvable
+from pincal.model.effect import Effect
 
 log = logging.getLogger(__name__)
 
@@ -134,36 +134,3 @@ def _may_be_chance(fit: Fit, step: Step, policy: Policy) -> bool:
     tested = score_test_beside_masses(refit(fit, _without_all(fit, step).options.effects), own)
     limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
     return tested.p_value_of_any(range(len(own))) > limit
-
-
-def merge_parts(state: State, search: Search) -> State:
-    """Take a name and a term without one that follow the same variable in the same place as one effect without a name.
-
-    A name that leaves something of its own variable unexplained where it acts is only the nearest that the catalogue has.
-    """
-    for rest in [step for step in state.steps if step.effect.is_nameless]:
-        part = next((s for s in state.steps if s is not rest and _is_part(s.effect, rest.effect, state.fit)), None)
-        if part is None:
-            continue
-        before, after = sorted((part, rest), key=state.steps.index)
-        equivalent = [*rest.equivalent, part.effect, *part.equivalent]
-        whole = replace(
-            before,
-            effects=(rest.effect, *part.effects),
-            equivalent=each_heading_once(equivalent, rest.effect, search.policy),
-            after=before.after,
-        )
-        state = state.with_replaced(before, whole).without_step(after)
-    return state
-
-
-def _is_part(effect: Effect, nameless: Effect, fit: Fit) -> bool:
-    """Return whether a name follows the same variable, on the same joint or a neighbour, as a term without a name."""
-    at, term, names = effect.locus, nameless.locus, fit.problem.chain.robot.joint_names
-    if effect.family is not Family.CAUSE or at.joint is None or term.joint is None or at.follows not in names:
-        return False
-    if isinstance(nameless, Resolvable) and nameless.resolutions(situation_of(fit)):
-        # A map is a function of its own joint's position as well.
-        return {term.joint, term.follows} >= {at.joint, at.follows}
-    apart = abs(names.index(term.joint) - names.index(at.joint))
-    return apart <= 1 and term.follows == at.follows

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pincal.discover.decisions import CandidateTable, Decision, Row, decide
+from pincal.discover.decisions import CandidateTable, Decision, Row, decide, each_heading_once
 from pincal.discover.maps import likely_maps
 from pincal.discover.nuisance import missing_compliances, score_test_beside_masses, situation_of
 from pincal.discover.policy import Policy
@@ -70,7 +70,28 @@ def explanation(fit: Fit, search: Search, test: Test, names: CandidateTable) -> 
         costs = {id(row.effect): row.cost for row in close}
         return table_of(fit, search, test, together, costs) if nameless else names
 
-    return decide(names, contest_of, search.policy)
+    decision = decide(names, contest_of, search.policy)
+    if decision is None or not decision.effect.is_nameless:
+        return decision
+    return _with_neighbours(decision, fit, search, test)
+
+
+def _with_neighbours(decision: Decision, fit: Fit, search: Search, test: Test) -> Decision:
+    """Return a decision for what has no name with its likes on the joints beside it, which may not have taken part.
+
+    A joint that turns is nearly one whose neighbour tilts, if that follows the same variable.
+    """
+    effect, chain = decision.effect, fit.problem.chain
+    at, names = effect.locus, list(chain.robot.joint_names)
+    if at.joint not in names:
+        return decision
+    i = names.index(at.joint)
+    beside = nameless_candidates(chain, fit.problem.conditions, names[max(i - 1, 0) : i] + names[i + 1 : i + 2])
+    alike = [e for e in beside if (e.locus.follows, e.locus.shape, e.locus.order) == (at.follows, at.shape, at.order)]
+    present = {other.identity for other in fit.problem.effects}
+    every = [effect, *(e for e in alike if e.identity not in present)]
+    rivals = table_of(fit, search, test, every, {id(effect): decision.row.cost}).rivals(0, search.policy)
+    return replace(decision, equivalent=each_heading_once([*decision.equivalent, *rivals], effect, search.policy))
 
 
 def table_of(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.backward import drop_needless, merge_parts, name_again
+from pincal.discover.backward import drop_needless, name_again
 from pincal.discover.candidate_tests import Search, addable, named_tests, over_rows_of, sampled, variants
 from pincal.discover.decisions import each_heading_once, is_own_curve
 from pincal.discover.forward import add_effects, bent
@@ -24,6 +24,7 @@ from pincal.discover.moment_frames import (
 )
 from pincal.discover.nuisance import missing_compliances
 from pincal.discover.policy import POLICY, Policy
+from pincal.discover.remainders import add_remainders, merge_parts
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import settle
 from pincal.discover.smoothness import smoothed
@@ -168,6 +169,7 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     compare_frames,
     name_again,
     drop_needless,
+    add_remainders,
     fit_all_rows,
     settle,
     merge_parts,

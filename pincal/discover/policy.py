@@ -63,6 +63,9 @@ class Policy:
     told_apart: float = _number(1e-5, "probability", _MANY_NAMED,
         "p-value above which an effect adds nothing to another that is as cheap",
         "of equally good effects both stay unless they are told apart beyond doubt")
+    remainder: float = _number(0.02, "probability", _NO_NAME,
+        "p-value below which a name leaves something of what it follows in the place where it acts",
+        "the name stays among the equivalent effects, so it may be wrong in a fiftieth of the cases")
     sure: float = _number(12.0, "Wald statistic per parameter", _PAIRS,
         "above which an effect is so far from zero that it need not be judged again",
         "3.5 standard deviations; it saves a test and decides nothing by itself")

@@ -84,6 +84,31 @@ def turning(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
     return turned
 
 
+def tilt_terms(
+    chain: Chain, conditions: Conditions, joint: str, *, seen_from: str, tilts: Iterable[tuple[int, int, np.ndarray]]
+) -> tuple[Term, ...]:
+    """Return the terms of tilts of a joint's axis about its bearing.
+
+    Beside the origin of its frame the bearing is where its compliance acts, found there if the data say where; at the origin
+    the tilts are s_x and s_y.
+
+    Args:
+        chain: the chain.
+        conditions: the N poses.
+        joint: the joint, one that turns.
+        seen_from: the side in whose axes they are: "before" or "after" q.
+        tilts: of each its parameter, its axis (0 for x, 1 for y) and its basis, shape (N,).
+    """
+    i = joint_index(chain, joint)
+    side, symbol = (chain.moment_frame, "gamma") if chain.bearing_heights[i] else ("before", "s")
+    at = chain.joint(i, f"{symbol}_x"), chain.joint(i, f"{symbol}_y")
+    if seen_from == side:
+        return tuple(Term(parameter, at[axis], basis) for parameter, axis, basis in tilts)
+    turned = turning(chain, conditions, i)
+    turned = turned if side == "before" else turned.transpose(0, 2, 1)
+    return tuple(Term(p, at[c], turned[:, c, axis] * basis) for p, axis, basis in tilts for c in range(2))
+
+
 def moment_axes(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
     """Return the rotations from the axes in which the chain takes joint i's moment to those before q, (N, 3, 3)."""
     if chain.moment_frame == "after":

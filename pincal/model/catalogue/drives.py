@@ -24,7 +24,7 @@ from pincal.model.places import (
     parameters_of,
     positions,
     recorded,
-    turning,
+    tilt_terms,
     waves,
 )
 from pincal.parameters import Parameter
@@ -214,22 +214,10 @@ class AxisWobble(Discoverable):
         return parameters_of(self, self.joint, symbols, unit="rad", size=TILT)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add sines and cosines to the tilts at the bearing: s_x and s_y before q, or gamma_x and gamma_y up the axis."""
-        i = joint_index(chain, self.joint)
+        """Tilt the axis by sines and cosines."""
         both = waves(self.order * positions(chain, conditions, self.joint))
-        # Up the axis the bearing is where its compliance acts, found there if the data say where.
-        side, symbols = ("before", "s") if not chain.bearing_heights[i] else (chain.moment_frame, "gamma")
-        tilts = chain.joint(i, f"{symbols}_x"), chain.joint(i, f"{symbols}_y")
-        if self.frame == side:
-            return tuple(Term(2 * axis + p, tilts[axis], wave) for axis in range(2) for p, wave in enumerate(both))
-        turned = turning(chain, conditions, i)
-        turned = turned if side == "before" else turned.transpose(0, 2, 1)
-        return tuple(
-            Term(2 * axis + p, tilts[c], turned[:, c, axis] * wave)
-            for axis in range(2)
-            for p, wave in enumerate(both)
-            for c in range(2)
-        )
+        tilts = [(2 * axis + p, axis, wave) for axis in range(2) for p, wave in enumerate(both)]
+        return tilt_terms(chain, conditions, self.joint, seen_from=self.frame, tilts=tilts)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pincal.model.catalogue.curves import POSES_PER_PIECE
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, Situation, distinct_values, recorded_variable
 from pincal.model.effect import Family, Locus, Resolvable, Term
-from pincal.model.places import joint_index, waves
+from pincal.model.places import joint_index, tilt_terms, waves
 from pincal.parameters import Parameter
 
 Shape = Literal["curve", "waves", "product", "map", "step", "kink"]
@@ -120,11 +120,15 @@ class Unnamed(Resolvable):
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add the basis functions to the joint's drive, or tilt it."""
         i = joint_index(chain, self.joint)
-        k = int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
         x = recorded_variable(chain, conditions, self.depends_on, span=self.locus.span)
         own_span = (self.own_lower, self.own_upper) if self.shape == "map" else None
         own = recorded_variable(chain, conditions, self.joint, span=own_span)
-        return tuple(Term(p, k, basis) for p, basis in enumerate(self._basis(x, own)))
+        bases = enumerate(self._basis(x, own))
+        if self.acts_on in _BEFORE:
+            tilts = [(p, _BEFORE.index(self.acts_on), basis) for p, basis in bases]
+            return tilt_terms(chain, conditions, self.joint, seen_from="before", tilts=tilts)
+        k = int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
+        return tuple(Term(p, k, basis) for p, basis in bases)
 
     def _basis(self, x: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the basis functions, shape (n_functions, N)."""
