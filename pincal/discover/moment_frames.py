@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import has_compliance, variants
+from pincal.discover.candidate_tests import has_compliance, is_small_table, variants
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
@@ -107,7 +107,12 @@ def best_frame(state: State, frames: Sequence[MomentFrame], policy: Policy, *, r
 
 
 def _still_to_gain(fit: Fit, policy: Policy) -> float:
-    """Return what the best load on base or links would change of the information criterion; 0 where that may be chance."""
+    """Return what the best load on base or links would change of the information criterion; 0 where that may be chance.
+
+    Few rows leave bearings out, and what loads do elsewhere would stand for them.
+    """
+    if is_small_table(fit, policy):
+        return 0.0
     effects = [effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects]
     tests = score_test(fit, effects)
     scores = [tests.score([i], len(effects)) for i in range(len(effects))]
