@@ -9,6 +9,7 @@ from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibr
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.score_tests import score_test
 from pincal.identify.fit import without
+from pincal.identify.posterior import posterior, spent_parameters
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import GearEccentricity
 from pincal.model.conditions import part_of
@@ -57,6 +58,18 @@ def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> No
     assert part_of(whole, rows, (2, 5)) is part_of(whole, rows, (2, 5))
     assert np.array_equal(part_of(whole, rows, (2, 5)).q, whole.q[rows])
     assert part_of(replace(whole), rows, (2, 5)) is not part_of(whole, rows, (2, 5))
+
+
+def test_the_parameters_that_data_spend_are_counted_without_a_posterior() -> None:
+    rng = np.random.default_rng(4)
+    J, sizes = rng.normal(size=(9, 30)) * 10.0 ** rng.uniform(-3.0, 2.0, (9, 1)), np.r_[np.inf, np.inf, np.ones(7)]
+    known = np.zeros((9, 9))
+    known[4:6, 4:6] = [[2.0, -1.0], [-1.0, 1.0]]
+    G, nothing = J @ J.T + known, np.zeros(9)
+    found = posterior(G, nothing, sizes, nothing)
+    of_data = found.shared_effective - float(np.sum(found.covariance * known))
+    assert spent_parameters(G, sizes) == pytest.approx(found.shared_effective, rel=1e-9)
+    assert spent_parameters(G, sizes, known) == pytest.approx(of_data, rel=1e-9)
 
 
 @pytest.mark.parametrize("blocks", [1, 4])

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from pincal.discover.candidate_tests import over_rows_of, sampled
+import numpy as np
+
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.score_tests import ScoreTests
-from pincal.identify.calibrate import refit
-from pincal.identify.fit import Fit
+from pincal.identify.beliefs import priors_of
+from pincal.identify.fit import Fit, carried
 from pincal.model.effect import Effect, Family
 from pincal.model.effects import Compliance
 from pincal.parameters import Estimate
@@ -41,7 +42,10 @@ def instead_of(tests: ScoreTests, compliance: Effect, estimate: Estimate, policy
 
 
 def without_compliance(fit: Fit, compliance: Effect) -> Fit:
-    """Return a fit without the compliance of one joint, close to its end by as many rows as effects are chosen by."""
+    """Return a fit as it stands without the compliance of one joint, its noise that of a fit of everything else.
+
+    To first order that takes no fit: the squares grow by those of the compliance, in units of its covariance.
+    """
     joint = compliance.locus.joint
     others = tuple(name for name in fit.problem.chain.robot.joint_names if name != joint)
     effects: list[Effect] = []
@@ -56,9 +60,20 @@ def without_compliance(fit: Fit, compliance: Effect) -> Fit:
             effects += [replace(feature, joint=name) for name in others]
         elif not own or effect.locus.joint != joint:
             effects.append(effect)
-    few, _ = sampled(fit, POLICY)
-    rest = refit(few, effects, rough=True)
-    return rest if few is fit else over_rows_of(rest, fit)
+    problem = fit.problem.with_effects(effects)
+    options = replace(fit.options, effects=tuple(effects))
+    known = {parameter.name for parameter in problem.parameters}
+    lost = fit.estimate.take(name for name in fit.estimate.names if name not in known)
+    grown = float(lost.values @ np.linalg.pinv(lost.dense_covariance(), hermitian=True) @ lost.values)
+    near, noise = carried(fit.solution, fit.problem, problem), fit.solution.sigma**2 * grown / fit.solution.degrees
+    return replace(
+        fit,
+        problem=problem,
+        nominal=carried(fit.nominal, fit.problem, problem),
+        solution=replace(near, estimated=np.sqrt(fit.solution.estimated**2 + noise)),
+        priors=priors_of(problem, options),
+        options=options,
+    )
 
 
 def _place(effect: Effect) -> tuple[str | None, str, str | None]:

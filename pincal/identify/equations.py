@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.batch import Batch, Task
-from pincal.identify.posterior import Contribution, Eliminated, Posterior, posterior, posterior_step
+from pincal.identify.posterior import Contribution, Eliminated, Posterior, posterior, posterior_step, spent_parameters
 from pincal.identify.problem import Problem
 from pincal.identify.sums import Kept, Part, Squares, contribution, contribution_of, reweighted, squares, squares_of
 from pincal.spread import repeated
@@ -104,6 +104,14 @@ class Equations:
         found = posterior(self.G, self.g, sizes, at, diagonal=diagonal)
         known = 0.0 if self.remembered is None else float(np.sum(found.covariance * self.remembered))
         return replace(found, own=self.own, remembered=known)
+
+    def spent(self) -> tuple[float, tuple[float, ...]]:
+        """Return how many parameters the data spend, priors counted: of those that are shared, and of each station's own."""
+        shared = None if self.own else spent_parameters(self.G, self.sizes, self.remembered)
+        if shared is not None:
+            return shared, ()
+        found = self.posterior()
+        return found.shared_effective, found.own_effective
 
     @property
     def gain(self) -> float:

@@ -10,7 +10,6 @@ from scipy.special import chdtri
 
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import rounding
-from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 
 Loss = Literal["screen", "huber", "none"]
@@ -106,10 +105,16 @@ class Judge:
         counts = np.maximum(self.problem.counted_rows(robust), 1)
         return np.asarray(counts[self.problem.station_of_block] * self.problem.block_sizes)
 
-    def degrees(self, robust: np.ndarray, found: Posterior) -> np.ndarray:
-        """Return the degrees of freedom that a fit leaves to each block, shape (blocks,)."""
+    def degrees(self, robust: np.ndarray, shared: float, own: tuple[float, ...]) -> np.ndarray:
+        """Return the degrees of freedom that a fit leaves to each block, shape (blocks,).
+
+        Args:
+            robust: shape (N,), factor on each row's weight: 0 leaves a row out.
+            shared: parameters that the data spend on what the stations share.
+            own: on what each of them has itself.
+        """
         counted = self.counted(robust)
-        spent = self._spread(counted, found.shared_effective, found.own_effective)
+        spent = self._spread(counted, shared, own)
         return np.asarray(np.maximum(counted - spent, 1.0))
 
     def _spread(

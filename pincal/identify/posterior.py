@@ -22,7 +22,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg.lapack import dpotri
 
 from pincal.parameters import Covariance, root_of
 
@@ -185,6 +186,33 @@ def posterior_step(
     step[prior] = D * cho_solve(cho_factor(S, overwrite_a=True, check_finite=False), reduced, check_finite=False)
     step[frames] = inverse @ g[frames] - F @ step[prior]
     return step
+
+
+def spent_parameters(G: np.ndarray, sizes: np.ndarray, believed: np.ndarray | None = None) -> float | None:
+    """Return :attr:`Posterior.shared_effective` alone, in a tenth of the time; None where rounding forbids.
+
+    Args:
+        G: shape (F, F).
+        sizes: shape (F,), standard deviations of the priors; inf for none.
+        believed: shape (F, F), the part of G that is no data; default: none of it.
+    """
+    has_prior = np.isfinite(sizes)
+    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
+    if _floor(np.diag(G), sizes) > _ROUNDING or not len(prior) or (believed is not None and np.any(believed[frames])):
+        return None
+    D = sizes[prior]
+    inverse, frame_rank, _ = _invert_frames(G[frames[:, None], frames])
+    F = G[frames[:, None], prior]
+    S = (G[prior[:, None], prior] - F.T @ inverse @ F) * np.outer(D, D)
+    S.flat[:: len(S) + 1] += 1.0
+    C, failed = dpotri(cholesky(S, lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1)
+    if failed:
+        return None
+    spent = float(frame_rank) + float(np.sum(1.0 - np.diag(C)))
+    if believed is None:
+        return spent
+    known = believed[prior[:, None], prior] * np.outer(D, D)
+    return spent - float(2.0 * np.sum(np.tril(C, -1) * known) + np.diag(C) @ np.diag(known))
 
 
 @dataclass(frozen=True)

@@ -290,8 +290,8 @@ class _Fit:
     def finish(self, state: _State, step: _Step, iterations: int, ended: Exit) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
         point, noise = state.point, self.judge.noise
-        found = point.equations(self.judge.at(point, hard=True).sigma).posterior()
-        degrees = self.judge.degrees(point.robust, found)
+        spent = point.equations(self.judge.at(point, hard=True).sigma).spent()
+        degrees = self.judge.degrees(point.robust, *spent)
         estimated = np.maximum(np.sqrt(point.squares / degrees), rounding(self.problem))
         sigma = noise.resolved(estimated, degrees)
         at_bound = np.zeros(len(point.values), bool)
