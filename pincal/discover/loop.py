@@ -24,7 +24,7 @@ from pincal.discover.moment_frames import (
 )
 from pincal.discover.nuisance import missing_compliances
 from pincal.discover.policy import POLICY, Policy
-from pincal.discover.remainders import add_remainders, merge_parts
+from pincal.discover.remainders import add_remainders, merge_parts, take_whole_curves
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import settle
 from pincal.discover.smoothness import smoothed
@@ -169,6 +169,7 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     compare_frames,
     name_again,
     drop_needless,
+    take_whole_curves,
     add_remainders,
     fit_all_rows,
     settle,

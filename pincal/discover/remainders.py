@@ -9,16 +9,20 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.discover.candidate_tests import Search
-from pincal.discover.decisions import Decision, Row, each_heading_once, rivals_of
+from pincal.discover.decisions import Decision, Row, each_heading_once, is_own_curve, rivals_of
 from pincal.discover.forward import decided, listed
 from pincal.discover.history import State
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.resolution import curves_over
 from pincal.discover.score_tests import standard_errors
-from pincal.identify.fit import Fit
+from pincal.identify.fit import Fit, without
 from pincal.model.catalogue.unnamed import nameless_candidates
-from pincal.model.effect import Effect, Family, Resolvable, Tone
+from pincal.model.effect import Curve, Effect, Family, Resolvable, Tone
 
 log = logging.getLogger(__name__)
+
+# Pieces of a whole curve over those of the coarsest.
+_FINER = (1.0, 1.5, 2.25)
 
 
 def add_remainders(state: State, search: Search) -> State:
@@ -35,6 +39,29 @@ def add_remainders(state: State, search: Search) -> State:
         if decision is not None:
             log.info("%s leaves %s", listed([effect]), listed([decision.effect]))
             state = state.with_step(decided(state.fit, decision, search))
+    return state
+
+
+def take_whole_curves(state: State, search: Search) -> State:
+    """Take the whole curve of a joint's drive in the place of a simple one that leaves some of it.
+
+    Where both explain the data the simple one was chosen, and the curve stands beside it as equivalent.
+    """
+    for step in state.steps:
+        curve = next((effect for effect in step.equivalent if isinstance(effect, Curve)), None)
+        if curve is None or len(step.effects) > 1 or not is_own_curve(step.effect):
+            continue
+        sizes = [round(curve.resolution * finer) for finer in _FINER]
+        decision = _most_left(curves_over(state.fit, curve, sizes), state.fit, search)
+        if decision is None:
+            continue
+        rest = without(state.fit, step.effect)
+        score = score_test_beside_masses(rest, [decision.effect]).score([0], len(sizes))
+        new = decided(rest, replace(decision, row=replace(decision.row, score=score)), search)
+        log.info("%s is part of %s", listed(step.effects), listed(new.effects))
+        others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
+        whole = replace(new, equivalent=others, before=step.before, after=step.after)
+        state = state.changed(new.after, state.with_replaced(step, whole).steps, new.effects, step.effects)
     return state
 
 
