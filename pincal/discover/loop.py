@@ -112,7 +112,7 @@ def _cost(state: State, search: Search) -> float:
 
 
 def fit_all_rows(state: State, search: Search) -> State:
-    """Fit all rows of the first fit, and every curve that was found in fine pieces, as smooth as they say that it is."""
+    """Fit all rows of the first fit, and every curve that was found as fine and as smooth as they say that it is."""
     fit, first = state.fit, search.first
     is_thinned = len(fit.problem) < len(first.problem)
     if is_thinned:
@@ -123,7 +123,9 @@ def fit_all_rows(state: State, search: Search) -> State:
     curves = _curves_of(state)
     if not curves and not is_thinned:
         return state
-    chosen = smoothed(fit, curves) if curves and fit.solution.exit is not Exit.EXACT else {}
+    chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
+    if curves and fit.solution.exit is not Exit.EXACT:
+        chosen, fit = smoothed(fit, curves)
     finer = {curve: other for curve, (other, _) in chosen.items()}
     for curve, other in finer.items():
         log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, other.resolution)

@@ -13,7 +13,7 @@ pass over the data serves all iterations.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigvalsh
@@ -37,8 +37,11 @@ _ROUNDING = 1e-12
 _DENSELY = 8
 
 
-def smoothed(fit: Fit, curves: Sequence[Curve]) -> dict[Curve, tuple[Curve, np.ndarray]]:
-    """Return the curves of a fit as fine as the poses carry them and as rough as the data call for, with their heights."""
+def smoothed(fit: Fit, curves: Sequence[Curve]) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], Fit]:
+    """Return the curves of a fit as fine as the poses carry them and as rough as the data call for, with their heights.
+
+    Beside them the other parameters move; the fit is returned with these where they are to first order.
+    """
     situation, sigma = situation_of(fit), fit.solution.estimated
     finer, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
     problem, alike = (
@@ -68,18 +71,48 @@ def smoothed(fit: Fit, curves: Sequence[Curve]) -> dict[Curve, tuple[Curve, np.n
     )
     columns = [np.searchsorted(kept, at) for at in places]
     bends = [np.asarray(curve.smoothness()) for curve in smooth.values()]
-    roughness, step = quadratic.likeliest(columns, bends)
-    return {
-        curve: (curve.smooth(situation, float(w)), start.values[at] + step[here])
-        for curve, w, at, here in zip(curves, roughness, places, columns, strict=True)
-    }
+    roughness, step, noise = quadratic.likeliest(columns, bends)
+    chosen = {}
+    for curve, w, at, own in zip(curves, roughness, places, columns, strict=True):
+        pieces = _pieces(finer[curve], found.G[np.ix_(own, own)] / noise, float(w))
+        smooth[curve] = curve.smooth(situation, float(w), pieces)
+        chosen[curve] = smooth[curve], _drawn_again(finer[curve], start.values[at] + step[own], smooth[curve])
+    start.values[kept] += step
+    others = problem.carried_over(start.values, fit.problem)
+    return chosen, replace(fit, solution=replace(fit.solution, values=others))
 
 
-def _drawn_again(curve: Curve, heights: np.ndarray, finer: Curve) -> np.ndarray:
+def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> int:
+    """Return how many pieces are half as long as the shortest waves of which the rows say as much as the roughness does.
+
+    Of k radians a unit the prior says k^4 / w^2 and rows of levers l the sum of l^2 over their range, whatever k.
+
+    Args:
+        curve: a curve.
+        information: shape (K, K), of the rows about its heights.
+        roughness: w.
+    """
+    q, span = _along(curve)
+    wave = 0.25 * np.pi * curve.resolution / span * q
+    heights = _heights(curve, np.stack([np.sin(wave), np.cos(wave)]))
+    density = float(np.sum(heights * (heights @ information))) / span
+    return int(np.ceil(span / np.pi * (density * roughness**2) ** 0.25))
+
+
+def _drawn_again(curve: Curve, heights: np.ndarray, other: Curve) -> np.ndarray:
     """Return the heights of a curve in other pieces."""
-    lower, upper = finer.locus.span or (-np.pi, np.pi)
-    q = np.linspace(lower, upper, _DENSELY * finer.resolution)
-    return np.asarray(np.linalg.lstsq(finer.basis(q).T, heights @ curve.basis(q))[0])
+    return _heights(other, heights @ curve.basis(_along(other)[0]))
+
+
+def _heights(curve: Curve, drawn: np.ndarray) -> np.ndarray:
+    """Return the heights, shape (..., K), of what is drawn at many positions along a curve, shape (..., N)."""
+    return np.asarray(np.linalg.lstsq(curve.basis(_along(curve)[0]).T, drawn.T)[0].T)
+
+
+def _along(curve: Curve) -> tuple[np.ndarray, float]:
+    """Return many positions along a curve, and the length of its range."""
+    lower, upper = curve.locus.span or (-np.pi, np.pi)
+    return np.linspace(lower, upper, _DENSELY * curve.resolution), upper - lower
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +137,8 @@ class Quadratic:
     squares: float
     readings: int
 
-    def likeliest(self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the likeliest roughness of each curve, and the step of all parameters with it.
+    def likeliest(self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the likeliest roughness of each curve, the step of all parameters with it, and the variance of the noise.
 
         Args:
             columns: of each curve.
@@ -126,7 +159,7 @@ class Quadratic:
                 w[j] = max(w[j] * np.clip(factor, 1.0 / _FARTHEST, _FARTHEST), _LEAST)
             if np.max(np.abs(np.log(w / before))) < _SETTLED:
                 break
-        return w, step
+        return w, step, noise
 
     def _posterior(
         self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray], w: np.ndarray, noise: float

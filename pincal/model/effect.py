@@ -259,8 +259,8 @@ class Curve(Discoverable, Reducible):
         """Return the curve with another number of basis functions, over the positions that the poses cover."""
 
     @abstractmethod
-    def smooth(self, situation: Situation, roughness: float | None) -> Curve:
-        """Return the curve as fine as the poses carry it, believed to be as smooth as a roughness says, if one is given."""
+    def smooth(self, situation: Situation, roughness: float | None, resolution: int | None = None) -> Curve:
+        """Return the curve in so many pieces, or in fine ones, as smooth as a roughness says, if one is given."""
 
     @abstractmethod
     def basis(self, q: np.ndarray) -> np.ndarray:

@@ -23,8 +23,8 @@ _NEARLY_A_TURN = 0.9
 _SIZE = 24
 _SIZES = (8, 12, 18, 26, 44, 80)
 # Width of the pieces of a curve that is believed to be smooth [rad]: the teeth of a strain wave gear of 100 : 1 are 1.8 deg
-# wide. Along a rail, the most pieces.
-_PIECE, _MOST_PIECES = np.radians(1.0), 180
+# wide. Along a rail, so many pieces. How many times finer they may become if the rows tell as much.
+_PIECE, _MOST_PIECES, _FINEST = np.radians(1.0), 180, 1.5
 # Typical size of the curve as a whole [rad or m], where its pieces are held together by its smoothness.
 _HEIGHT = 1e-3
 # Poses that each basis function needs to be fitted at all: six of position show the size of a bump and its scatter.
@@ -133,12 +133,12 @@ class TransmissionError(Curve):
         """Return the curve in the fewest pieces that a discovery tries."""
         return self.resized(situation, _SIZES[0])
 
-    def smooth(self, situation: Situation, roughness: float | None) -> TransmissionError:
-        """Return the curve as fine as the poses carry it, and not finer than gear teeth call for."""
+    def smooth(self, situation: Situation, roughness: float | None, resolution: int | None = None) -> TransmissionError:
+        """Return the curve in so many pieces, as far as the poses carry them, or as gear teeth call for."""
         q = situation.positions(self.joint)
-        turns = situation.revolute
-        finest = int(np.ceil(np.ptp(q) / _PIECE)) if self.joint in turns else _MOST_PIECES
-        size = max(self.size, min(most_pieces(q), finest))
+        fine = int(np.ceil(np.ptp(q) / _PIECE)) if self.joint in situation.revolute else _MOST_PIECES
+        most = min(most_pieces(q), int(_FINEST * fine))
+        size = max(min(fine if resolution is None else resolution, most), _SIZES[0])
         return replace(self.resized(situation, size), roughness=roughness)
 
     def smoothness(self) -> np.ndarray | None:
