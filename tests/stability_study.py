@@ -130,9 +130,10 @@ def main() -> None:
         print(
             f"in {halves[0]} to {halves[-1]} of {HALVES}: {len(right)} names, {sum(right)} right ({low:.3f} to {high:.3f})"
         )
-    coverage = np.array([case.coverage for case in found])
-    error = coverage.std(ddof=1) / np.sqrt(len(coverage))
-    print(f"95 % intervals cover {coverage.mean():.4f} +- {error:.4f}, {len(found)} cases")
+    for what, group in (("nothing", ("null",)), ("a name", NAMED), ("no name", FOREIGN), ("any", kinds)):
+        coverage = np.array([case.coverage for case in found if case.kind in group])
+        error = coverage.std(ddof=1) / np.sqrt(len(coverage))
+        print(f"{what} hidden: 95 % intervals cover {coverage.mean():.4f} +- {error:.4f}, {len(coverage)} cases")
     if chosen.draw:
         draw(found, chosen.draw)
 
