@@ -9,21 +9,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rewritten_urdf import rewritten
 from scipy.spatial.transform import Rotation
 
 import pincal.simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.discover.score_tests import score_test
 from pincal.errors import ModelFileError
 from pincal.identify import equations
 from pincal.identify.calibrate import calibrate
 from pincal.identify.options import Options
 from pincal.io.entries import ModelEntry, plain, restored
 from pincal.io.strict_json import MODEL_FILE, decode
+from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.table import read_measurements
 from pincal.model.catalogue.bearings import BearingPlace, ObliqueBearing
 from pincal.model.catalogue.drives import AxisWobble
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
-from pincal.model.effects import ELASTIC, BearingElasticity
+from pincal.model.effects import ELASTIC, GEOMETRIC, BearingElasticity
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
 
@@ -125,6 +129,21 @@ def test_an_axis_wobbles_as_the_true_machine(tmp_path: Path, moment_frame: Momen
             left.append(np.linalg.norm(signal - columns @ np.linalg.lstsq(columns, signal)[0]) / np.linalg.norm(signal))
 
         assert left[0] < 1e-4 and left[1] > 1e-2, joint
+
+
+@pytest.mark.filterwarnings("ignore:Gimbal lock")
+def test_what_geometry_takes_of_a_wobble_is_not_counted() -> None:
+    """Of four parameters two are a fixed tilt, also 0.7 m off the foot of the normal, where priors hold geometry back."""
+    robot = Robot.from_urdf(rewritten(Path(kuka_urdf_path()).read_text(), 5, slide=0.8).encode())
+    rng = np.random.default_rng(1)
+    q = robot.random_configurations(60, rng)
+    position = robot.forward_kinematics(q)[:, :3] @ [0.1, 0.05, 0.2, 1.0] + 5e-4 * rng.standard_normal((60, 3))
+    rows = measurements_from_arrays(robot.joint_names, q, position=position)
+    fit = calibrate(robot, rows, Options(effects=GEOMETRIC, sigma=5e-4, moment_frame="after"))
+    tests = score_test(fit, [AxisWobble("joint_4", 1, "after"), AxisWobble("joint_4", 2)])
+
+    assert abs(fit.problem.chain.bearing_heights[3]) > 0.7
+    assert [tests.score([i], 1).rank for i in range(2)] == [2, 4]
 
 
 @pytest.mark.parametrize("moment_frame", ["before", "after"])

@@ -32,6 +32,10 @@ from pincal.model.effects import Effect
 
 # Part of a column's square that must be left after projection for the data to see it.
 _SEEN = 1e-5
+# Part of a parameter's prior variance that the data take off, at least, where they see it: they know nothing of what only
+# the priors of the model keep apart from it, as of a tilt that geometry is, too, were its lengths as far off as nobody
+# builds them.
+_TOLD = 0.01
 # Keeps a scaled matrix of information definite where rounding would not.
 _ROUNDING = 1e-12
 
@@ -141,7 +145,7 @@ class ScoreTests:
             j = np.array([self.columns[i] for i in some])
             scale = 1.0 / np.sqrt(np.maximum(np.diag(self.S)[self.n_model + j], 1e-300))
             values, vectors = np.linalg.eigh(S[j[:, :, None], j[:, None]] * scale[:, :, None] * scale[:, None])
-            seen = values > _SEEN
+            seen = self._seen(j, scale, values, vectors)
             along = np.einsum("gi,gik->gk", scale * b[j], vectors) ** 2
             gains[some] = np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=1)
             ranks[some] = seen.sum(axis=1)
@@ -152,8 +156,14 @@ class ScoreTests:
         j = self.columns_of(which)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.S)[self.n_model + j], 1e-300))
         values, vectors = np.linalg.eigh(self.projected[0][np.ix_(j, j)] * np.outer(scale, scale))
-        seen = values > _SEEN
+        seen = self._seen(j, scale, values, vectors)
         return j, scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
+
+    def _seen(self, j: np.ndarray, scale: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Return which eigenvectors, shape (..., J, J), of J columns the data see; shape (..., J) like all others."""
+        expected = (self.sizes[self.n_model + j] / scale) ** 2
+        told = values * np.einsum("...i,...ik->...k", expected, vectors**2)
+        return np.asarray((values > _SEEN) & (told > _TOLD))
 
     def score(self, which: Sequence[int], groups: int) -> Score:
         """Return the test of some candidates taken as one, of so many groups that are tested."""
