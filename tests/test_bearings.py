@@ -119,7 +119,7 @@ def test_an_axis_wobbles_as_the_true_machine(tmp_path: Path, moment_frame: Momen
     chain = Chain.of(robot, moment_frame=moment_frame)
     at_foot = replace(chain, bearing_heights=np.zeros(robot.n_joints))
 
-    for joint, (order, frame) in product(robot.joint_names[1:-1], ((2, "before"), (1, "after"))):
+    for joint, (order, frame) in product(robot.joint_names[2:4], ((2, "before"), (1, "after"))):
         hidden = sim.AxisWobble(joint=joint, size=1e-6, order=order, frame=frame, roundness=0.4)
         signal = (machine.with_effects(hidden).tip(conditions.q)[:, :3, 3] - plain).ravel()
         left = []

@@ -23,6 +23,7 @@ import pincal.simulate as sim
 from pincal import GEOMETRIC, Conditions, Options, Robot
 from pincal.builtin import kuka_urdf_path
 from pincal.measure.measurements import Measurements
+from pincal.model.catalogue.drives import AxisWobble
 from pincal.model.chain import MOMENT_FRAMES, Chain
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -58,10 +59,13 @@ class Case:
 
 @cache
 def case_of(name: str) -> Case:
-    """Return a machine by name: "kuka", or "skew" and a seed; with soft bearings, seen with and without a payload."""
+    """Return a machine by name: "kuka", or "skew" and a seed; with soft bearings, seen with and without a payload.
+
+    With a "wobble" at the end the fourth axis tilts to and fro as it turns, and the fit knows of it.
+    """
     rng = np.random.default_rng(4)
-    kind, _, seed = name.partition(" ")
-    text = Path(kuka_urdf_path()).read_text() if kind == "kuka" else skew_arm(int(seed))
+    kind, *more = name.split()
+    text = Path(kuka_urdf_path()).read_text() if kind == "kuka" else skew_arm(int(more[0]))
     robots = Robot.from_urdf(text.encode()), Robot.from_urdf(rewritten(text, 5, slide=0.1).encode())
     robot = robots[0]
     nominal = sim.TrueMachine.from_urdf(text, tip=robot.tip, base=robot.base, gravity=(0.0, 0.0, -9.81))
@@ -72,8 +76,13 @@ def case_of(name: str) -> Case:
         compliance=np.column_stack([across, across * rng.uniform(0.5, 1.5, 6), drive]),
         moment_frame="after",
     )
+    options = Options(moment_frame="auto", sigma=SIGMA, equilibrium=True, payload_centre=CENTRE)
+    if more[1:] == ["wobble"]:
+        joint = robot.joint_names[3]
+        machine = machine.with_effects(sim.AxisWobble(joint=joint, size=2e-4, roundness=0.4))
+        options = replace(options, effects=(*options.effects, AxisWobble(joint)))
     tables = [_measured(machine, robot, rng, count) for count in (150, 40)]
-    return Case(machine, robots, *tables, Options(moment_frame="auto", sigma=SIGMA, equilibrium=True, payload_centre=CENTRE))
+    return Case(machine, robots, *tables, options)
 
 
 def _measured(machine: sim.TrueMachine, robot: Robot, rng: np.random.Generator, count: int) -> Measurements:
@@ -169,6 +178,7 @@ def test_a_bearing_is_found_where_it_is() -> None:
                 (diagnosed, "skew 0"),
                 (designed, "skew 0"),
                 (calibrated, "skew 1"),
+                (calibrated, "skew 0 wobble"),
                 (calibrated, "kuka"),
                 (discovered, "skew 0"),
             ]
