@@ -17,6 +17,7 @@ from pincal import GEOMETRIC, Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.calibration.calibrated import load_model
 from pincal.calibration.fit import Fit as CalibratedFit
+from pincal.discover.nuisance import situation_of
 from pincal.discover.smoothness import Quadratic, smoothed
 from pincal.identify.calibrate import calibrate, refit
 from pincal.identify.fit import Fit
@@ -154,6 +155,17 @@ def test_a_smooth_curve_is_closer_to_the_true_one(fits: tuple[Fit, Fit]) -> None
         errors.append(np.sqrt(np.mean(rest**2)))
 
     assert errors[1] < 0.8 * errors[0]
+
+
+def test_a_smooth_curve_has_no_more_pieces_than_rows_carry_and_no_fewer_than_usual(fits: tuple[Fit, Fit]) -> None:
+    """Asked for any number; a piece of a degree is fine, and two thirds of one the finest."""
+    situation = situation_of(fits[0])
+    curve = next(e for e in fits[0].options.effects if isinstance(e, TransmissionError))
+    most = len(fits[0].problem) // 6
+
+    assert [curve.smooth(situation, 0.1, size).size for size in (5, 30, 999)] == [24, 30, most]
+    assert curve.smooth(situation, None).size == most < np.degrees(curve.upper - curve.lower)
+    assert curve.smooth(situation, None).smoothness() is None
 
 
 def test_what_an_earlier_fit_knows_of_a_curve_has_its_smoothness(

@@ -138,7 +138,9 @@ class TransmissionError(Curve):
         q = situation.positions(self.joint)
         fine = int(np.ceil(np.ptp(q) / _PIECE)) if self.joint in situation.revolute else _MOST_PIECES
         most = min(most_pieces(q), int(_FINEST * fine))
-        size = max(min(fine if resolution is None else resolution, most), _SIZES[0])
+        # Fewer pieces than usual would bend a smooth curve and save no time worth having.
+        size = fine if resolution is None else max(resolution, min(fine, _SIZE))
+        size = max(min(size, most), _SIZES[0])
         return replace(self.resized(situation, size), roughness=roughness)
 
     def smoothness(self) -> np.ndarray | None:
