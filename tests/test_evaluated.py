@@ -9,12 +9,13 @@ from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibr
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.score_tests import score_test
 from pincal.identify.fit import without
+from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.posterior import posterior, spent_parameters
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import GearEccentricity
 from pincal.model.conditions import part_of
 from pincal.model.evaluated import plain_terms
-from pincal.model.sparse_basis import dense_rows, joined_rows, sparse_rows, sparse_sum
+from pincal.model.sparse_basis import dense_rows, joined_rows, sparse_across, sparse_rows
 from pincal.robot.robot import Robot
 
 ROBOT = Robot.from_urdf(kuka_urdf_path())
@@ -25,7 +26,7 @@ def test_a_basis_without_its_zeros_is_the_same() -> None:
     first, second = (rng.normal(size=(size, 7)) * (rng.random((size, 7)) < 0.3) for size in (5, 3))
     both, heights = joined_rows([sparse_rows(first), sparse_rows(second)]), rng.normal(size=8)
     assert np.array_equal(dense_rows(both), np.vstack([first, second]))
-    assert np.allclose(sparse_sum(heights, both), heights @ np.vstack([first, second]), atol=1e-15)
+    assert np.allclose(sparse_across(both, heights[:, None])[:, 0], heights @ np.vstack([first, second]), atol=1e-15)
 
 
 def test_a_curve_moves_and_is_differentiated_as_its_functions_say() -> None:
@@ -50,6 +51,17 @@ def test_a_curve_moves_and_is_differentiated_as_its_functions_say() -> None:
         rows = basis if isinstance(basis, np.ndarray) else dense_rows(basis)
         kept = free[places]
         assert np.allclose(rows[kept, :, None] * columns[-1].T, dense.transpose(2, 0, 1), atol=1e-15)
+
+
+def test_steps_move_readings_along_all_columns() -> None:
+    rng = np.random.default_rng(5)
+    dense, column = rng.normal(size=(2, 3, 7)), rng.normal(size=(3, 7))
+    thin, thick = rng.normal(size=(4, 7)) * (rng.random((4, 7)) < 0.3), rng.normal(size=(2, 7))
+    families = SharedColumns(np.arange(1, 5), sparse_rows(thin), column), SharedColumns(np.arange(5, 7), thick, column)
+    whole = np.concatenate([dense[:1], thin[:, None] * column, thick[:, None] * column, dense[1:]])
+    steps = rng.normal(size=(8, 2))
+    found = Jacobian(8, np.array([0, 7]), dense, families).along(steps)
+    assert np.allclose(found, np.einsum("fr,fmn->rmn", steps, whole), atol=1e-14)
 
 
 def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> None:

@@ -69,12 +69,12 @@ def _scores_by_visit(fit: Fit, tests: ScoreTests, whitening: np.ndarray) -> tupl
     ):
         visit, here = visits(station), places[free[places]]
         sums, shares = np.zeros((2, int(visit.max()) + 1, whitening.shape[1]))
-        for piece, residuals, jacobian in station.linearise(values[places], free[places]):
+        for piece, residuals, jacobian in station.linearise_shared(values[places], free[places]):
             scale = np.empty_like(residuals)
             for at, sigma in zip(block_rows(station), fit.solution.estimated[blocks], strict=True):
                 scale[at] = station.weights[piece] * fit.solution.weights[rows][piece] / sigma
-            moved = np.einsum("fr,fmn->rmn", along[here], jacobian) * scale
-            left = (residuals - np.einsum("f,fmn->mn", step[here], jacobian)) * scale
+            moved = jacobian.along(along[here]) * scale
+            left = (residuals - jacobian.along(step[here, None])[0]) * scale
             np.add.at(sums, visit[piece], np.einsum("rmn,mn->nr", moved, left))
             np.add.at(shares, visit[piece], np.einsum("rmn,rmn->nr", moved, moved))
         scores.append(sums)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.model.sparse_basis import Basis, SparseBasis, sparse_product, sparse_times
+from pincal.model.sparse_basis import Basis, SparseBasis, sparse_across, sparse_product, sparse_times
 
 # Parts of the poses are padded to one length if that makes no more of them than this many times, so many poses at once.
 _PADDING = 1.5
@@ -63,6 +63,15 @@ class Jacobian:
     def poses(self, rows: slice) -> Jacobian:
         """Return the part of some poses."""
         return self.part(slice(None), rows)
+
+    def along(self, steps: np.ndarray) -> np.ndarray:
+        """Return how R steps of the parameters, shape (F, R), move the readings, shape (R, m, n)."""
+        moved = np.tensordot(steps[self.places].T, self.dense, axes=1)
+        for family in self.families:
+            own = np.ascontiguousarray(steps[family.places])
+            by_pose = sparse_across(family.basis, own).T if isinstance(family.basis, SparseBasis) else own.T @ family.basis
+            moved += by_pose[:, None] * family.column
+        return moved
 
     def grams(
         self, residuals: np.ndarray, ends: np.ndarray, weights: np.ndarray | None = None

@@ -16,7 +16,7 @@ from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.effect import Body, Effect, Term
 from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, parameters_of_each, plain_terms
 from pincal.model.kernels import Bodies, Compliances, Layout, Payload, Places, Terms, Values
-from pincal.model.sparse_basis import Basis, dense_rows, joined_rows, sparse_sum
+from pincal.model.sparse_basis import Basis, dense_rows, joined_rows, sparse_across
 from pincal.parameters import Parameter
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
@@ -466,7 +466,7 @@ def _coordinates(
     for at, k, basis in curves:
         heights = np.array([values[p] for p in at.tolist()])
         if heights.any():
-            varying[k] = (varying[k] if k in varying else constant[k]) + sparse_sum(heights, basis)
+            varying[k] = (varying[k] if k in varying else constant[k]) + sparse_across(basis, heights[:, None])[:, 0]
     slot = np.full(len(constant), -1)
     slot[list(varying)] = np.arange(len(varying))
     return Values(np.array(constant), slot, _stack(list(varying.values()), len(conditions)))

@@ -63,12 +63,15 @@ def _poses(basis: SparseBasis) -> np.ndarray:
 
 
 @njit(**_COMPILE)
-def sparse_sum(values, basis):
-    """Return the sum of values, shape (S,), times a thin basis, shape (n,)."""
-    out = np.zeros(len(basis.starts) - 1)
+def sparse_across(basis, matrix):
+    """Return the sums over a thin basis of its functions times the rows of a matrix, shape (S, D); shape (n, D)."""
+    out = np.zeros((len(basis.starts) - 1, matrix.shape[1]))
     for i in range(len(out)):
+        sums = out[i]
         for a in range(basis.starts[i], basis.starts[i + 1]):
-            out[i] += values[basis.place[a]] * basis.value[a]
+            value, row = basis.value[a], matrix[basis.place[a]]
+            for d in range(len(row)):
+                sums[d] += value * row[d]
     return out
 
 
