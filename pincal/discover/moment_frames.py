@@ -80,7 +80,7 @@ def best_frame(state: State, frames: Sequence[MomentFrame], policy: Policy, *, r
 
     Another has to fit what was found better, or as well without the effects that a wrong convention brings about, or with
     one of loads that a wrong convention takes for a compliance: a base that tilts is a bearing that tilts with the link
-    before. If it would take less off the squares than an effect must, it matters to nobody.
+    before. Where nothing but elasticity was found, the likeliest stays unless that is worth what an effect must take off.
 
     Args:
         state: what was found.
@@ -96,6 +96,7 @@ def best_frame(state: State, frames: Sequence[MomentFrame], policy: Policy, *, r
     plain = [effect for effect in effects if effect not in brought]
     cost = fit_cost(refit(fit, effects, rough=True) if rough else fit)
     enough = policy.least_gain(fit.solution.degrees, declared=fit.is_declared)
+    enough *= all(step.is_elastic for step in state.steps)
     costs = {}
     for frame in others:
         other = refit(fit, effects, moment_frame=frame, rough=rough)
