@@ -29,16 +29,20 @@ def add_remainders(state: State, search: Search) -> State:
     """Add, beside each name that follows a joint's position, the wave or curve of this position that it leaves there.
 
     What a name leaves of its own variable in its own place is one of a few smooth functions, so that far less of it is more
-    than chance than in a search among all dependences. It has to predict blocks left out, too.
+    than chance than in a search among all dependences. It has to predict blocks left out, too. Where there is but a hint of
+    it, it is told as what the name may be part of.
     """
-    for effect in [step.effect for step in state.steps if len(step.effects) == 1]:
-        smooth = _smooth_beside(effect, state.fit, search)
-        if not smooth:
+    for step in state.steps:
+        smooth = _smooth_beside(step.effect, state.fit, search) if len(step.effects) == 1 else ()
+        rest = _most_left(smooth, state.fit, search)
+        if rest is None:
             continue
-        decision = _most_left(smooth, state.fit, search)
-        if decision is not None:
-            log.info("%s leaves %s", listed([effect]), listed([decision.effect]))
-            state = state.with_step(decided(state.fit, decision, search))
+        if _is_sure(rest, state.fit, search):
+            log.info("%s leaves %s", listed(step.effects), listed([rest.effect]))
+            state = state.with_step(decided(state.fit, rest, search))
+        elif rest.row.score.p_value * len(smooth) < search.policy.hint:
+            others = each_heading_once([*step.equivalent, rest.effect, *rest.equivalent], step.effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=others))
     return state
 
 
@@ -53,7 +57,7 @@ def take_whole_curves(state: State, search: Search) -> State:
             continue
         sizes = [round(curve.resolution * finer) for finer in _FINER]
         decision = _most_left(curves_over(state.fit, curve, sizes), state.fit, search)
-        if decision is None:
+        if decision is None or not _is_sure(decision, state.fit, search):
             continue
         rest = without(state.fit, step.effect)
         score = score_test_beside_masses(rest, [decision.effect]).score([0], len(sizes))
@@ -66,22 +70,26 @@ def take_whole_curves(state: State, search: Search) -> State:
 
 
 def _most_left(smooth: Sequence[Effect], fit: Fit, search: Search) -> Decision | None:
-    """Return what explains most of what a fit leaves, and what explains as much; None if it may be chance."""
+    """Return what explains most of what a fit leaves, chance or not, and what explains as much; None of nothing."""
+    if not smooth:
+        return None
     tests, limit = score_test_beside_masses(fit, smooth), search.policy.remainder / len(smooth)
     scores = [tests.score([i], len(smooth)) for i in range(len(smooth))]
     rows = [Row(effect, score, score.ebic, limit) for effect, score in zip(smooth, scores, strict=True)]
     best = int(np.argmin([score.p_value for score in scores]))
-    if scores[best].p_value > limit:
-        return None
-    blocks = score_test_beside_masses(fit, smooth[best : best + 1], search.groups)
-    if standard_errors(blocks.gains_by_block([0])) <= 0.0:
-        return None
 
     def left_given(i: int, given: int) -> float:
         return tests.score_given([i], [given]).p_value
 
     others = rivals_of(rows, best, left_given, search.policy)
     return Decision(rows[best], each_heading_once(others, smooth[best], search.policy))
+
+
+def _is_sure(decision: Decision, fit: Fit, search: Search) -> bool:
+    """Return whether what a fit leaves is more than chance, and helps to predict blocks left out."""
+    if decision.row.score.p_value > decision.row.limit:
+        return False
+    return standard_errors(score_test_beside_masses(fit, [decision.effect], search.groups).gains_by_block([0])) > 0.0
 
 
 def _smooth_beside(effect: Effect, fit: Fit, search: Search) -> Sequence[Effect]:
