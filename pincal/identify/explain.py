@@ -79,7 +79,9 @@ def _frame_variances(fit: Fit) -> dict[int, float]:
     frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
     shared = np.flatnonzero(free & fit.problem.is_shared)
     C, few = found.covariance, found.information < 1.0
-    F = -np.linalg.lstsq(C[np.ix_(inner, inner)], C[np.ix_(inner, frames)], rcond=None)[0].T
+    # Their units differ by orders of magnitude.
+    scale = np.sqrt(np.diag(C)[inner])[:, None]
+    F = -(np.linalg.solve(C[np.ix_(inner, inner)] / (scale * scale.T), C[np.ix_(inner, frames)] / scale) / scale).T
     D = fit.priors.sizes[shared][inner]
     weak = D[:, None] * found.directions[:, few] if len(inner) else np.zeros((0, 0))
     weak = weak / np.sqrt(1.0 + found.information[few])
