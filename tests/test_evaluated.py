@@ -8,6 +8,7 @@ import pytest
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.score_tests import score_test
+from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.posterior import posterior, spent_parameters
@@ -94,6 +95,12 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     table = measurements_from_arrays(ROBOT.joint_names, q, position=position)
     gone = GearEccentricity("joint_4")
     fit = calibrate(ROBOT, table, Options(effects=(*GEOMETRIC, gone), sigma=5e-5))
+    of, few = fit.solution, fit.solution.free & (np.arange(len(fit.values)) % 5 > 0)
+    point, alone = (Linearised(fit.problem, of.values, free, of.weights, fit.priors.sizes) for free in (of.free, few))
+    narrow, expected = point.narrowed(few).equations(of.sigma), alone.equations(of.sigma)
+    scale = expected.metric
+    assert np.allclose(narrow.G / np.outer(scale, scale), expected.G / np.outer(scale, scale), atol=1e-12)
+    assert np.allclose(narrow.g / scale, expected.g / scale, atol=1e-9)
     candidates = [GearEccentricity("joint_3"), GearEccentricity("joint_4", order=2), GearEccentricity("joint_5")]
     groups = np.arange(90) % blocks
     found = score_test(fit, candidates, groups=groups).among([1, 2], fit.names_of([gone]))

@@ -276,11 +276,20 @@ def _fit(
         values = fitted.values
         stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
     for name in () if rough else ("final", "with what only the deviations excite"):
-        missed = _is_missed(problem, fitted, released, priors)
+        missed, begun = _is_missed(problem, fitted, released, priors)
         if missed or name == "final":
             free, robust = released if missed else fitted.free, fitted.weights
             fitted = solve(
-                problem, fitted.values, free, priors, noise, loss=loss, robust=robust, label=name, executor=executor
+                problem,
+                fitted.values,
+                free,
+                priors,
+                noise,
+                loss=loss,
+                robust=robust,
+                label=name,
+                begun=begun,
+                executor=executor,
             )
             stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
     return fitted, tuple(stages)
@@ -296,23 +305,24 @@ def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[st
     return [(name, mask) for name, mask in masks.items() if np.any(mask & ~frames)] + [("4 all", free)]
 
 
-def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors: Priors) -> bool:
+def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors: Priors) -> tuple[bool, Linearised | None]:
     """Return whether the data call for the parameters that the nominal geometry never excites (a score test).
 
-    Such a parameter times a deviation makes a ridge along which a fit wanders, so it is let in only on request.
+    Such a parameter times a deviation makes a ridge along which a fit wanders, so it is let in only on request. The problem
+    at the fit is returned as well, where it had to be linearised.
     """
     # What only one of several stations has would be a matter of this station alone.
     held = released & ~fitted.free & problem.is_shared
     if not held.any():
-        return False
+        return False, None
     found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, priors.sizes)
     wide = found.equations(np.maximum(fitted.sigma, rounding(problem)))
     if is_exact(wide.diagonal, priors.sizes[found.free]):
         # The least deviation counts, and is lost in the rounding of G.
-        return bool(np.any(fitted.estimated > rounding(problem)))
+        return bool(np.any(fitted.estimated > rounding(problem))), found
     near = wide.of(fitted.free[found.free])
     gain = wide.gain - near.gain
-    return bool(gain > chdtri(int(held.sum()), _MISSED))
+    return bool(gain > chdtri(int(held.sum()), _MISSED)), found
 
 
 def doubts_of_known(fit: Fit) -> tuple[str, ...]:
@@ -326,7 +336,7 @@ def doubts_of_known(fit: Fit) -> tuple[str, ...]:
             station.split(local)[1][:] = station.sensor.fixed
             held[places] = local
             doubts.append(station.sensor.doubt)
-    is_doubted = held.any() and _is_missed(problem, fit.solution, fit.solution.free | held, fit.priors)
+    is_doubted = held.any() and _is_missed(problem, fit.solution, fit.solution.free | held, fit.priors)[0]
     return tuple(dict.fromkeys(doubts)) if is_doubted else ()
 
 

@@ -178,6 +178,19 @@ class Linearised:
         kept = tuple(self._normals) if self._are_kept else ()
         return replace(self, robust=robust, past=tuple(self._parts), past_normals=kept)
 
+    def narrowed(self, free: np.ndarray) -> Linearised:
+        """Return the same point with fewer free parameters, shape (P,); of one station nothing is computed again."""
+        found = replace(self, free=free, past=(), past_normals=())
+        if len(self.problem.stations) > 1:
+            return found
+        (kept,), inner = self._normals, free[self.free]
+        normal, inner = kept.normal, np.flatnonzero(inner)
+        if normal.believed is not None:
+            information, slope, square = normal.believed
+            normal = replace(normal, believed=(information[inner[:, None], inner], slope[inner], square))
+        normal = replace(normal, G=normal.G[..., inner[:, None], inner], g=normal.g[..., inner])
+        return replace(found, past_normals=(Kept(kept.robust, normal),))
+
     def release(self) -> None:
         """Give up the memory of several stations' equations, which are computed again if they are asked for."""
         if len(self.problem.stations) > 1 and self._squares:

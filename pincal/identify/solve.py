@@ -113,6 +113,7 @@ def solve(
     rough: bool = False,
     label: str = "",
     robust: np.ndarray | None = None,
+    begun: Linearised | None = None,
     executor: Executor | None = None,
 ) -> Solution:
     """Find the most probable values of the free parameters.
@@ -128,12 +129,13 @@ def solve(
         rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
         label: what this fit is called in the log; it is not logged without a name.
         robust: shape (N,), robust weights of an earlier fit to begin with; its outliers are then known.
+        begun: the problem at ``start`` with these robust weights, and perhaps more free parameters; default: nobody knows.
         executor: computes what stations contribute, where there are several; default: one after the other, here.
 
     Returns:
         The fit; ``exit`` tells how it ended.
     """
-    fit = _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough, executor)
+    fit = _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough, executor, begun)
     return fit.finish(*fit.run(start, robust, label))
 
 
@@ -200,6 +202,7 @@ class _Fit:
     judge: Judge
     rough: bool = False
     executor: Executor | None = None
+    begun: Linearised | None = None
 
     def run(self, start: np.ndarray, robust: np.ndarray | None = None, label: str = "") -> tuple[_State, _Step, int, Exit]:
         """Return the last point, the step to it, the number of steps and how they ended; arguments as of :func:`solve`."""
@@ -222,7 +225,10 @@ class _Fit:
         """Return the first point; outliers are known if robust weights are."""
         hard = robust is not None
         known = self.judge.noise.known if hard else None
-        point = self._linearised(values, np.ones(len(self.problem)) if robust is None else robust, known)
+        if self.begun is not None and hard and len(self.problem.stations) == 1:
+            point = self.begun.narrowed(self.free)
+        else:
+            point = self._linearised(values, np.ones(len(self.problem)) if robust is None else robust, known)
         return _State(point, self.judge.at(point, hard=hard), hard)
 
     def advance(self, state: _State, memory: Memory) -> tuple[_State, _Step]:
