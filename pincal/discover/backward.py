@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search
+from pincal.discover.candidate_tests import Search, addable
 from pincal.discover.decisions import Decision, each_heading_once
 from pincal.discover.elastic_ways import with_features
 from pincal.discover.forward import decided, listed
@@ -66,7 +66,7 @@ def drop_needless(state: State, search: Search) -> State:
     """
     while state.steps:
         worth = _worths(state, search)
-        failed = [step for step in state.steps if _fails(state, step, worth[step], search.policy)]
+        failed = [step for step in state.steps if _fails(state, step, worth[step], search)]
         if not failed:
             break
         least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
@@ -85,10 +85,24 @@ def _is_in(effect: Effect, fit: Fit) -> bool:
     return effect.identity in {other.identity for other in fit.problem.effects}
 
 
-def _fails(state: State, step: Step, worth: float, policy: Policy) -> bool:
+def _fails(state: State, step: Step, worth: float, search: Search) -> bool:
     if worth <= (0.0 if step.is_elastic else max(map(enough_errors, step.effects))):
         return True
-    return len(state.steps) > 1 and _may_be_chance(state.fit, step, policy)
+    return len(state.steps) > 1 and (
+        _may_be_chance(state.fit, step, search.policy) or _may_be_left_over(state, step, search)
+    )
+
+
+def _may_be_left_over(state: State, step: Step, search: Search) -> bool:
+    """Return whether a name may be what something stronger without one leaves, which is known in outline only."""
+    if step.is_elastic or step.effect.is_nameless:
+        return False
+    others = (other for other in state.steps if other.score.gain > step.score.gain and not other.is_elastic)
+    if not any(effect.is_nameless for other in others for effect in (*other.effects, *other.equivalent)):
+        return False
+    names = len({effect.identity for effect in addable(state.fit, search)})
+    p_value = score_test_beside_masses(without(state.fit, step.effect), [step.effect]).score([0], names).p_value
+    return p_value > search.policy.drop * search.policy.false_name / names
 
 
 def _worths(state: State, search: Search) -> dict[Step, float]:
