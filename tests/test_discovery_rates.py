@@ -145,7 +145,9 @@ def test_hidden_effects_are_found_and_named() -> None:
     visible = [v for v in verdicts if v.seen >= (SEARCHED if v.kind == "gear_ripple" else VISIBLE)]
     plain = [v for v in verdicts if v.kind not in IMITATED]
     known = gaps[np.isfinite(gaps)]
-    print(f"seen >= {VISIBLE:.0f}: {len(visible)}; gap over oracle {np.quantile(known, [0.5, 0.95])}")
+    shares = (f"{sum(v.right for v in some)} of {len(some)}" for some in (verdicts, plain, visible))
+    print("right of all, of those that masses can't imitate, of those that can be seen: " + ", ".join(shares))
+    print(f"gap over oracle {np.quantile(known, [0.5, 0.95])}")
 
     assert is_at_least(0.99, [v.detected for v in visible])
     assert is_at_least(0.97, [v.right for v in visible])
