@@ -128,8 +128,14 @@ def reweighted(
     rows = np.arange(len(station)) if past is None else np.flatnonzero(robust != past.robust)
     if past is None or len(ends) > 2 or station.sensor.is_whole or _MOST_CHANGED * len(rows) > len(station):
         return accumulate_each(station, ends, values, free, robust)
-    changed, ends, normal = station.select(rows), np.array([0, len(rows)]), past.normal
-    old, new = (accumulate_each(changed, ends, values, free, weights[rows]) for weights in (past.robust, robust))
+    normal, change = past.normal, robust[rows] ** 2 - past.robust[rows] ** 2
+    G, g = normal.G.copy(), normal.g.copy()
+    for some, add in ((change > 0.0, np.add), (change < 0.0, np.subtract)):
+        if some.any():
+            weights, part = np.sqrt(np.abs(change[some])), station.select(rows[some])
+            found = accumulate_each(part, np.array([0, len(weights)]), values, free, weights)
+            add(G, found.G, out=G)
+            add(g, found.g, out=g)
     # From the rows: the difference of large squares would leave their rounding.
     squares = np.sum(normal.row_squares * robust**2, axis=1)[None]
-    return replace(normal, G=normal.G + (new.G - old.G), g=normal.g + (new.g - old.g), squares=squares)
+    return replace(normal, G=G, g=g, squares=squares)
