@@ -1,6 +1,6 @@
 """How true names are that come up in most halves of the poses: ``python tests/stability_study.py``.
 
-Every case is a drawn arm whose frames are anywhere, of 150 poses, with an effect of the catalogue, one from outside it or
+Every case is a drawn arm whose frames are anywhere, of 200 poses, with an effect of the catalogue, one from outside it or
 none. A discovery's names are repeated on 20 halves; each is right if it is what is hidden, alone or in its tie group.
 """
 
@@ -28,6 +28,7 @@ from pincal.errors import PincalWarning
 from pincal.identify.split import hold_out, row_groups
 
 HALVES = 20
+POSES = 200  # of which a fifth is held out, and half of the others are a half
 STRENGTHS = (30.0, 300.0)  # lambda of what is hidden: some of it comes up in few halves only
 CLASSES = ((0, 6), (6, 12), (12, 18), (18, 21))  # numbers of halves, the last one left out
 
@@ -49,12 +50,11 @@ class Printed:
     coverage: float
 
 
-def printed(task: tuple[str, int]) -> Printed:
-    """Return what a discovery prints of a case, given by its kind and its seed."""
+def printed(task: tuple[str, int, float]) -> Printed:
+    """Return what a discovery prints of a case, given by its kind, its seed and its strength."""
     warnings.simplefilter("ignore", PincalWarning)
-    kind, seed = task
-    strength = float(np.exp(np.random.default_rng([seed, 1]).uniform(*np.log(STRENGTHS))))
-    case = draw_case(kind, seed, **{**fresh(seed), "n": 150, "strength": strength})
+    kind, seed, strength = task
+    case = draw_case(kind, seed, **{**fresh(seed), "n": POSES, "strength": strength})
     training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
     trail = discover(case)
     halves = repeat_on_halves(trail, [row_groups(training, split="blocked", seed=0)], HALVES, policy=POLICY)
@@ -73,8 +73,8 @@ def printed(task: tuple[str, int]) -> Printed:
     return Printed(kind, seed, names, coverage)
 
 
-def study(tasks: Sequence[tuple[str, int]]) -> list[Printed]:
-    """Return what is printed of several cases, on two processes."""
+def study(tasks: Sequence[tuple[str, int, float]]) -> list[Printed]:
+    """Return what is printed of several cases, each a kind, a seed and a strength, on two processes."""
     with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
         return list(pool.map(printed, tasks))
 
@@ -121,7 +121,8 @@ def main() -> None:
     parser.add_argument("--draw", type=Path, metavar="FILE", help="picture to write")
     chosen = parser.parse_args()
     kinds = [kind for kind in ("null", *NAMED, *FOREIGN) for _ in range(chosen.count)]
-    found = study([(kind, chosen.seed + i) for i, kind in enumerate(kinds)])
+    strengths = np.exp(np.random.default_rng(chosen.seed).uniform(*np.log(STRENGTHS), len(kinds)))
+    found = study([(kind, chosen.seed + i, float(strengths[i])) for i, kind in enumerate(kinds)])
     for case in found:
         if not all(right for _, right in case.names):
             print(f"{case.kind} {case.seed}: " + ", ".join(f"{count} {right}" for count, right in case.names))

@@ -189,7 +189,7 @@ def test_fewer_than_no_halves_are_refused(case: Case) -> None:
 def test_what_comes_up_in_nearly_every_half_is_true() -> None:
     """Of sound tables and hidden effects; names that are sure are right, and intervals cover what they say."""
     kinds = ["null", "gear_eccentricity", "backlash", "link_bending", "thermal_offset", "step"]
-    found = study([(kind, 9900 + i) for i, kind in enumerate(kinds)])
+    found = study([(kind, 9900 + i, 250.0) for i, kind in enumerate(kinds)])
     for halves, right in by_class(found):
         print(f"in {halves[0]} to {halves[-1]} of 20: {len(right)} names, {sum(right)} right")
     covered = np.array([case.coverage for case in found])
