@@ -161,6 +161,16 @@ def robots_own(fit: Fit) -> np.ndarray:
     return np.array([not p.station for p in fit.problem.parameters])
 
 
+def test_a_problem_finds_its_effects_where_it_is_sent(two: Fit) -> None:
+    """Also one that was asked before: what it knew by the identity of its effects stays behind."""
+    places = [two.problem.places_at(effect) for effect in two.problem.effects]
+    there = pickle.loads(pickle.dumps(two.problem))
+
+    assert any(len(at) for at in places)
+    for effect, at in zip(there.effects, places, strict=True):
+        np.testing.assert_array_equal(there.places_at(effect), at)
+
+
 def test_two_stations_equal_one_dense_least_squares_fit(two: Fit) -> None:
     """The robot's parameters, and the stations' own, come out as if all readings stood in one large matrix."""
     values = np.zeros(len(two.values))

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -287,6 +288,10 @@ class Problem:
         """For each station, where the parameters of an effect stand among its own, by the effect's identity."""
         pairs = ((station.model.effects, station.model.spans) for station in self.stations)
         return tuple({id(effect): span for effect, span in zip(*pair, strict=True)} for pair in pairs)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but what is known by the identity of objects, which are others where this is unpickled."""
+        return {name: value for name, value in vars(self).items() if name != "_spans"}
 
     def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
         """Return the same readings with other effects beside base and tool.
