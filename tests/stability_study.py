@@ -97,11 +97,9 @@ def draw(found: Sequence[Printed], path: Path) -> None:
         axes.errorbar(
             middle, np.mean(right), [[np.mean(right) - low], [high - np.mean(right)]], fmt="o", color="C0", capsize=3
         )
-        axes.annotate(
-            f"{sum(right)} of {len(right)}", (middle, np.mean(right)), (-6, -12), textcoords="offset points", ha="right"
-        )
+        axes.annotate(f"{sum(right)} of {len(right)}", (middle, low), (0, -11), textcoords="offset points", ha="center")
     axes.set(xlabel=f"halves of the poses in which a name comes up, of {HALVES}", ylabel="share of names that are right")
-    axes.set(xlim=(0, HALVES + 0.5), ylim=(0, 1.05))
+    axes.set(xlim=(0, HALVES + 0.5), ylim=(0, 1.05), xticks=range(0, HALVES + 1, 5))
     axes.legend(loc="lower right")
     figure.savefig(path, metadata={"Date": None})
 
