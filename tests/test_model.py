@@ -769,7 +769,7 @@ def test_compiling_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_an_effect_is_asked_once_for_its_terms_over_the_same_poses(kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By all models that have it, whatever their values; over other poses it is asked again."""
+    """By all models that have it, whatever their values; over other poses, or in another convention, it is asked again."""
     asked = []
     terms = JointOffset.terms
 
@@ -789,3 +789,8 @@ def test_an_effect_is_asked_once_for_its_terms_over_the_same_poses(kuka: Robot, 
     assert not np.allclose(first, second)
     np.testing.assert_array_equal(model.predict(zero, Conditions.at(q[:3])), first[:3])
     assert asked == [7, 3]
+    for _ in range(2):
+        across = model.with_chain(chain.with_moment_frame("before"))
+        across.predict(zero, conditions)
+        across.with_chain(across.chain.with_moment_frame("paper")).predict(zero, conditions)
+    assert asked == [7, 3, 7]

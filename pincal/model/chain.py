@@ -92,8 +92,13 @@ class Chain:
         return cls(robot, moment_frame, g, np.eye(3), targets, tools, _bearing_heights(robot, moment_frame))
 
     def with_moment_frame(self, moment_frame: MomentFrame) -> Chain:
-        """Return the same chain whose moments are taken and bend the arm elsewhere."""
-        return replace(self, moment_frame=moment_frame, bearing_heights=_bearing_heights(self.robot, moment_frame))
+        """Return the same chain whose moments are taken and bend the arm elsewhere: one object for each convention."""
+        known = self._in_frames
+        if moment_frame not in known:
+            heights = _bearing_heights(self.robot, moment_frame)
+            known[moment_frame] = replace(self, moment_frame=moment_frame, bearing_heights=heights)
+            known[moment_frame].__dict__["_in_frames"] = known
+        return known[moment_frame]
 
     def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
         """Return the same chain about other reference orientations of base and tools."""
@@ -110,6 +115,11 @@ class Chain:
     def symbols(self) -> tuple[str, ...]:
         """The symbol of each coordinate, e.g. "theta"; which joint it belongs to follows from its place."""
         return _symbols(self.moment_frame, self.robot.n_joints)
+
+    @cached_property
+    def _in_frames(self) -> dict[MomentFrame, Chain]:
+        """This chain in the conventions that were asked for, which share this: what is known of one is found again."""
+        return {self.moment_frame: self}
 
     @cached_property
     def nominal(self) -> np.ndarray:
