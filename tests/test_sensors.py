@@ -366,3 +366,14 @@ def test_rotation_vectors_undo_rotation_matrices(rng: np.random.Generator) -> No
 
     np.testing.assert_allclose(rotation_matrices(turns.as_quat()), turns.as_matrix(), atol=1e-15)
     np.testing.assert_allclose(rotation_vectors(turns.as_matrix()), turns.as_rotvec(), atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 9e-4, 1.1e-3, 1.0, 3.14])
+def test_turns_from_predicted_to_measured_orientations_are_those_of_scipy(angle: float, rng: np.random.Generator) -> None:
+    """Next to none, on both sides of where series begin, and next to half a turn, about any axis."""
+    measured, axis = Rotation.random(200, random_state=rng), rng.normal(size=(200, 3))
+    turn = angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    predicted = (Rotation.from_rotvec(-turn) * measured).as_matrix()
+    poses = np.concatenate([predicted, np.zeros((200, 3, 1))], axis=2)
+    found = PoseSensor(np.zeros((200, 3)), measured.as_matrix()).residuals(poses, np.zeros(0))
+    np.testing.assert_allclose(found[3:].T, turn, atol=1e-14)

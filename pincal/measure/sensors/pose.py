@@ -17,8 +17,9 @@ from pincal.measure.fields import Field, Rule, Table
 from pincal.measure.sensor import Block, Foreseeable, Sensor
 from pincal.measure.sensors.position import POSITION, PlausiblePositions
 from pincal.measure.setup import Setup
+from pincal.measure.turns import turned, turns
 from pincal.parameters import FRAME_SYMBOLS
-from pincal.robot.se3 import exponentials, nearest_rotation, rotation_matrices, rotation_vectors, transform
+from pincal.robot.se3 import exponentials, nearest_rotation, rotation_matrices, transform
 
 # A quaternion written with four decimals is off by less; a wrong column is off by more.
 _TOLERANCE = 0.01
@@ -73,16 +74,11 @@ class PoseSensor(PlausiblePositions, Sensor, Foreseeable):
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return position [m] and the rotation vector from predicted to measured orientation [rad], shape (6, N)."""
-        turn = rotation_vectors(self.rotation @ poses[:, :, :3].transpose(0, 2, 1))
-        return np.vstack([self.position.T - poses[:, :, 3].T, turn.T])
+        return np.vstack([self.position.T - poses[:, :, 3].T, turns(self.rotation, poses)])
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the motion; the rotation through the inverse right Jacobian of the rotation vector."""
-        turn = self.residuals(poses, own)[3:].T
-        out = motion.copy()
-        for i, row in enumerate(_inverse_right_jacobian(turn).transpose(1, 2, 0)):
-            out[:, 3 + i] = row[0] * motion[:, 3] + row[1] * motion[:, 4] + row[2] * motion[:, 5]
-        return out
+        return np.asarray(turned(turns(self.rotation, poses), motion))
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the residual of the position."""
@@ -122,17 +118,3 @@ def _rotation_equations(tips: np.ndarray, measured: np.ndarray) -> np.ndarray:
     left = np.einsum("ac,ndb->nabcd", eye, tips)  # d(R R_i)[a, b] / d R[c, d]
     right = -np.einsum("nac,bd->nabcd", measured, eye)  # d(R_m Y)[a, b] / d Y[c, d]
     return np.concatenate([left.reshape(-1, 9), right.reshape(-1, 9)], axis=1)
-
-
-def _inverse_right_jacobian(phi: np.ndarray) -> np.ndarray:
-    """Return J_r(phi)^-1, shape (N, 3, 3): log(exp(phi) exp(-w)) = phi - J_r^-1 w + O(w^2) [Sola et al. 2018, Eq. 144]."""
-    angle2 = np.einsum("ni,ni->n", phi, phi)
-    angle = np.sqrt(angle2)
-    small = angle < 1e-3
-    safe = np.where(small, 1.0, angle)
-    series = 1.0 / 12.0 + angle2 / 720.0
-    factor = np.where(small, series, 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe)))
-    cross = np.zeros((len(phi), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -phi[:, 2], phi[:, 1], -phi[:, 0]
-    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = phi[:, 2], -phi[:, 1], phi[:, 0]
-    return np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
