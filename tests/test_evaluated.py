@@ -65,6 +65,28 @@ def test_steps_move_readings_along_all_columns() -> None:
     assert np.allclose(found, np.einsum("fr,fmn->rmn", steps, whole), atol=1e-14)
 
 
+def test_products_of_thin_and_dense_columns_are_those_of_the_whole_jacobian() -> None:
+    """With several readings, more poses than are worked on at once, and families whose places lie between each other's."""
+    rng = np.random.default_rng(6)
+    n, dense, columns = 150, rng.normal(size=(3, 4, 150)), rng.normal(size=(3, 4, 150))
+    thin, other = (rng.normal(size=(size, n)) * (rng.random((size, n)) < 0.3) for size in (4, 3))
+    thick = rng.normal(size=(2, n))
+    places = [np.array([1, 5, 3, 10]), np.array([0, 2, 8]), np.array([6, 11])]
+    bases = [sparse_rows(thin), sparse_rows(other), thick]
+    families = tuple(SharedColumns(at, of, column) for at, of, column in zip(places, bases, columns, strict=True))
+    whole = np.empty((12, 4, n))
+    whole[[4, 7, 9]] = dense
+    for at, rows, column in zip(places, (thin, other, thick), columns, strict=True):
+        whole[at] = rows[:, None] * column
+    r, weights = rng.normal(size=(4, n)), rng.uniform(0.0, 2.0, n)
+    jacobian = Jacobian(12, np.array([4, 7, 9]), dense, families)
+    G, g = jacobian.part(slice(1, 4), slice(10, n)).grams(r[1:, 10:], np.array([0, 60, 140]), weights[10:])
+    for s, here in enumerate((slice(10, 70), slice(70, n))):
+        A, b = ((of[..., 1:, here] * weights[here]).reshape(*of.shape[:-2], -1) for of in (whole, r))
+        np.testing.assert_allclose(G[s], A @ A.T, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(g[s], A @ b, rtol=1e-12, atol=1e-12)
+
+
 def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> None:
     whole = Conditions.at(ROBOT.random_configurations(10, np.random.default_rng(2)))
     rows = slice(2, 5)

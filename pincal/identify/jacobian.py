@@ -12,7 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.model.sparse_basis import Basis, SparseBasis, sparse_across, sparse_product, sparse_times
+from pincal.model.sparse_basis import (
+    Basis,
+    SparseBasis,
+    add_product,
+    mirror,
+    sparse_across,
+    sparse_times,
+    sparse_times_dense,
+)
 
 # Parts of the poses are padded to one length if that makes no more of them than this many times, so many poses at once.
 _PADDING = 1.5
@@ -32,6 +40,12 @@ class SharedColumns:
     places: np.ndarray
     basis: Basis
     column: np.ndarray
+
+    def times_dense(self, dense: np.ndarray) -> np.ndarray:
+        """Return the products of their columns with others, shape (D, m, n), shape (S, D)."""
+        if isinstance(self.basis, SparseBasis):
+            return np.asarray(sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense))
+        return np.asarray(self.basis @ np.einsum("mn,dmn->dn", self.column, dense).T)
 
 
 @dataclass(frozen=True)
@@ -85,6 +99,13 @@ class Jacobian:
         """
         n_parts = len(ends) - 1
         G, g = np.zeros((n_parts, self.size, self.size)), np.zeros((n_parts, self.size))
+        self.add_grams(residuals, ends, G, g, weights=weights)
+        return G, g
+
+    def add_grams(
+        self, residuals: np.ndarray, ends: np.ndarray, G: np.ndarray, g: np.ndarray, *, weights: np.ndarray | None = None
+    ) -> None:
+        """Add what :meth:`grams` returns to G, shape (S, F, F), and g, shape (S, F)."""
         for some in self._at_once(np.diff(ends)):
             here = slice(int(ends[some.start]), int(ends[some.stop]))
             A, r = self.poses(here), residuals[:, here]
@@ -93,8 +114,9 @@ class Jacobian:
             if some.stop - some.start == 1:
                 A.add_gram(r, G[some.start], g[some.start])
             else:
-                G[some], g[some] = A._grams_at_once(r, np.diff(ends[some.start : some.stop + 1]))
-        return G, g
+                found = A._grams_at_once(r, np.diff(ends[some.start : some.stop + 1]))
+                G[some] += found[0]
+                g[some] += found[1]
 
     def _at_once(self, counts: np.ndarray) -> Iterator[slice]:
         """Yield parts that follow each other whose products are taken at once, given how many poses each has."""
@@ -116,19 +138,28 @@ class Jacobian:
 
     def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray) -> None:
         """Add J J^T to G, shape (F, F), and J r to g, shape (F,), for residuals of shape (m, n)."""
-        A = np.ascontiguousarray(self.dense).reshape(len(self.dense), residuals.size)
         apart, spans = _span(self.places), [_span(family.places) for family in self.families]
+        dense = np.ascontiguousarray(self.dense)
+        A = dense.reshape(len(dense), residuals.size)
         G[_block(apart, apart)] += A @ A.T
         g[apart] += A @ np.ascontiguousarray(residuals).ravel()
         for i, (family, rows) in enumerate(zip(self.families, spans, strict=True)):
             g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[:, 0]
-            pairs = [(apart, _times(family.basis, np.einsum("mn,dmn->nd", family.column, self.dense)))]
-            for other, columns in zip(self.families[:i], spans, strict=False):
-                pairs.append((columns, _product(family.basis, np.sum(family.column * other.column, axis=0), other.basis)))
-            for columns, part in pairs:
+            part = family.times_dense(dense)
+            G[_block(rows, apart)] += part
+            G[_block(apart, rows)] += part.T
+            for other, columns in zip(self.families[: i + 1], spans, strict=False):
+                weights = np.sum(family.column * other.column, axis=0)
+                if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
+                    add_product(G, family.places, family.basis, weights, other.places, other.basis)
+                    continue
+                part = _product(family.basis, weights, other.basis)
                 G[_block(rows, columns)] += part
-                G[_block(columns, rows)] += part.T
-            G[_block(rows, rows)] += _product(family.basis, np.sum(family.column**2, axis=0), family.basis)
+                if other is not family:
+                    G[_block(columns, rows)] += part.T
+        thin = [family.places for family in self.families if isinstance(family.basis, SparseBasis)]
+        if thin:
+            mirror(G, np.sort(np.concatenate(thin)))
 
 
 def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -162,14 +193,12 @@ def _poses(basis: Basis, rows: slice) -> Basis:
 
 
 def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:
-    """Return basis times a matrix of shape (n, D), shape (S, D)."""
-    return np.asarray(sparse_times(basis, matrix)) if isinstance(basis, SparseBasis) else basis @ matrix
+    """Return basis times a row-major matrix of shape (n, D), shape (S, D)."""
+    return np.asarray(sparse_times(basis, matrix) if isinstance(basis, SparseBasis) else basis @ matrix)
 
 
 def _product(left: Basis, weights: np.ndarray, right: Basis) -> np.ndarray:
-    """Return left diag(weights) right^T, dense."""
+    """Return left diag(weights) right^T, dense, of bases of which one at least is dense."""
     if isinstance(right, SparseBasis):
-        if isinstance(left, SparseBasis):
-            return np.asarray(sparse_product(left, weights, right))
-        return _times(right, np.ascontiguousarray((left * weights).T)).T
+        return _times(right, np.ascontiguousarray((np.asarray(left) * weights).T)).T
     return _times(left, np.ascontiguousarray((right * weights).T))

@@ -71,9 +71,7 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
         here, inner = slice(first, last + 1), np.clip(ends[first : last + 2], piece.start, piece.stop) - piece.start
         for b, rows in enumerate(blocks):
             part = jacobian.part(rows, slice(0, piece.stop - piece.start))
-            found = part.grams(residuals[rows], inner, None if is_uniform else weights)
-            G[here, b] += found[0]
-            g[here, b] += found[1]
+            part.add_grams(residuals[rows], inner, G[here, b], g[here, b], weights=None if is_uniform else weights)
             r = residuals[rows] if is_uniform else residuals[rows] * weights
             squares[here, b] += [np.vdot(of, of) for of in np.split(r, inner[1:-1], axis=1)]
     return Normal(G, g, squares, row_squares, believed(station, values, free) if n == 1 else None)

@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 
 _COMPILE = {"cache": True, "nogil": True}
+# Poses worked on at once, so that what is needed of them stays in the cache.
+_TILE = 128
 
 
 class SparseBasis(NamedTuple):
@@ -76,25 +78,68 @@ def sparse_across(basis, matrix):
 
 
 @njit(**_COMPILE)
-def sparse_product(left, weights, right):
-    """Return left diag(weights) right^T, dense, of two thin bases; weights of shape (n,)."""
-    out = np.zeros((left.size, right.size))
-    for i in range(len(weights)):
-        for a in range(left.starts[i], left.starts[i + 1]):
-            scaled = left.value[a] * weights[i]
-            for b in range(right.starts[i], right.starts[i + 1]):
-                out[left.place[a], right.place[b]] += scaled * right.value[b]
+def sparse_times(basis, matrix):
+    """Return a thin basis times a row-major matrix of shape (n, D), shape (S, D)."""
+    n, n_columns = matrix.shape
+    out = np.zeros((basis.size, n_columns))
+    for i in range(n):
+        for a in range(basis.starts[i], basis.starts[i + 1]):
+            value, p = basis.value[a], basis.place[a]
+            for d in range(n_columns):
+                out[p, d] += value * matrix[i, d]
     return out
 
 
 @njit(**_COMPILE)
-def sparse_times(basis, matrix):
-    """Return a thin basis times a matrix of shape (n, D), shape (S, D)."""
-    out = np.zeros((basis.size, matrix.shape[1]))
-    for i in range(matrix.shape[0]):
-        row = matrix[i]
-        for a in range(basis.starts[i], basis.starts[i + 1]):
-            value, sums = basis.value[a], out[basis.place[a]]
-            for d in range(len(row)):
-                sums[d] += value * row[d]
+def sparse_times_dense(basis, column, dense):
+    """Return products of the functions of a thin basis on a column, shape (m, n), with D others, shape (D, m, n): (S, D)."""
+    n_dense, m, n = dense.shape
+    out, along, total = np.zeros((basis.size, n_dense)), np.empty((_TILE, _TILE)), np.empty(_TILE)
+    for first in range(0, n, _TILE):
+        size = min(_TILE, n - first)
+        for start in range(0, n_dense, _TILE):
+            width = min(_TILE, n_dense - start)
+            for d in range(width):
+                sums = total[:size]
+                sums[:] = 0.0
+                for j in range(m):
+                    # As slices: loops over these are vectorised.
+                    left, right = column[j, first : first + size], dense[start + d, j, first : first + size]
+                    for i in range(size):
+                        sums[i] += left[i] * right[i]
+                for i in range(size):
+                    along[i, d] = sums[i]
+            for i in range(size):
+                row = along[i, :width]
+                for a in range(basis.starts[first + i], basis.starts[first + i + 1]):
+                    value, to = basis.value[a], out[basis.place[a], start : start + width]
+                    for d in range(width):
+                        to[d] += value * row[d]
     return out
+
+
+@njit(**_COMPILE)
+def add_product(G, rows, left, weights, columns, right):
+    """Add left diag(weights) right^T of two thin bases at rows and columns of G, below its diagonal; of one basis once."""
+    is_same = rows[0] == columns[0]
+    for i in range(len(weights)):
+        first, end = right.starts[i], right.starts[i + 1]
+        for a in range(left.starts[i], left.starts[i + 1]):
+            scaled, row = left.value[a] * weights[i], rows[left.place[a]]
+            for b in range(first, a + 1 if is_same else end):
+                column = columns[right.place[b]]
+                if column <= row:
+                    G[row, column] += scaled * right.value[b]
+                else:
+                    G[column, row] += scaled * right.value[b]
+
+
+@njit(**_COMPILE)
+def mirror(G, places):
+    """Copy what stands below the diagonal of G, at ascending rows and columns, above it."""
+    n = len(places)
+    for first in range(0, n, _TILE):
+        for start in range(0, first + 1, _TILE):
+            for i in range(first, min(first + _TILE, n)):
+                for j in range(start, min(start + _TILE, i)):
+                    G[places[j], places[i]] = G[places[i], places[j]]
