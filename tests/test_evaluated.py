@@ -63,6 +63,9 @@ def test_steps_move_readings_along_all_columns() -> None:
     steps = rng.normal(size=(8, 2))
     found = Jacobian(8, np.array([0, 7]), dense, families).along(steps)
     assert np.allclose(found, np.einsum("fr,fmn->rmn", steps, whole), atol=1e-14)
+    few = Jacobian(8, np.array([0, 7]), dense, families).columns(2, slice(1, 3))
+    expected = [whole[0], whole[7], whole[1] + whole[2], whole[3] + whole[4], whole[5], whole[6]]
+    assert np.allclose(few, np.array(expected)[:, 1:3], atol=1e-14)
 
 
 def test_products_of_thin_and_dense_columns_are_those_of_the_whole_jacobian() -> None:

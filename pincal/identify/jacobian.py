@@ -16,6 +16,7 @@ from pincal.model.sparse_basis import (
     Basis,
     SparseBasis,
     add_product,
+    dense_rows,
     mirror,
     sparse_across,
     sparse_times,
@@ -77,6 +78,20 @@ class Jacobian:
     def poses(self, rows: slice) -> Jacobian:
         """Return the part of some poses."""
         return self.part(slice(None), rows)
+
+    def columns(self, most: int, readings: slice) -> np.ndarray:
+        """Return the columns of some readings, shape (D, m, n), those that share nothing first.
+
+        Of a thin basis with more than ``most`` functions those of neighbours are added up to so many.
+        """
+        found = [self.dense[:, readings]]
+        for family in self.families:
+            basis = family.basis
+            if isinstance(basis, SparseBasis):
+                rows, few = dense_rows(basis), min(most, basis.size)
+                basis = np.add.reduceat(rows, np.arange(few) * basis.size // few, axis=0)
+            found.append(basis[:, None] * family.column[readings])
+        return np.concatenate(found)
 
     def along(self, steps: np.ndarray) -> np.ndarray:
         """Return how R steps of the parameters, shape (F, R), move the readings, shape (R, m, n)."""

@@ -27,6 +27,9 @@ _MISTOLD = 0.3
 _FEW, _MOST = 400, 4000
 # Directions of the fitted parameters that are weaker than this part of the strongest are none.
 _RANK = 1e-5
+# Functions of a curve that follow a shift by themselves; of more, neighbours do together, as the curve is smooth: the few
+# rows would not tell so many apart, nor leave anything of a step.
+_FUNCTIONS = 24
 # Difference [rad or m] by which joints are moved for a derivative.
 _MOVED = 1e-5
 
@@ -72,8 +75,9 @@ def step_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.nd
 def _step(station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray) -> Step | None:
     """Return the step in rows that stand in order."""
     n = len(lines)
-    # Components of a row next to each other, shape (3 N, free).
-    J = np.concatenate([part[:, :3].transpose(2, 1, 0) for _, _, part in station.linearise(values, free)]).reshape(3 * n, -1)
+    # Components of a row next to each other, shape (3 N, columns).
+    parts = (jacobian.columns(_FUNCTIONS, slice(3)) for _, _, jacobian in station.linearise_shared(values, free))
+    J = np.concatenate([part.transpose(2, 1, 0) for part in parts]).reshape(3 * n, -1)
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     sizes, axes = np.linalg.eigh(J.T @ J)
     kept = sizes > _RANK**2 * sizes[-1]
