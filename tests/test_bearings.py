@@ -6,9 +6,11 @@ import json
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
+from discovery_cases import draw_case, fresh
 from rewritten_urdf import rewritten
 from scipy.spatial.transform import Rotation
 
@@ -24,7 +26,7 @@ from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.table import read_measurements
 from pincal.model.catalogue.bearings import BearingPlace, ObliqueBearing
-from pincal.model.catalogue.drives import AxisWobble
+from pincal.model.catalogue.drives import AxisWobble, WobbleFrame
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effects import ELASTIC, GEOMETRIC, BearingElasticity
@@ -144,6 +146,17 @@ def test_what_geometry_takes_of_a_wobble_is_not_counted() -> None:
 
     assert abs(fit.problem.chain.bearing_heights[3]) > 0.7
     assert [tests.score([i], 1).rank for i in range(2)] == [2, 4]
+
+
+@pytest.mark.parametrize("seed", [30127, 71027, 71238, 71251])
+def test_no_wobble_is_found_where_geometry_is_beyond_its_priors(seed: int) -> None:
+    """Sound arms with two nearly parallel axes, whose common normal stands somewhere else: 3 to 6 standard deviations."""
+    case = draw_case("null", seed, **(fresh(seed) | {"n": 60}))
+    fit = calibrate(case.robot, case.rows, replace(case.plain, loss="none"))
+    tests = score_test(fit, [AxisWobble(f"axis_{i}", 1, frame) for i in (2, 3, 4) for frame in get_args(WobbleFrame)])
+
+    assert np.abs(fit.values / fit.priors.sizes).max() > 2.5
+    assert min(tests.score([i], 1).p_value for i in range(6)) > 1e-3
 
 
 @pytest.mark.parametrize("moment_frame", ["before", "after"])

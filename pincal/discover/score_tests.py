@@ -28,6 +28,7 @@ from pincal.identify.normal import believed, block_rows
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
 from pincal.model.conditions import part_of
+from pincal.model.effect import Family
 from pincal.model.effects import Effect
 
 # Part of a column's square that must be left after projection for the data to see it.
@@ -36,6 +37,10 @@ _SEEN = 1e-5
 # the priors of the model keep apart from it, as of a tilt that geometry is, too, were its lengths as far off as nobody
 # builds them.
 _TOLD = 0.01
+# By how much wider than in a fit the priors of geometry are where effects are tested: one that only they keep apart from
+# geometry would be found wherever a machine leaves them. Sound arms with nearly parallel axes do: small errors of these are
+# large ones of where their common normal stands.
+_WIDER = 10.0
 # Keeps a scaled matrix of information definite where rounding would not.
 _ROUNDING = 1e-12
 
@@ -358,6 +363,8 @@ def score_test(
     # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
     sizes = np.array([parameter.size for parameter in problem.parameters])
     sizes[known] = fit.priors.sizes
+    for effect in fit.problem.effects:
+        sizes[problem.places_at(effect)] *= _WIDER if effect.family is Family.GEOMETRY else 1.0
     alone = fit.problem.with_effects(candidates)
     found, tested = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
     for effect, places in zip(candidates, tested, strict=True):
