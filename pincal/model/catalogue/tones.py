@@ -20,8 +20,9 @@ from pincal.model.effect import Candidate, Locus, Term, Tone
 from pincal.model.places import WAVE, drive_terms, parameters_of, positions, waves
 from pincal.parameters import Parameter
 
-# Waves a turn among which a discovery looks for gear ripple: fewer are curves of the drive, more need ever more poses.
-_BAND = (20.0, 400.0)
+# Waves a turn among which a discovery looks for gear ripple: fewer are curves of the drive, more need ever more poses. The
+# two lobes of a strain wave gear of 1:101 make 202 waves a turn, and twice as many.
+_BAND = (20.0, 450.0)
 # What stands for all orders where none is known: the ratio of a usual strain wave gear.
 _USUAL, _LINES = 101.0, 1024.0
 # Half of twice the log-likelihood that a wave chosen in the whole band has to gain, about (see ``independent_orders``).
