@@ -323,10 +323,12 @@ class _Fit:
             f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(judged.estimated, units, strict=True)
         )
 
-    def _linearised(self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None) -> Linearised:
+    def _linearised(
+        self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None, *, is_doubtful: bool = False
+    ) -> Linearised:
         """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be again."""
         likely = sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
-        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor, likely)
+        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor, likely, is_doubtful)
 
     def _length(self, square: float, robust: np.ndarray) -> float:
         """Return how far a step of this square moves the predictions, root mean square, in units of the noise."""
@@ -348,16 +350,18 @@ class _Fit:
         # Few steps lead back here.
         here.release()
         group = here.group_of[free]
-        values, is_open = here.values.copy(), np.ones(len(limits), bool)
+        values, is_open, is_refused = here.values.copy(), np.ones(len(limits), bool), False
         tried = trials(here, sigma, self.priors.bounds[free], steps, memory)
         step: np.ndarray | None = next(tried)
         while step is not None:
             values = values.copy()
             values[free] = np.where(is_open[group], here.values[free] + step, values[free])
-            there = self._linearised(values, here.robust, sigma)
+            there = self._linearised(values, here.robust, sigma, is_doubtful=is_refused or memory.was_refused)
             is_open &= there.objectives(sigma) > limits
             if not is_open.any():
+                memory.was_refused = is_refused
                 return there
+            is_refused = True
             try:
                 step = tried.send(there)
             except StopIteration:

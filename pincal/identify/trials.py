@@ -29,10 +29,12 @@ class Memory:
 
     Attributes:
         damping: of the last step that was taken, less what its success is worth; 0 while whole steps do.
+        was_refused: whether the last point had steps that made things worse.
     """
 
     def __init__(self) -> None:
         self.damping = 0.0
+        self.was_refused = False
         self.forget()
 
     def forget(self) -> None:
