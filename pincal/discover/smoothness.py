@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import eigvalsh
+from scipy.linalg import eigvalsh, lstsq
 from scipy.linalg.lapack import dpotrf, dpotri
 
 from pincal.discover.nuisance import situation_of
@@ -24,6 +24,7 @@ from pincal.identify.beliefs import priors_of
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import Fit, carried
 from pincal.model.effect import Curve
+from pincal.model.sparse_basis import mirror
 
 # Where the search for the roughness begins [rad^-0.5], how often it is moved at most, and the change that ends it.
 _ROUGHNESS, _MOVES, _SETTLED = 0.1, 15, 0.05
@@ -31,6 +32,9 @@ _ROUGHNESS, _MOVES, _SETTLED = 0.1, 15, 0.05
 _FARTHEST, _LEAST = 10.0, 1e-5
 # Part of the variance of the noise that finer curves may leave at least: readings that they go through have none.
 _LEAST_NOISE = 1e-3
+# How much surer than by their priors other parameters are taken to stay, in the step from there: where compliances multiply
+# places of bearings, a whole one leads far off.
+_FIRM = 30.0
 # Keeps a scaled matrix of information definite where rounding would not.
 _ROUNDING = 1e-12
 # Positions by which a curve is drawn in other pieces, for each of these.
@@ -106,7 +110,7 @@ def _drawn_again(curve: Curve, heights: np.ndarray, other: Curve) -> np.ndarray:
 
 def _heights(curve: Curve, drawn: np.ndarray) -> np.ndarray:
     """Return the heights, shape (..., K), of what is drawn at many positions along a curve, shape (..., N)."""
-    return np.asarray(np.linalg.lstsq(curve.basis(_along(curve)[0]).T, drawn.T)[0].T)
+    return np.asarray(lstsq(curve.basis(_along(curve)[0]).T, drawn.T, lapack_driver="gelsy", check_finite=False)[0].T)
 
 
 def _along(curve: Curve) -> tuple[np.ndarray, float]:
@@ -159,7 +163,12 @@ class Quadratic:
                 w[j] = max(w[j] * np.clip(factor, 1.0 / _FARTHEST, _FARTHEST), _LEAST)
             if np.max(np.abs(np.log(w / before))) < _SETTLED:
                 break
-        return w, step, noise
+        others = np.ones(len(self.sizes), bool)
+        others[np.concatenate(columns)] = False
+        sizes, values = (
+            np.where(others, of / by, of) for of, by in ((self.sizes, np.sqrt(1.0 + _FIRM)), (self.values, 1.0 + _FIRM))
+        )
+        return w, replace(self, sizes=sizes, values=values)._posterior(columns, bends, w, noise)[0], noise
 
     def _posterior(
         self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray], w: np.ndarray, noise: float
@@ -173,9 +182,13 @@ class Quadratic:
             H[np.ix_(at, at)] += more
             slope[at] -= more @ self.values[at]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        H *= np.outer(scale, scale)
+        H *= scale
+        H *= scale[:, None]
         H.flat[:: len(H) + 1] += _ROUNDING
-        factor, _ = dpotrf(H, lower=1, overwrite_a=1)
+        # Column-major, which spares LAPACK a copy.
+        factor, _ = dpotrf(H.T, lower=1, overwrite_a=1)
         C, _ = dpotri(factor, lower=1, overwrite_c=1)
-        C = (np.tril(C) + np.tril(C, -1).T) * np.outer(scale, scale)
+        mirror(C, np.arange(len(C)))
+        C *= scale
+        C *= scale[:, None]
         return C @ slope, C

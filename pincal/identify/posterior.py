@@ -179,8 +179,7 @@ def posterior_step(
     D = sizes[prior]
     inverse, _, _ = _invert_frames(G[frames[:, None], frames])
     F = inverse @ G[frames[:, None], prior]
-    S = (G[prior[:, None], prior] - G[prior[:, None], frames] @ F) * np.outer(D, D)
-    S.flat[:: len(S) + 1] += 1.0
+    S = _reduced(G, prior, G[prior[:, None], frames] @ F, D)
     reduced = (g[prior] - F.T @ g[frames]) * D - offsets[prior] / D
     step = np.empty(len(g))
     step[prior] = D * cho_solve(cho_factor(S, overwrite_a=True, check_finite=False), reduced, check_finite=False)
@@ -203,8 +202,7 @@ def spent_parameters(G: np.ndarray, sizes: np.ndarray, believed: np.ndarray | No
     D = sizes[prior]
     inverse, frame_rank, _ = _invert_frames(G[frames[:, None], frames])
     F = G[frames[:, None], prior]
-    S = (G[prior[:, None], prior] - F.T @ inverse @ F) * np.outer(D, D)
-    S.flat[:: len(S) + 1] += 1.0
+    S = _reduced(G, prior, F.T @ inverse @ F, D)
     C, failed = dpotri(cholesky(S, lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1)
     if failed:
         return None
@@ -213,6 +211,19 @@ def spent_parameters(G: np.ndarray, sizes: np.ndarray, believed: np.ndarray | No
         return spent
     known = believed[prior[:, None], prior] * np.outer(D, D)
     return spent - float(2.0 * np.sum(np.tril(C, -1) * known) + np.diag(C) @ np.diag(known))
+
+
+def _reduced(G: np.ndarray, prior: np.ndarray, absorbed: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """Return information in units of the priors plus that of these, what frames absorb taken out; column-major for LAPACK.
+
+    Of large matrices, the time goes into moving them: as few copies as can be are made.
+    """
+    S = np.take(np.take(G, prior, axis=0), prior, axis=1)
+    S -= absorbed
+    S *= D
+    S *= D[:, None]
+    S.flat[:: len(S) + 1] += 1.0
+    return S.T
 
 
 @dataclass(frozen=True)

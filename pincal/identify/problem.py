@@ -197,7 +197,8 @@ class Problem:
             information[at[:, None], at] = earlier.beyond(sizes[places])[of[:, None], of]
             slope[at] = earlier.pull(values[places], sizes[places])[of]
         for places, smooth in self.smooth:
-            at, of = np.nonzero(kept[:, None] == places)
+            of = np.flatnonzero(np.isin(places, kept))
+            at = np.searchsorted(kept, places[of])
             information[at[:, None], at] += smooth[of[:, None], of]
             slope[at] -= (smooth @ values[places])[of]
         return information, slope
