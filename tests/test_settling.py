@@ -22,14 +22,14 @@ pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 TAU, N = 3000.0, 160
 
 
-def measured(*hidden: sim.HiddenEffect, seed: int = 0) -> Measurements:
-    """Return noisy positions of a stiff KUKA, one a minute, with hidden effects; only the time is recorded."""
+def measured(*hidden: sim.HiddenEffect, seed: int = 0, temperature: np.ndarray | None = None) -> Measurements:
+    """Return noisy positions of a stiff KUKA, one a minute, with hidden effects; the time is recorded."""
     rng = np.random.default_rng(seed)
     machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
     q, time = sim.plan_poses(machine.nominal, N, rng), 60.0 * np.arange(N)
-    tip = machine.with_effects(*hidden).tip(q, time=time)
+    tip = machine.with_effects(*hidden).tip(q, time=time, temperature=20.0 if temperature is None else temperature)
     position = tip[:, :3, 3] + tip[:, :3, :3] @ [0.1, 0.05, 0.2] + SIGMA * rng.standard_normal((N, 3))
-    return measurements_from_arrays(machine.names, q, position=position, time=time)
+    return measurements_from_arrays(machine.names, q, position=position, time=time, temperature=temperature)
 
 
 CASES = [
@@ -79,3 +79,15 @@ def test_it_is_one_effect(hidden: sim.HiddenEffect, start: Settling, size: float
 
     assert (found.effect, found.joint) == (hidden.effect, hidden.joint)
     assert constant.sigma is not None and abs(constant.value - TAU) < 3.0 * constant.sigma
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("hidden", [sim.ThermalGrowth(size=2e-4, time_constant=TAU), sim.ThermalExpansion(size=2e-5)])
+def test_a_recorded_temperature_is_not_taken_for_that_of_the_arm(hidden: sim.HiddenEffect) -> None:
+    """While the hall warms up as well, links that grow by time or by temperature are named so, or both stand as a tie."""
+    air = 20.0 + 12.0 * -np.expm1(-60.0 * np.arange(N) / 4500.0) + np.random.default_rng(3).normal(0.0, 0.5, N)
+    robot, rows = Robot.from_urdf(kuka_urdf_path(), tip="tool0"), measured(hidden, temperature=air)
+    (found,) = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA)).findings.effects
+
+    assert hidden.effect in {found.effect, *(other.effect for other in found.equivalent)}
+    assert {found.effect, *(e.effect for e in found.equivalent)} <= {"thermal_growth", "thermal_expansion"}

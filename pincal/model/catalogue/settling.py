@@ -1,4 +1,4 @@
-r"""What dies away with time: a joint that creeps, links that grow as the arm warms up, where only the time is known.
+r"""What dies away with time: a joint that creeps, links that grow as the arm warms up by itself.
 
 Both follow :math:`a f(t), \; f = 1 - e^{-(t - t_0) / \tau}`, zero before :math:`t_0`. The time constant is a parameter as
 well, linearised about the amplitude A and the time constant that are expected:
@@ -20,7 +20,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.model.catalogue.environment import lengths_that_grow
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation, varies
+from pincal.model.conditions import Conditions, Situation
 from pincal.model.effect import Candidate, Locus, Settling, Term
 from pincal.model.places import GROWTH, drive_terms, drive_unit, parameters_of, recorded
 from pincal.model.symbols import held
@@ -99,11 +99,12 @@ class JointCreep(Settling):
 class ThermalGrowth(Settling):
     r"""Lengths that grow as the arm warms up, by the part :math:`a (1 - e^{-(t - t_0) / \tau})` of their nominal value.
 
-    It stands for thermal expansion where no temperature was recorded. Which lengths grow is said there.
+    An arm warms up by itself, which the temperature of the air does not tell. Where it follows that of the air closely,
+    thermal expansion explains the same. Which lengths grow is said there.
 
     Told apart by:
-        the temperature recorded, in place of the time; poses at the start repeated later. A base that drifts moves all poses
-        alike.
+        the temperature of the arm itself, recorded; poses at the start repeated later, and once more after a pause in which
+        the arm cooled down. A base that drifts moves all poses alike.
 
     Source:
         Heisel, Richter and Wurst (1997), on the warming up of an arm.
@@ -135,12 +136,10 @@ class ThermalGrowth(Settling):
 
     @classmethod
     def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield it on every link, and on the whole arm, where the temperature is not known."""
-        known = varies(situation.conditions.temperature)
-        obstacle = "the temperature is recorded, which lengths rather follow than the time" if known else ""
+        """Yield it on every link, and on the whole arm."""
         for joint in (*situation.joints, None):
             forms = [cls(constant, joint, start, span) for constant, start, span in _tried(situation)]
-            yield Candidate(forms[0], variants=tuple(forms), obstacle=obstacle)
+            yield Candidate(forms[0], variants=tuple(forms))
 
     def about(self, values: np.ndarray) -> ThermalGrowth:
         """Return the growth expanded about an amplitude and a change of the time constant."""
