@@ -86,23 +86,38 @@ def _is_in(effect: Effect, fit: Fit) -> bool:
 
 
 def _fails(state: State, step: Step, worth: float, search: Search) -> bool:
-    if worth <= (0.0 if step.is_elastic else max(map(enough_errors, step.effects))):
+    """Return whether a step would not enter again: suspected to first order, judged on the others fitted again.
+
+    The others may lean on it, so that what they leave without it is not what they must; and where it can't be told from
+    products of theirs, as of a compliance with the place of its bearing, they seem to take more over than they do.
+    """
+    fit, policy, own = state.fit, search.policy, with_features(state.fit, step.effects)
+    least = 0.0 if step.is_elastic else max(map(enough_errors, step.effects))
+    is_one_of_many, is_rest = len(state.steps) > 1, _may_be_left_over(state, step)
+    if worth > least and not (is_rest or (is_one_of_many and _is_doubtful(fit, step, policy))):
+        return False
+    tests = score_test_beside_masses(refit(fit, _without_all(fit, step).options.effects), own, search.groups)
+    if standard_errors(tests.gains_by_block(range(len(own)))) <= least:
         return True
-    return len(state.steps) > 1 and (
-        _may_be_chance(state.fit, step, search.policy) or _may_be_left_over(state, step, search)
-    )
+    limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
+    looks = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
+    return is_one_of_many and tests.p_value_of_any(range(len(own))) > limit / looks
 
 
-def _may_be_left_over(state: State, step: Step, search: Search) -> bool:
+def _may_be_left_over(state: State, step: Step) -> bool:
     """Return whether a name may be what something stronger without one leaves, which is known in outline only."""
     if step.is_elastic or step.effect.is_nameless:
         return False
     others = (other for other in state.steps if other.score.gain > step.score.gain and not other.is_elastic)
-    if not any(effect.is_nameless for other in others for effect in (*other.effects, *other.equivalent)):
-        return False
-    names = len({effect.identity for effect in addable(state.fit, search)})
-    p_value = score_test_beside_masses(without(state.fit, step.effect), [step.effect]).score([0], names).p_value
-    return p_value > search.policy.drop * search.policy.false_name / names
+    return any(effect.is_nameless for other in others for effect in (*other.effects, *other.equivalent))
+
+
+def _is_doubtful(fit: Fit, step: Step, policy: Policy) -> bool:
+    """Return whether Wald's test leaves any doubt in a step."""
+    found = fit.estimate.take(fit.names_of(step.effects))
+    values = found.values[found.free]
+    wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
+    return bool(wald <= policy.sure * len(values))
 
 
 def _worths(state: State, search: Search) -> dict[Step, float]:
@@ -134,17 +149,3 @@ def _without_all(fit: Fit, step: Step) -> Fit:
     for effect in with_features(fit, step.effects):
         fit = without(fit, effect)
     return fit
-
-
-def _may_be_chance(fit: Fit, step: Step, policy: Policy) -> bool:
-    """Return whether chance explains a step beside the others: suspected by Wald's test, judged by the score test."""
-    found = fit.estimate.take(fit.names_of(step.effects))
-    values = found.values[found.free]
-    wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
-    if wald > policy.sure * len(values):
-        return False
-    own = with_features(fit, step.effects)
-    # Fitted again, since the others may lean on it: what they leave without it is not what they must.
-    tested = score_test_beside_masses(refit(fit, _without_all(fit, step).options.effects), own)
-    limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
-    return tested.p_value_of_any(range(len(own))) > limit
