@@ -21,10 +21,13 @@ _JOINTS_ABREAST = 7
 
 
 def location_table(where: Sequence[Disagreement]) -> Table:
-    """Return where model and data disagreed before anything was named, with the share of what is beyond the noise."""
+    """Return where model and data disagreed before anything was named, and its share of what was left beyond the noise.
+
+    Places are looked for in what elasticity leaves, if there is some: their shares are of that.
+    """
     columns = (
         Column("where", kind=Kind.NAME),
-        Column("share", kind=Kind.NUMBER, show=show_percent),
+        Column("of what was left", kind=Kind.NUMBER, show=show_percent),
         Column("what was seen", kind=Kind.TEXT),
     )
     rows = tuple((place.joint or place.region, place.share, place.statement) for place in where)
