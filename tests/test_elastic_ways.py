@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from discovery_cases import SIGMA, random_urdf
 from placed_arms import FIRST, TOOL
 
 import pincal.simulate as sim
-from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
+from pincal import GEOMETRIC, Options, PincalWarning, Robot, calibrate, measurements_from_arrays, read_measurements
 from pincal.discover.elastic_ways import elastic_way, with_features
 from pincal.discover.forward import bent
 from pincal.discover.moment_frames import elastic_ways, single_compliance
@@ -82,3 +83,16 @@ def test_a_wrist_alone_may_be_as_soft_as_its_load_lets_it(tmp_path: Path) -> Non
     sizes = [of.priors.sizes[of.estimate.names.index("axis_6.k_z")] for of in (alone, together)]
 
     assert sizes[0] > 3.0 * sizes[1]
+
+
+def test_all_of_a_real_panda_gives_way(shared_data: Path) -> None:
+    """From 157 poses in sockets too: one drive alone left .181 mm on rows held out, drives and bearings leave .150."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PincalWarning)
+        robot = Robot.from_urdf("panda")
+    table = read_measurements(shared_data / "panda_sockets" / "panda_3.csv", robot.joint_names)
+    fit = calibrate(robot, table.select(np.arange(len(table)) % 5 > 0), Options(effects=GEOMETRIC))
+
+    way = elastic_way(fit, POLICY)
+
+    assert way is not None and [effect.name for effect in way.effects] == ["joint_elasticity", "bearing_elasticity"]

@@ -53,7 +53,8 @@ def elastic_way(fit: Fit, policy: Policy) -> ElasticWay | None:
     # One bearing alone gives way in directions of its own; where it sits, nothing shows before it gives way.
     forms = [(part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments)) for part in parts]
     starts = np.cumsum([0, *map(len, forms)])
-    tests = score_test_beside_masses(fit, [effect for form in forms for effect in form])
+    # All arms give way: what gravity bends is not left to geometry that nobody would have built.
+    tests = score_test_beside_masses(fit, [effect for form in forms for effect in form], wider=1.0)
     whole = [int(i) for i in starts[:-1]]
     families = [[i for i, part in zip(whole, parts, strict=True) if part.name == effect.name] for effect in block]
     singles = [range(a, b) for a, b in pairwise(starts)]

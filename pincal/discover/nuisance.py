@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pincal.discover.score_tests import ScoreTests, score_test
+from pincal.discover.score_tests import WIDER, ScoreTests, score_test
 from pincal.identify.fit import Fit
 from pincal.model import kernels
 from pincal.model.catalogue.candidates import elasticity
@@ -141,7 +141,9 @@ def missing_compliances(fit: Fit) -> tuple[Compliance, ...]:
     return tuple(found)
 
 
-def score_test_beside_masses(fit: Fit, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
+def score_test_beside_masses(
+    fit: Fit, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = WIDER
+) -> ScoreTests:
     """Test effects against a fit with masses and first moments projected out; see :func:`score_test`."""
     masses = MassError.of(*fit.arm)
-    return score_test(fit, effects, [masses] if masses else [], groups)
+    return score_test(fit, effects, [masses] if masses else [], groups, wider=wider)

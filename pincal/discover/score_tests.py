@@ -40,7 +40,7 @@ _TOLD = 0.01
 # By how much wider than in a fit the priors of geometry are where effects are tested: one that only they keep apart from
 # geometry would be found wherever a machine leaves them. Sound arms with nearly parallel axes do: small errors of these are
 # large ones of where their common normal stands.
-_WIDER = 10.0
+WIDER = 10.0
 # Keeps a scaled matrix of information definite where rounding would not.
 _ROUNDING = 1e-12
 
@@ -348,7 +348,12 @@ def _scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def score_test(
-    fit: Fit, candidates: Sequence[Effect], nuisance: Sequence[Effect] = (), groups: np.ndarray | None = None
+    fit: Fit,
+    candidates: Sequence[Effect],
+    nuisance: Sequence[Effect] = (),
+    groups: np.ndarray | None = None,
+    *,
+    wider: float = WIDER,
 ) -> ScoreTests:
     """Test candidates against a fit.
 
@@ -357,6 +362,7 @@ def score_test(
         candidates: effects to test, none of them in the model.
         nuisance: effects that are projected out but not tested.
         groups: shape (N,), the block of each training row, for cross-validation; default: one block.
+        wider: by how much wider than in the fit the priors of geometry are.
     """
     problem, known = fit.problem.extended([*nuisance, *candidates])
     groups = np.zeros(len(problem), int) if groups is None else groups
@@ -364,7 +370,7 @@ def score_test(
     sizes = np.array([parameter.size for parameter in problem.parameters])
     sizes[known] = fit.priors.sizes
     for effect in fit.problem.effects:
-        sizes[problem.places_at(effect)] *= _WIDER if effect.family is Family.GEOMETRY else 1.0
+        sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
     alone = fit.problem.with_effects(candidates)
     found, tested = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
     for effect, places in zip(candidates, tested, strict=True):
