@@ -97,7 +97,7 @@ def files() -> Iterator[str]:
     yield (
         "CSV or other text, Excel, Parquet, or recordings of ROS; one row per measured pose. One column per joint, named as "
         "in the URDF, and those of one kind of reading. `approach_<joint>` is the side from which the joint arrived (-1, 0 "
-        "or 1)."
+        "or 1); with `--rows-in-order` the sign of the move from the row before tells it."
     )
     rows = []
     for sensor in (cls for cls in SENSORS.known().values() if cls.__module__.startswith("pincal.")):

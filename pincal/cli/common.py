@@ -185,11 +185,22 @@ class TableArguments:
         metavar="LOG",
     )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
+    rows_in_order: bool = option(
+        "Rows stand in the order of measurement: a joint without a column approach_<joint> arrived from where it stood in "
+        "the row before.",
+        False,
+    )
 
     @property
     def options(self) -> TableOptions:
         """The same for the library."""
-        return TableOptions(ignore=self.ignore, columns=self.columns or {}, orientation=self.orientation, joints=self.joints)
+        return TableOptions(
+            ignore=self.ignore,
+            columns=self.columns or {},
+            orientation=self.orientation,
+            joints=self.joints,
+            rows_in_order=self.rows_in_order,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,8 @@ class TableOptions:
         orientation: convention of the orientation's columns, one of
             :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
         joints: a file of its own with the joint positions, see :mod:`pincal.measure.joined`.
+        rows_in_order: whether rows stand in the order in which they were measured, which says from which side joints arrived
+            that have no column for it, see :mod:`pincal.measure.approach`.
         shares_log: whether other tables have theirs from the same file, so that the order of its rows tells nothing.
     """
 
@@ -25,4 +27,5 @@ class TableOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     orientation: str | None = None
     joints: str | os.PathLike[str] | None = None
+    rows_in_order: bool = False
     shares_log: bool = False

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
+from pincal.measure.approach import completed
 from pincal.measure.fields import CONDITIONS, Field
 from pincal.measure.files import open_sheet, typed_errors
 from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
@@ -79,9 +80,12 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
     if droop is not None:
         arrays["droop"] = droop
-    if any(f"approach_{name}" in values for name in joints):
+    sides = {name: values.pop(f"approach_{name}") for name in joints if f"approach_{name}" in values}
+    if schema.options.rows_in_order and joints:
+        sides = completed(sides, joints, arrays["q"], time=values.get("time"), lines=rows, source=path.name)
+    if sides:
         unknown = np.zeros(len(rows))
-        arrays["approach"] = np.column_stack([values.pop(f"approach_{name}", unknown) for name in joints])
+        arrays["approach"] = np.column_stack([sides.get(name, unknown) for name in joints])
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)

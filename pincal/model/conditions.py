@@ -19,6 +19,8 @@ from pincal.model.symbols import are_symbols
 COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s", "droop": "rad"}
 # Those that a table has for each joint, as they are called there.
 OF_JOINTS = {"approach": "approach_<joint>", "droop": "commanded_<joint>"}
+# What else tells them.
+INSTEAD = {"approach": "where rows stand in the order in which they were measured, --rows-in-order says so"}
 # A joint that turns is at the same place after a turn [rad].
 TURN = 2.0 * np.pi
 # What else an effect may follow: the static moment on a joint.

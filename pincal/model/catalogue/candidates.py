@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
-from pincal.model.conditions import COLUMN_UNITS, OF_JOINTS, Conditions, Situation
+from pincal.model.conditions import COLUMN_UNITS, INSTEAD, OF_JOINTS, Conditions, Situation
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Tone
 from pincal.model.effects import Compliance
 from pincal.model.evaluated import key_of
@@ -94,8 +94,10 @@ def _unmoved(effect: Effect, situation: Situation) -> str:
 
 
 def _lacking(column: str, conditions: Conditions) -> str:
-    name = OF_JOINTS.get(column, column)
-    return f"column {name} is {'missing' if conditions.column(column) is None else 'the same in all rows'}"
+    name, instead = OF_JOINTS.get(column, column), INSTEAD.get(column)
+    if conditions.column(column) is not None:
+        return f"column {name} is the same in all rows"
+    return f"column {name} is missing" + (f" ({instead})" if instead else "")
 
 
 def _standing_still(effect: Effect, situation: Situation) -> str:

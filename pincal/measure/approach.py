@@ -1,0 +1,71 @@
+"""From which side joints arrived, where rows stand in the order in which they were measured."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pincal.errors import MeasurementError, PincalWarning
+
+# A joint that moved by less may still be on the side from which it came before [rad, m]: no robot's gear has as much play.
+_LEAST = 1e-3
+# One that moved by less stood still [rad, m].
+_STILL = 1e-9
+
+
+def sides_by_order(q: np.ndarray) -> np.ndarray:
+    """Return the sign of each joint's last move, as the row before tells it, -1, 0 (unknown) or 1, shape (N, n).
+
+    A joint that stands where it stood keeps its side, as where several targets are measured in one pose. The side of the
+    first row is unknown, and so is that after a move that play may have swallowed. An arm that went by another pose on its
+    way came from another side: the sign is a proxy, which no play is seen with if it tells nothing.
+
+    Args:
+        q: joint positions in the order of measurement [rad], prismatic [m], shape (N, n).
+
+    Example:
+        >>> sides_by_order(np.array([[0.0], [0.5], [0.5], [0.2], [0.2001]])).ravel()
+        array([ 0.,  1.,  1., -1.,  0.])
+    """
+    move = np.diff(q, axis=0, prepend=q[:1])
+    sides = np.where(np.abs(move) >= _LEAST, np.sign(move), 0.0)
+    moved = np.abs(move) > _STILL
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(q))[:, None], 0), axis=0)
+    return np.take_along_axis(sides, last, axis=0)
+
+
+def completed(
+    given: Mapping[str, np.ndarray],
+    joints: Sequence[str],
+    q: np.ndarray,
+    *,
+    time: np.ndarray | None,
+    lines: np.ndarray,
+    source: str,
+) -> dict[str, np.ndarray]:
+    """Return the sides of all joints, shape (N,) each: those of their columns, and of the others by the order of the rows.
+
+    Args:
+        given: the columns that there are, shape (N,) each, by joint.
+        joints: the n joints.
+        q: their positions, shape (N, n).
+        time: of the rows [s], shape (N,); None if unknown.
+        lines: of the rows in their file, shape (N,).
+        source: the table's name.
+
+    Raises:
+        MeasurementError: if the times say that the rows stand in another order.
+    """
+    if time is not None and (back := np.flatnonzero(np.diff(time) < 0.0)).size:
+        raise MeasurementError(
+            f'{source}, line {lines[back[0] + 1]}, "time": earlier than the row before; expected rows in the order of '
+            "measurement: sort them by time, or leave out --rows-in-order"
+        )
+    missing = [joint for joint in joints if joint not in given]
+    if missing:
+        text = f"{source}: the side from which {', '.join(missing)} arrived is the sign of the move from the row before"
+        warnings.warn(text, PincalWarning, stacklevel=2)
+    sides = dict(zip(joints, sides_by_order(q).T, strict=True))
+    return sides | dict(given)

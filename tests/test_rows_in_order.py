@@ -1,0 +1,104 @@
+"""From which side joints arrived, where the user says that rows stand in the order of measurement."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pincal import GEOMETRIC, Options, Robot, run_discovery
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.errors import MeasurementError, PincalWarning
+from pincal.measure.approach import sides_by_order
+from pincal.measure.measurements import Measurements
+from pincal.measure.table import read_measurements, write_table
+from pincal.model.catalogue import Backlash, ThermalExpansion
+from pincal.model.catalogue.candidates import untestable
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+
+PLAY, SIGMA, N = 2e-4, 5e-5, 150
+BACKLASH = sim.Backlash(joint="joint_2", size=PLAY)
+
+
+@pytest.fixture(scope="module")
+def machine() -> sim.TrueMachine:
+    """Return a stiff KUKA with play in one joint."""
+    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+    return machine.draw_errors(np.random.default_rng(1), sigma_length=3e-4, sigma_angle=1e-3).with_effects(BACKLASH)
+
+
+def table(machine: sim.TrueMachine, path: Path, **others: np.ndarray) -> Path:
+    """Write a table of poses that the machine took in their order, dragged from one to the next; return its path."""
+    rng = np.random.default_rng(2)
+    q = sim.plan_poses(machine.nominal, N, rng)
+    tip = machine.tip(q)
+    position = tip[:, :3, 3] + tip[:, :3, :3] @ [0.1, 0.05, 0.2] + SIGMA * rng.standard_normal((N, 3))
+    write_table(path, dict(zip(machine.names, q.T, strict=True)) | dict(zip("xyz", position.T, strict=True)) | others)
+    return path
+
+
+def read(path: Path, *, in_order: bool = True) -> Measurements:
+    """Return the rows of a table."""
+    return read_measurements(path, Robot.from_urdf(kuka_urdf_path(), tip="tool0").joint_names, rows_in_order=in_order)
+
+
+def test_sides_are_those_to_which_play_was_dragged(machine: sim.TrueMachine) -> None:
+    """A joint lags half the play behind its last move, wherever the side is told; where it stands still it stays there."""
+    rng = np.random.default_rng(3)
+    q = np.repeat(sim.plan_poses(machine.nominal, 60, rng), rng.integers(1, 4, 60), axis=0)
+    q[20:, 1] = q[20, 1] + np.cumsum(rng.choice([0.0, 3e-5, -3e-5, 0.2, -0.2], len(q) - 20))
+    sides = sides_by_order(q)
+    told = sides[:, 1] != 0.0
+
+    assert 0.5 < told.mean() < 0.95 and not sides[0].any()
+    dragged, recorded = machine.tip(q), machine.tip(q, approach=sides)
+    np.testing.assert_allclose(recorded[told], dragged[told], atol=1e-12)
+
+
+def test_the_order_tells_only_what_has_no_column(machine: sim.TrueMachine, tmp_path: Path) -> None:
+    """A column is read to the letter, the other joints follow the rows, and a warning says so; else nothing is guessed."""
+    said = np.where(np.arange(N) % 2, 1.0, 0.0)
+    path = table(machine, tmp_path / "rows.csv", approach_joint_3=said)
+    with pytest.warns(PincalWarning, match="rows.csv: the side from which joint_1, joint_2, joint_4.* the row before"):
+        rows = read(path)
+
+    assert rows.approach is not None
+    np.testing.assert_array_equal(rows.approach[:, 2], said)
+    np.testing.assert_array_equal(np.delete(rows.approach, 2, axis=1), np.delete(sides_by_order(rows.q), 2, axis=1))
+    untold = read(path, in_order=False).approach
+    assert untold is not None and not np.delete(untold, 2, axis=1).any()
+    assert read(table(machine, tmp_path / "plain.csv"), in_order=False).approach is None
+
+
+def test_times_that_go_back_are_refused(machine: sim.TrueMachine, tmp_path: Path) -> None:
+    """Rows that were sorted by something else are not in the order of measurement."""
+    time = 20.0 * np.arange(N)
+    time[[40, 41]] = time[[41, 40]]
+    path = table(machine, tmp_path / "rows.csv", time=time)
+    with pytest.raises(MeasurementError, match=r'rows.csv, line 43, "time": earlier .* sort them by time'):
+        read(path)
+
+
+def test_the_reason_names_the_option() -> None:
+    """Where nothing tells the side, play is not testable for the lack of a column, or of the word that rows are in order."""
+    chain = Chain.of(Robot.from_urdf(kuka_urdf_path(), tip="tool0"))
+    reasons = dict(untestable(chain, Conditions.at(np.random.default_rng(0).uniform(-1.0, 1.0, (30, 6)))))
+
+    assert reasons[Backlash("joint_2")].startswith("column approach_<joint> is missing (")
+    assert "--rows-in-order" in reasons[Backlash("joint_2")]
+    assert "--rows-in-order" not in reasons[ThermalExpansion()]
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+def test_play_is_found_by_the_order_of_rows(machine: sim.TrueMachine, tmp_path: Path) -> None:
+    """It is named at its joint, half of it either way."""
+    robot, rows = Robot.from_urdf(kuka_urdf_path(), tip="tool0"), read(table(machine, tmp_path / "rows.csv"))
+    (found,) = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA)).findings.effects
+    (half,) = found.parameters.values()
+
+    assert (found.effect, found.joint) == ("backlash", "joint_2")
+    assert abs(half.value) == pytest.approx(PLAY / 2, abs=3.0 * (half.sigma or 0.0))
