@@ -62,6 +62,8 @@ class Column:
 
 # Columns of plain text.
 _WIDTH = 100
+# Names of joints and parameters are not broken up to this part of the width.
+_NARROWEST = 4
 _STYLES: dict[str, str] = {"": "", "good": "", "care": "yellow", "bad": "red", "mute": "dim"}
 _CLASSES = {Kind.LABEL: "nw", Kind.NAME: "name", Kind.NUMBER: "n", Kind.STATUS: "nw status", Kind.REMARK: "wide mute"}
 
@@ -206,16 +208,22 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
         pad_edge=is_terminal,
     )
     shown = [i for i, column in enumerate(table.columns) if column.kind is not Kind.REMARK]
-    # Headings of many columns, such as one per joint, are broken at underscores rather than cut off.
+    texts = table.texts()
+    # Headings of many columns, such as one per joint, are broken at underscores rather than cut off, and units stand below
+    # where the cells need the space.
     is_wide = sum(len(table.columns[i].heading) + 2 for i in shown) > width
-    for column in (table.columns[i] for i in shown):
+    is_full = sum(max(map(len, [table.columns[i].heading, *(row[i] for row in texts)])) + 3 for i in shown) > width
+    for i in shown:
+        column = table.columns[i]
+        heading = column.heading.replace("_", "_\n") if is_wide else column.heading
+        words = (len(word) for row in texts for word in row[i].split())
         drawn.add_column(
-            Text(column.heading.replace("_", "_\n") if is_wide else column.heading),
+            Text(heading.replace(" [", "\n[") if is_full else heading),
             justify="right" if column.kind is Kind.NUMBER else "left",
             no_wrap=column.kind in (Kind.LABEL, Kind.NUMBER, Kind.STATUS),
+            min_width=min(max(words, default=0), width // _NARROWEST) if column.kind is Kind.NAME else None,
             overflow="fold",
         )
-    texts = table.texts()
     marks, footnotes = _footnotes(table, texts)
     for row, mark, tone in zip(texts, marks, table.tones or [""] * len(table), strict=True):
         cells = [Text(one_line(row[i])) for i in shown]

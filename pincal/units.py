@@ -140,7 +140,7 @@ def fixed(places: int) -> Callable[[Any], str]:
 
 def show_percent(share: float | None) -> str:
     """Return a share of one in percent."""
-    return "-" if share is None else f"{100 * share:.0f} %"
+    return "-" if share is None else f"{100 * share:z.0f} %"
 
 
 def show_value(quantity: Quantity | None) -> str:

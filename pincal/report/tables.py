@@ -42,7 +42,7 @@ def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -
     is_repeated = any(entry.stability for entry in effects)
     units = ("mm", "mrad") if any(entry.gap_before_mrad is not None for entry in effects) else ("mm",)
     columns = (
-        Column("effect"),
+        Column("effect", kind=Kind.NAME),
         Column("joint", kind=Kind.NAME),
         Column("p", kind=Kind.NUMBER, show=show_chance),
         *([Column("halves")] if is_repeated else []),
