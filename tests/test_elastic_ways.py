@@ -6,8 +6,10 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pytest
 from discovery_cases import SIGMA, random_urdf
 from placed_arms import FIRST, TOOL
+from scipy.stats import chi2
 
 import pincal.simulate as sim
 from pincal import GEOMETRIC, Options, PincalWarning, Robot, calibrate, measurements_from_arrays, read_measurements
@@ -70,10 +72,14 @@ def test_soft_drives_of_all_joints_enter_together(tmp_path: Path) -> None:
 def test_none_of_a_rigid_arm_is_named_alone(tmp_path: Path) -> None:
     """Nothing enters; of compliances that the user fits and none of which is sure, each could be any other."""
     fit = fit_of(tmp_path)
-    (sure,) = sure_compliances(refit(fit, ELASTIC), ELASTIC)
+    soft = refit(fit, ELASTIC)
+    (sure,) = sure_compliances(soft, ELASTIC)
 
     assert elastic_way(fit, POLICY) is None
     assert sure.p_value > 1e-4 and len(sure.others) == POLICY.most_rivals
+    every = soft.estimate.take(p.name for p in soft.estimate.parameters if p.unit == "rad/(N m)")
+    z2 = every.values @ np.linalg.pinv(every.dense_covariance(), hermitian=True) @ every.values
+    assert sure.p_value == pytest.approx(chi2.sf(z2, len(every)), rel=1e-6)
 
 
 def test_a_wrist_alone_may_be_as_soft_as_its_load_lets_it(tmp_path: Path) -> None:

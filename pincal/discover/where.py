@@ -123,7 +123,8 @@ class Sure(NamedTuple):
     Attributes:
         effect: the drive or the bearing.
         estimate: its parameters and those of the same name that go with them.
-        p_value: the chance of compliances as large if there were none.
+        p_value: the chance of compliances as large if there were none: of its own, or of all of its step where none is
+            sure by itself.
         others: what could give way instead: none of its step is sure, or the data can't tell it from these.
     """
 
@@ -142,7 +143,7 @@ def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effe
         equivalent: what the data can't tell from it.
 
     Returns:
-        If none is far from zero, the surest alone, with the others in its place.
+        If none is far from zero, the surest alone, with the others in its place and the p-value of all together.
     """
     found, chain = [], fit.problem.chain
     for effect in effects:
@@ -152,19 +153,27 @@ def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effe
         names = [parameter.name for e in likes for parameter in e.parameters(chain)]
         for single in effect.parts(chain):
             estimate = fit.estimate.take(name for name in names if name.rsplit(".", 1)[0] == single.only)
-            # Where it sits says nothing of whether it gives way.
-            bends = estimate.take(p.name for p in estimate.parameters if p.unit.endswith("/(N m)"))
-            # Two that trade with each other may be sure together and neither of them alone.
-            known = np.linalg.pinv(bends.dense_covariance(), hermitian=True)
-            z2 = float(bends.values @ known @ bends.values)
-            found.append((z2, len(bends), Sure(single, estimate, float(chdtrc(len(bends), z2)), equivalent)))
+            z2, size = _squares(estimate)
+            found.append((z2, size, Sure(single, estimate, float(chdtrc(size, z2)), equivalent)))
     found.sort(key=lambda item: -item[0])
     sure = [entry for z2, size, entry in found if z2 > _SIGNIFICANT**2 * size]
     if sure:
         return sure
     first, *others = (entry for _, _, entry in found)
     rivals = each_heading_once((*equivalent, *(other.effect for other in others)), first.effect, POLICY)
-    return [first._replace(others=rivals)]
+    z2, size = _squares(fit.estimate.take({name for _, _, entry in found for name in entry.estimate.names}))
+    return [first._replace(others=rivals, p_value=float(chdtrc(size, z2)))]
+
+
+def _squares(estimate: Estimate) -> tuple[float, int]:
+    """Return the squares of compliances in units of their covariance, and their number.
+
+    Some that trade with each other may be sure together and none of them alone.
+    """
+    # Where one sits says nothing of whether it gives way.
+    bends = estimate.take(p.name for p in estimate.parameters if p.unit.endswith("/(N m)"))
+    known = np.linalg.pinv(bends.dense_covariance(), hermitian=True)
+    return float(bends.values @ known @ bends.values), len(bends)
 
 
 _FOLLOWED = {
