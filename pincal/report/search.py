@@ -24,11 +24,14 @@ def missing(subject: Subject) -> Section | None:
     if subject.discovery is None:
         return None
     found = subject.discovery.findings
+    is_declared = subject.discovery.calibration.fit.is_declared
+    noise = "The noise alone" if is_declared else "The noise, estimated from what is left of the fitted poses,"
+    beyond = f"; {found.unexplained_mm:.4f} mm rms remain unexplained" if is_declared else ""
     intro = (
         "The search starts from a simple model, looks where model and data disagree, names the effect that explains most, "
-        "adds it, fits everything again, and stops when only noise is left. The noise alone amounts to "
-        f"{found.noise_floor_mm:.4f} mm rms; {found.unexplained_mm:.4f} mm rms remain unexplained. A name stands "
-        "for a cause that fits the data; it is not a proof of that cause."
+        f"adds it, fits everything again, and stops when only noise is left. {noise} amounts to "
+        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A name stands for a cause that fits the data; it is not a proof of "
+        "that cause."
     )
     blocks: list[Block] = [paragraph(intro)]
     if found.where:
