@@ -14,6 +14,7 @@ from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.posterior import posterior, spent_parameters
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import GearEccentricity
+from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.conditions import part_of
 from pincal.model.evaluated import plain_terms
 from pincal.model.sparse_basis import dense_rows, joined_rows, sparse_across, sparse_rows
@@ -135,3 +136,35 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     assert found.squares == pytest.approx(direct.squares, rel=3e-3)
     assert found.gains_by_block([0]) == pytest.approx(direct.gains_by_block([0]), rel=0.01, abs=0.5)
     assert found.score([0], 1).gain == pytest.approx(direct.score([0], 1).gain, rel=0.01)
+
+
+def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_for() -> None:
+    """Those of dense columns, of curves in the model and beside it, of effects that share a coordinate, and of others."""
+    rng = np.random.default_rng(6)
+    q = ROBOT.random_configurations(90, rng)
+    tips = ROBOT.forward_kinematics(q + 1e-3 * np.sin(q))
+    position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((90, 3))
+    own = (TransmissionError.over("joint_3", q[:, 2], 20), GearEccentricity("joint_1"))
+    table = measurements_from_arrays(ROBOT.joint_names, q, position=position)
+    fit = calibrate(ROBOT, table, Options(effects=(*GEOMETRIC, *own), sigma=5e-5, length_bound=1.0))
+    waves = [Unnamed(f"joint_{1 + i}", "drive", "joint_2", "waves", order=order) for order in (1, 2, 3) for i in (0, 2)]
+    tilted = Unnamed("joint_4", "s_x", "joint_4", "waves", order=3)
+    candidates = [*waves, *(TransmissionError.over(f"joint_{i}", q[:, i - 1], 24) for i in (3, 5)), tilted]
+    tests = score_test(fit, candidates)
+    problem, known = fit.problem.extended(candidates)
+    values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
+    values[known], free[known] = fit.values, fit.solution.free
+    ((_, residuals, jacobian),) = problem.station.linearise(values, free)
+    A, r = (of.reshape(*of.shape[:-2], -1) / fit.solution.estimated[0] for of in (jacobian, residuals))
+    scale = np.sqrt(np.diag(A @ A.T))
+    np.testing.assert_allclose(tests.S / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(tests.b / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
+    whole = tests.whole
+    assert np.count_nonzero(tests.blocks_S) < np.count_nonzero(whole.blocks_S)
+    for which in ([7], [0, 6], [1, 5, 7]):
+        assert tests.gain(which) == pytest.approx(whole.gain(which), rel=1e-8)
+        np.testing.assert_allclose(
+            tests.within(which)[1], tests.projected[0][np.ix_(*[tests.columns_of(which)] * 2)], rtol=1e-6
+        )
+    fewer = tests.among([5, 1, 7], fit.names_of([own[0]]))
+    np.testing.assert_allclose(fewer.S, whole.among([5, 1, 7], fit.names_of([own[0]])).S, rtol=1e-9, atol=1e-9)

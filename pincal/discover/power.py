@@ -117,8 +117,8 @@ def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> It
             yield Detectable(effect, measure, shown, reason=_too_few(found))
             continue
         at = found.columns[i][own]
-        whole = found.S[np.ix_(found.n_model + at, found.n_model + at)]
-        signal = scale.T @ found.projected[0][np.ix_(at, at)] @ scale
+        whole = found.blocks_S[0][np.ix_(found.n_model + at, found.n_model + at)]
+        signal = scale.T @ found.within([i])[1][np.ix_(own, own)] @ scale
         size, best = _size_at(np.maximum(np.linalg.eigvalsh(signal), 0.0), test)
         absorbed = float(np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0))
         yield Detectable(effect, measure, shown, size, best, absorbed)
@@ -220,7 +220,7 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
 
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
         problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        found = score_test(replace(few, problem=problem), [effect, rival])
+        found = score_test(replace(few, problem=problem), [effect, rival]).whole
         return replace(found, blocks_S=whole * found.blocks_S)
 
     here = tests_at(station.conditions for station in stations)

@@ -22,12 +22,9 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import fdtrc
 
+from pincal.discover.products import Between, products
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import Fit
-from pincal.identify.normal import believed, block_rows
-from pincal.identify.problem import Problem
-from pincal.identify.station import Station
-from pincal.model.conditions import part_of
 from pincal.model.effect import Family
 from pincal.model.effects import Effect
 
@@ -75,6 +72,8 @@ class ScoreTests:
         known: shape (n_model, n_model), inverse covariance of what was known of the model's parameters before.
         pull: shape (n_model,), slope of the sum of squares by it at the present values.
         blocks_S, blocks_b: shape (B, P, P), (B, P), S and b by block of poses.
+        between: holds the products of one candidate's columns with another's, which are taken when they are asked for and
+            may be left out of ``blocks_S``; None if this has all.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
@@ -92,11 +91,26 @@ class ScoreTests:
     squares: float
     readings: int
     spent: float
+    between: Between | None = None
 
     @cached_property
     def S(self) -> np.ndarray:
         """Gram matrix of all blocks, shape (P, P)."""
+        if self.between is None:
+            return self._known_S
+        whole, C = self._known_S.copy(), slice(self.n_model, None)
+        whole[C, C] = self.between.gram(range(len(self.effects)))
+        return whole
+
+    @cached_property
+    def _known_S(self) -> np.ndarray:
+        """The same, where products of one candidate with another may be left out."""
         return self.blocks_S[0] if len(self.blocks_S) == 1 else np.asarray(self.blocks_S.sum(axis=0))
+
+    @property
+    def whole(self) -> ScoreTests:
+        """The same tests with all products in ``blocks_S``."""
+        return self if self.between is None else replace(self, blocks_S=self.S[None], between=None)
 
     @cached_property
     def b(self) -> np.ndarray:
@@ -121,11 +135,26 @@ class ScoreTests:
     @cached_property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """S' and b' of all candidate columns."""
+        C, (taken, b) = slice(self.n_model, None), self._projection
+        return self.S[C, C] - taken @ taken.T, b
+
+    @cached_property
+    def _projection(self) -> tuple[np.ndarray, np.ndarray]:
+        """H, shape (C, n_model), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
         N, C = slice(0, self.n_model), slice(self.n_model, None)
-        scale, L = _scaled_factor(self.S[N, N] + self.known)
-        left = solve_triangular(L, scale[:, None] * self.S[N, C], lower=True, check_finite=False)
+        scale, L = _scaled_factor(self._known_S[N, N] + self.known)
+        taken = solve_triangular(L, scale[:, None] * self._known_S[N, C], lower=True, check_finite=False).T
         slope = solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
-        return self.S[C, C] - left.T @ left, self.b[C] - left.T @ slope
+        return taken, self.b[C] - taken @ slope
+
+    def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the J columns of some candidates, and S' and b' of these, shape (J, J) and (J,)."""
+        j, (taken, b) = self.columns_of(which), self._projection
+        if self.between is None or len(which) == 1:
+            S = self._known_S[np.ix_(self.n_model + j, self.n_model + j)]
+        else:
+            S = self.between.gram(which)
+        return j, S - taken[j] @ taken[j].T, b[j]
 
     def columns_of(self, which: Sequence[int]) -> np.ndarray:
         """Return the columns of some candidates, counted from the first candidate column."""
@@ -137,19 +166,21 @@ class ScoreTests:
             gains, ranks = self._alone
             return float(gains[which[0]]), int(ranks[which[0]])
         j, whitening = self.whitening(which)
-        return float(np.sum((self.projected[1][j] @ whitening) ** 2)), whitening.shape[1]
+        return float(np.sum((self._projection[1][j] @ whitening) ** 2)), whitening.shape[1]
 
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray]:
         """T and rank of each of C candidates by itself, shape (C,); those of one size are worked out at once."""
-        S, b = self.projected
+        (taken, b), diagonal = self._projection, np.diag(self._known_S)[self.n_model :]
         sizes = np.array([len(j) for j in self.columns])
         gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
         for size in np.unique(sizes):
             some = np.flatnonzero(sizes == size)
             j = np.array([self.columns[i] for i in some])
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(self.S)[self.n_model + j], 1e-300))
-            values, vectors = np.linalg.eigh(S[j[:, :, None], j[:, None]] * scale[:, :, None] * scale[:, None])
+            scale = 1.0 / np.sqrt(np.maximum(diagonal[j], 1e-300))
+            S = self._known_S[self.n_model + j[:, :, None], self.n_model + j[:, None]]
+            S = S - taken[j] @ taken[j].swapaxes(1, 2)
+            values, vectors = np.linalg.eigh(S * scale[:, :, None] * scale[:, None])
             seen = self._seen(j, scale, values, vectors)
             along = np.einsum("gi,gik->gk", scale * b[j], vectors) ** 2
             gains[some] = np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=1)
@@ -158,9 +189,9 @@ class ScoreTests:
 
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
-        j = self.columns_of(which)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.S)[self.n_model + j], 1e-300))
-        values, vectors = np.linalg.eigh(self.projected[0][np.ix_(j, j)] * np.outer(scale, scale))
+        j, S, _ = self.within(which)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._known_S)[self.n_model + j], 1e-300))
+        values, vectors = np.linalg.eigh(S * np.outer(scale, scale))
         seen = self._seen(j, scale, values, vectors)
         return j, scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
 
@@ -208,13 +239,12 @@ class ScoreTests:
         Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order). The
         places or frequencies among which they were chosen cost, too.
         """
-        S, b = self.projected
-        j = self.columns_of(which)
+        j, S, b = self.within(which)
         size = self.sizes[self.n_model + j]
-        information = np.outer(size, size) * S[np.ix_(j, j)] + np.eye(len(j))
-        step = np.linalg.solve(information, size * b[j])
+        information = np.outer(size, size) * S + np.eye(len(j))
+        step = np.linalg.solve(information, size * b)
         looks = sum(float(np.log(self.effects[i].looks)) for i in which)
-        return float(0.5 * (size * b[j]) @ step - 0.5 * np.linalg.slogdet(information)[1]) - looks
+        return float(0.5 * (size * b) @ step - 0.5 * np.linalg.slogdet(information)[1]) - looks
 
     def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
         """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).
@@ -228,9 +258,9 @@ class ScoreTests:
         """Return by how much the columns ``j``, fitted without block k, lower the squared error on it."""
         S, b, N, own = self.blocks_S[k], self.blocks_b[k], slice(0, self.n_model), np.ix_(j, j)
         model_scale, model_factor, model_step = self._without_block[k]
-        cross = self.S[N, j] - S[N, j]
+        cross = self._known_S[N, j] - S[N, j]
         carried = model_scale[:, None] * cho_solve((model_factor, True), model_scale[:, None] * cross, check_finite=False)
-        scale, factor = _scaled_factor(self.S[own] - S[own] - cross.T @ carried + np.diag(self.precision[j]))
+        scale, factor = _scaled_factor(self._known_S[own] - S[own] - cross.T @ carried + np.diag(self.precision[j]))
         slope = scale * (self.b[j] - b[j] - cross.T @ model_step)
         step = scale * cho_solve((factor, True), slope, check_finite=False)
         change = -carried @ step
@@ -246,18 +276,17 @@ class ScoreTests:
         """
         j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
         N = slice(0, self.n_model)
-        scale, factor = _scaled_factor(self.S[N, N] + self.known)
+        scale, factor = _scaled_factor(self._known_S[N, N] + self.known)
         units = np.eye(self.n_model)[:, j]
         columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
         values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.b[N] - self.pull)
         spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
-        S, b = self.projected
         costs = []
-        for c in (self.columns[i] for i in which):
-            inverse = np.linalg.inv(S[np.ix_(c, c)] + np.diag(self.precision[self.n_model + c]))
-            cross = columns.T @ self.S[N, self.n_model + c]
-            left = values - cross @ inverse @ b[c]
-            loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b[c] @ inverse @ b[c]
+        for c, S, b in (self.within([i]) for i in which):
+            inverse = np.linalg.inv(S + np.diag(self.precision[self.n_model + c]))
+            cross = columns.T @ self._known_S[N, self.n_model + c]
+            left = values - cross @ inverse @ b
+            loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
             costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
         return costs
 
@@ -285,7 +314,7 @@ class ScoreTests:
         """Scale and factor of the model's information without each block, and the step of its parameters."""
         N, found = slice(0, self.n_model), []
         for S, b in zip(self.blocks_S, self.blocks_b, strict=True):
-            scale, factor = _scaled_factor(self.S[N, N] - S[N, N] + self.known)
+            scale, factor = _scaled_factor(self._known_S[N, N] - S[N, N] + self.known)
             slope = scale * (self.b[N] - b[N] - self.pull)
             found.append((scale, factor, scale * cho_solve((factor, True), slope, check_finite=False)))
         return found
@@ -299,6 +328,7 @@ class ScoreTests:
         model, out = np.flatnonzero(stays), np.flatnonzero(~stays)
         kept = np.concatenate([model, self.n_model + self.columns_of(which)])
         v, S = self.values[out], self.blocks_S[:, :, out]
+        between = None if self.between is None else self.between.among(which)
         ends = np.cumsum([0, *(len(self.columns[i]) for i in which)])
         return replace(
             self,
@@ -312,13 +342,13 @@ class ScoreTests:
             blocks_S=self.blocks_S[:, kept[:, None], kept],
             blocks_b=self.blocks_b[:, kept] + S[:, kept] @ v,
             squares=self.squares + float(v @ (2.0 * self.b[out] + S[:, out].sum(axis=0) @ v)),
+            between=between,
         )
 
     def estimate(self, which: Sequence[int]) -> np.ndarray:
         """Return some candidates' parameters to first order, priors included."""
-        S, b = self.projected
-        j = self.columns_of(which)
-        return np.asarray(np.linalg.inv(S[np.ix_(j, j)] + np.diag(self.precision[self.n_model + j])) @ b[j])
+        j, S, b = self.within(which)
+        return np.asarray(np.linalg.inv(S + np.diag(self.precision[self.n_model + j])) @ b)
 
 
 def standard_errors(gains: np.ndarray) -> float:
@@ -372,105 +402,27 @@ def score_test(
     for effect in fit.problem.effects:
         sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
     alone = fit.problem.with_effects(candidates)
-    found, tested = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
+    own, tested = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
     for effect, places in zip(candidates, tested, strict=True):
-        sizes[places] = found[alone.places_at(effect)]
+        sizes[places] = own[alone.places_at(effect)]
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, fit.solution.free
-    blocks_S, blocks_b, squares, kept = _gram(fit, problem, values, free, tested, groups)
-    ends = np.cumsum([0, *map(len, tested)])
-    n_model = len(kept) - int(ends[-1])
-    model = kept[:n_model]
+    found = products(fit, problem, values, free, tested, groups)
+    columns, model = found.columns, found.places[: found.n_model]
     beyond, slope = problem.beyond_priors(model, values, sizes)
     counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
     return ScoreTests(
         effects=tuple(candidates),
-        columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
+        columns=columns,
         names=tuple(problem.parameters[i].name for i in model),
         values=values[model],
-        sizes=sizes[kept],
+        sizes=sizes[found.places],
         known=np.diag(sizes[model] ** -2.0) + beyond,
         pull=values[model] * sizes[model] ** -2.0 - slope,
-        blocks_S=blocks_S,
-        blocks_b=blocks_b,
-        squares=squares,
+        blocks_S=found.S,
+        blocks_b=found.b,
+        squares=found.squares,
         readings=int(counts @ problem.block_sizes),
         spent=fit.solution.posterior.effective,
+        between=found.between,
     )
-
-
-def _gram(
-    fit: Fit, problem: Problem, values: np.ndarray, free: np.ndarray, tested: Sequence[np.ndarray], groups: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Accumulate Gram matrices block of poses by block of poses, over all stations.
-
-    Returns:
-        G, shape (B, F, F), and g, shape (B, F), of the free parameters, those to be tested last; the sum of squares; and
-        the places of these parameters, shape (F,).
-    """
-    last = np.zeros(len(values), bool)
-    for places in tested:
-        last[places] = True
-    kept = np.concatenate([np.flatnonzero(free & ~last), *tested]).astype(int)
-    column = np.full(len(values), -1)
-    column[kept] = np.arange(len(kept))
-    n_blocks, squares = int(groups.max()) + 1, 0.0
-    whole_S, whole_b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
-    for i, station in enumerate(problem.stations):
-        order: slice | np.ndarray = slice(None)
-        if n_blocks > 1:
-            order = np.argsort(groups[problem.rows[i]], kind="stable")
-            sorted_rows = part_of(station.conditions, order, ("sorted", order.tobytes()))
-            station = replace(station.select(order), conditions=sorted_rows)
-        local = values[problem.places[i]], free[problem.places[i]]
-        weights = fit.solution.weights[problem.rows[i]][order]
-        sigma = fit.solution.estimated[problem.block_spans[i]]
-        S, b, found = _station_gram(
-            station, *local, weights=weights, sigma=sigma, groups=groups[problem.rows[i]][order], n=n_blocks
-        )
-        mine = column[problem.places[i][local[1]]]
-        squares += found
-        if len(problem.stations) == 1 and np.array_equal(mine, np.arange(len(kept))):
-            whole_S, whole_b = S, b
-        else:
-            for here, rows in _runs(mine):
-                whole_b[:, here] += b[:, rows]
-                for there, columns in _runs(mine):
-                    whole_S[:, here, there] += S[:, rows, columns]
-    return whole_S, whole_b, squares, kept
-
-
-def _runs(places: np.ndarray) -> list[tuple[slice, slice]]:
-    """Return the stretches of places that follow each other, and where they stand in the list: slices need no copies."""
-    cuts = np.r_[0, np.flatnonzero(np.diff(places) != 1) + 1, len(places)]
-    return [(slice(int(places[a]), int(places[b - 1]) + 1), slice(int(a), int(b))) for a, b in pairwise(cuts) if a < b]
-
-
-def _station_gram(
-    station: Station,
-    values: np.ndarray,
-    free: np.ndarray,
-    *,
-    weights: np.ndarray,
-    sigma: np.ndarray,
-    groups: np.ndarray,
-    n: int,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the same of one station, its rows sorted by their groups, in the order of its free parameters."""
-    size = int(free.sum())
-    blocks_S, blocks_b, squares = np.zeros((n, size, size)), np.zeros((n, size)), 0.0
-    for piece, residuals, jacobian in station.linearise_shared(values, free):
-        whitening = np.empty_like(residuals)
-        for rows, s in zip(block_rows(station), sigma, strict=True):
-            whitening[rows] = station.weights[piece] * weights[piece] / s
-        residuals = residuals * whitening
-        jacobian = jacobian.weighted(whitening)
-        squares += float(np.sum(residuals**2))
-        for k in np.unique(groups[piece]):
-            here = slice(*np.searchsorted(groups[piece], [k, k + 1]))
-            jacobian.poses(here).add_gram(residuals[:, here], blocks_S[k], blocks_b[k])
-    facts = believed(station, values, free)
-    if facts is not None:
-        blocks_S += facts[0] / n
-        blocks_b += facts[1] / n
-    return blocks_S, blocks_b, squares

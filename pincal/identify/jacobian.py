@@ -18,6 +18,7 @@ from pincal.model.sparse_basis import (
     add_product,
     dense_rows,
     mirror,
+    some_rows,
     sparse_across,
     sparse_times,
     sparse_times_dense,
@@ -47,6 +48,15 @@ class SharedColumns:
         if isinstance(self.basis, SparseBasis):
             return np.asarray(sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense))
         return np.asarray(self.basis @ np.einsum("mn,dmn->dn", self.column, dense).T)
+
+    def parted(self, chosen: np.ndarray) -> Iterator[SharedColumns]:
+        """Yield them, or those of some chosen columns, shape (F,), and then the others."""
+        here = chosen[self.places]
+        if here.all() or not here.any():
+            yield self
+            return
+        for at in (np.flatnonzero(here), np.flatnonzero(~here)):
+            yield SharedColumns(self.places[at], _functions(self.basis, at), self.column)
 
 
 @dataclass(frozen=True)
@@ -151,30 +161,49 @@ class Jacobian:
         r = r.transpose(1, 0, 2).reshape(len(counts), -1, 1)
         return A @ A.swapaxes(1, 2), (A @ r)[..., 0]
 
-    def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray) -> None:
-        """Add J J^T to G, shape (F, F), and J r to g, shape (F,), for residuals of shape (m, n)."""
-        apart, spans = _span(self.places), [_span(family.places) for family in self.families]
-        dense = np.ascontiguousarray(self.dense)
+    def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None) -> None:
+        """Add J J^T to G, shape (F, F), and J r to g, shape (F,).
+
+        Args:
+            residuals: shape (m, n).
+            G: what J J^T is added to.
+            g: what J r is added to.
+            groups: shape (F,), the group that each column belongs to, negative for all of them: the products of a column of
+                one group with one of another may be left out. Default: one group.
+        """
+        families, apart, dense = self.families, self.places, np.ascontiguousarray(self.dense)
+        of_dense, meant, of_all = {0}, [{0}] * len(families), np.zeros(0, int)
+        if groups is not None:
+            common = groups < 0
+            families = tuple(part for family in families for part in family.parted(common))
+            meant = [set(groups[family.places].tolist()) for family in families]
+            of_dense, of_all = set(groups[apart].tolist()) - {-1}, np.flatnonzero(common[apart])
         A = dense.reshape(len(dense), residuals.size)
-        G[_block(apart, apart)] += A @ A.T
-        g[apart] += A @ np.ascontiguousarray(residuals).ravel()
-        for i, (family, rows) in enumerate(zip(self.families, spans, strict=True)):
+        G[_block(_span(apart), _span(apart))] += A @ A.T
+        g[_span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
+        spans = [_span(family.places) for family in families]
+        for i, (family, rows, own) in enumerate(zip(families, spans, meant, strict=True)):
             g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[:, 0]
-            part = family.times_dense(dense)
-            G[_block(rows, apart)] += part
-            G[_block(apart, rows)] += part.T
-            for other, columns in zip(self.families[: i + 1], spans, strict=False):
-                weights = np.sum(family.column * other.column, axis=0)
-                if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
-                    add_product(G, family.places, family.basis, weights, other.places, other.basis)
-                    continue
-                part = _product(family.basis, weights, other.basis)
-                G[_block(rows, columns)] += part
-                if other is not family:
-                    G[_block(columns, rows)] += part.T
-        thin = [family.places for family in self.families if isinstance(family.basis, SparseBasis)]
+            every = -1 in own or not own.isdisjoint(of_dense)
+            columns = _span(apart if every else apart[of_all])
+            part = family.times_dense(dense if every else dense[of_all])
+            G[_block(rows, columns)] += part
+            G[_block(columns, rows)] += part.T
+            for other, columns, others in zip(families[: i + 1], spans, meant, strict=False):
+                if -1 in own or -1 in others or not own.isdisjoint(others):
+                    _add_products(G, family, rows, other, columns)
+        thin = [family.places for family in families if isinstance(family.basis, SparseBasis)]
         if thin:
             mirror(G, np.sort(np.concatenate(thin)))
+
+    def only(self, columns: np.ndarray) -> Jacobian:
+        """Return the part of some columns, in this order."""
+        slot = np.full(self.size, -1)
+        slot[columns] = np.arange(len(columns))
+        kept = slot[self.places] >= 0
+        parts = ((family, np.flatnonzero(slot[family.places] >= 0)) for family in self.families)
+        families = tuple(SharedColumns(slot[f.places[at]], _functions(f.basis, at), f.column) for f, at in parts if len(at))
+        return Jacobian(len(columns), slot[self.places[kept]], self.dense[kept], families)
 
 
 def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -205,6 +234,25 @@ def _poses(basis: Basis, rows: slice) -> Basis:
     if isinstance(basis, SparseBasis):
         return basis._replace(starts=basis.starts[rows.start : rows.stop + 1])
     return basis[:, rows]
+
+
+def _functions(basis: Basis, which: np.ndarray) -> Basis:
+    """Return some functions of a basis, in this order."""
+    return some_rows(basis, which) if isinstance(basis, SparseBasis) else basis[which]
+
+
+def _add_products(
+    G: np.ndarray, family: SharedColumns, rows: slice | np.ndarray, other: SharedColumns, columns: slice | np.ndarray
+) -> None:
+    """Add the products of two families, or of one, to G at their rows and columns; those of thin ones below its diagonal."""
+    weights = np.sum(family.column * other.column, axis=0)
+    if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
+        add_product(G, family.places, family.basis, weights, other.places, other.basis)
+        return
+    part = _product(family.basis, weights, other.basis)
+    G[_block(rows, columns)] += part
+    if other is not family:
+        G[_block(columns, rows)] += part.T
 
 
 def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:

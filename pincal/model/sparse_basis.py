@@ -46,6 +46,15 @@ def dense_rows(basis: SparseBasis) -> np.ndarray:
     return dense
 
 
+def some_rows(basis: SparseBasis, which: np.ndarray) -> SparseBasis:
+    """Return some functions of a basis, in this order."""
+    slot = np.full(basis.size, -1)
+    slot[which] = np.arange(len(which))
+    kept = slot[basis.place] >= 0
+    starts = np.concatenate([[0], np.cumsum(kept)])[basis.starts]
+    return SparseBasis(starts, slot[basis.place[kept]], basis.value[kept], len(which))
+
+
 def joined_rows(bases: Sequence[SparseBasis]) -> SparseBasis:
     """Return the functions of several bases at the same poses, one basis after the other."""
     if len(bases) == 1:
