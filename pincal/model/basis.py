@@ -35,7 +35,9 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
     if are_symbols(x):
         curves = [_cubic(BSpline(knots, row, _DEGREE), size) for row in np.eye(size)]
         return np.array([[cubic(curve, at) for at in x] for curve in curves], object)
-    return np.asarray(BSpline.design_matrix(np.clip(x, lower, upper), knots, _DEGREE).T.toarray(order="C"))
+    thin, dense = BSpline.design_matrix(np.clip(x, lower, upper), knots, _DEGREE), np.zeros((size, len(x)))
+    dense[thin.indices, np.repeat(np.arange(len(x)), np.diff(thin.indptr))] = thin.data
+    return dense
 
 
 def spline_roughness(lower: float, upper: float, size: int) -> np.ndarray:

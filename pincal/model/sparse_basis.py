@@ -34,9 +34,8 @@ Basis: TypeAlias = np.ndarray | SparseBasis
 
 def sparse_rows(basis: np.ndarray) -> SparseBasis:
     """Return a basis of shape (S, n) without its zeros."""
-    pose, place = np.nonzero(basis.T)
-    starts = np.concatenate([[0], np.cumsum(np.bincount(pose, minlength=basis.shape[1]))])
-    return SparseBasis(starts, place, basis[place, pose], len(basis))
+    starts, place, value = _without_zeros(np.ascontiguousarray(basis))
+    return SparseBasis(starts, place, value, len(basis))
 
 
 def dense_rows(basis: SparseBasis) -> np.ndarray:
@@ -71,6 +70,24 @@ def joined_rows(bases: Sequence[SparseBasis]) -> SparseBasis:
 def _poses(basis: SparseBasis) -> np.ndarray:
     """Return the pose of each entry."""
     return np.repeat(np.arange(len(basis.starts) - 1), np.diff(basis.starts))
+
+
+@njit(**_COMPILE)
+def _without_zeros(basis):
+    """Return where the entries of each pose start, their functions in order, and their values."""
+    size, n = basis.shape
+    starts = np.zeros(n + 1, np.int64)
+    for p in range(size):
+        for i in range(n):
+            starts[i + 1] += basis[p, i] != 0.0
+    starts[:] = np.cumsum(starts)
+    place, value, end = np.empty(starts[n], np.int64), np.empty(starts[n]), starts[:n].copy()
+    for p in range(size):
+        for i in range(n):
+            if basis[p, i] != 0.0:
+                place[end[i]], value[end[i]] = p, basis[p, i]
+                end[i] += 1
+    return starts, place, value
 
 
 @njit(**_COMPILE)
