@@ -3,14 +3,17 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from discovery_cases import draw_case
 
-from pincal import calibrate
-from pincal.discover.candidate_tests import Search
+from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
+from pincal.discover.candidate_tests import Search, is_small_table, variants
 from pincal.discover.history import State
 from pincal.discover.loop import add_effects, compare_frames
+from pincal.discover.moment_frames import _still_to_gain
 from pincal.discover.policy import POLICY
+from pincal.discover.score_tests import score_test
 from pincal.identify.split import row_groups
 from pincal.model.chain import MOMENT_FRAMES
 
@@ -32,6 +35,21 @@ def test_what_was_found_in_a_wrong_frame_is_taken_over_by_the_one_that_fits_bett
     assert found.steps[-1].after is found.fit
     for before, after in pairwise(found.steps):
         assert after.before is before.after
+
+
+def test_a_base_that_moves_with_time_is_nothing_for_another_frame_to_gain() -> None:
+    """Only loads may stand for what a bearing does in another convention."""
+    robot, rng = Robot.from_urdf("ur10"), np.random.default_rng(0)
+    q, time = robot.random_configurations(700, rng), np.linspace(0.0, 3600.0, 700)
+    position = robot.forward_kinematics(q)[:, :3, 3] + 1e-4 * rng.standard_normal((700, 3))
+    position[:, 2] += 3e-3 * time / time[-1]
+    table = measurements_from_arrays(robot.joint_names, q, position=position, time=time)
+    fit = calibrate(robot, table, Options(effects=GEOMETRIC, sigma=1e-4))
+    effects = list(variants(fit, ("base",)))
+    tests = score_test(fit, effects)
+    sure = [e.name for i, e in enumerate(effects) if tests.score([i], len(effects)).p_value < 1e-12]
+    assert "base_drift" in sure
+    assert not is_small_table(fit, POLICY) and _still_to_gain(fit, POLICY) == 0.0
 
 
 def _names(state: State) -> list[tuple[str, str | None]]:

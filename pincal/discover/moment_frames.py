@@ -114,7 +114,9 @@ def _still_to_gain(fit: Fit, policy: Policy) -> float:
     """
     if is_small_table(fit, policy):
         return 0.0
-    effects = [effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects]
+    # What else moves base or links, such as time, is for every convention to explain.
+    others = (effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects)
+    effects = [effect for effect in others if effect.is_of_loads]
     tests = score_test(fit, effects)
     scores = [tests.score([i], len(effects)) for i in range(len(effects))]
     sure = [score.ebic for score in scores if score.p_value < policy.false_name / len(effects)]
