@@ -687,7 +687,9 @@ def judge(case: Case, trail: History | None = None) -> Verdict:
     trail = discover(case) if trail is None else trail
     named, details, elastic = [], [], False
     sure = [entry for step in trail.steps if step.is_elastic for entry in sure_compliances(trail.final, step.effects)]
-    instead = {(name_of(s.effect), name_of(other)) for s in sure for other in instead_of(trail.last, s.effect, s.estimate)}
+    instead = {
+        (name_of(s.effect), name_of(other)) for s in sure for other in instead_of(trail.last, s.effect, s.estimate, s.beside)
+    }
     for step in trail.steps:
         names = tuple(name_of(e) for e in (step.effects[0], *step.equivalent))
         if names[0][0] in ELASTICITY:

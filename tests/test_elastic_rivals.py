@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from discovery_cases import SIGMA, random_urdf
+from discovery_cases import SIGMA, draw_case, fresh, random_urdf
 from placed_arms import FIRST, TOOL
 from scipy.special import chdtri
 
@@ -83,7 +84,7 @@ def test_a_compliance_is_as_sure_as_a_fit_without_it_is_bad(tmp_path: Path) -> N
     """Its chance is that of the score test on the fit without it, whatever k_x and k_y trade with each other."""
     fit = fit_of(tmp_path, sim.BaseElasticity(size=1.5e-7))
     bearings = [effect for effect in fit.problem.effects if effect.name == "bearing_elasticity"]
-    compliance, _, p_value, _ = sure_compliances(fit, bearings)[0]
+    compliance, _, p_value, *_ = sure_compliances(fit, bearings)[0]
     rest = without_compliance(fit, compliance)
     joint = str(compliance.locus.joint)
     more = [type(e)(joint) for e in fit.problem.effects if e.name == "oblique_bearing"]
@@ -93,3 +94,19 @@ def test_a_compliance_is_as_sure_as_a_fit_without_it_is_bad(tmp_path: Path) -> N
     gain = score.gain * float(rest.solution.estimated[0] / fit.solution.estimated[0]) ** 2
 
     assert chdtri(score.rank, p_value) == pytest.approx(gain, rel=0.2)
+
+
+def test_two_compliances_of_which_one_gives_way_are_told_for_each_other() -> None:
+    """A drive turns an arm as the bearing of the joint before tilts it: together they are sure, the base beside them."""
+    case = draw_case("base_elasticity", 10273, **fresh(10273))
+    fit = calibrate(case.robot, case.rows, replace(case.plain, moment_frame="before", loss="none"))
+    sure = {entry.effect.heading[:2]: entry for entry in sure_compliances(fit, ELASTIC)}
+    drive, bearing = sure["joint_elasticity", "axis_2"], sure["bearing_elasticity", "axis_1"]
+    tests = score_test(fit, [BaseElasticity(), LinkBending("axis_2"), LinkBending("axis_4")])
+
+    assert drive.others == (bearing.effect,) and bearing.others == (drive.effect,)
+    for one in (drive, bearing):
+        size = float(np.sqrt(np.diag(one.estimate.dense_covariance())[0]))
+        assert abs(one.estimate.values[0]) < 3.0 * size and one.p_value < 1e-100
+    assert instead_of(tests, bearing.effect, bearing.estimate, bearing.beside) == (BaseElasticity(),)
+    assert instead_of(tests, drive.effect, drive.estimate, drive.beside) == ()

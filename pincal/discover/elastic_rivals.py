@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +18,9 @@ from pincal.model.effects import Compliance
 from pincal.parameters import Estimate
 
 
-def instead_of(tests: ScoreTests, compliance: Effect, estimate: Estimate, policy: Policy = POLICY) -> tuple[Effect, ...]:
+def instead_of(
+    tests: ScoreTests, compliance: Effect, estimate: Estimate, beside: Collection[str] = (), policy: Policy = POLICY
+) -> tuple[Effect, ...]:
     """Return the effects of loads that explain the data as well as one joint's compliances do.
 
     A bearing that tilts with the link before is, at the first joint, the foundation that tilts, and at others the end of a
@@ -27,6 +30,7 @@ def instead_of(tests: ScoreTests, compliance: Effect, estimate: Estimate, policy
         tests: those against the last model, in which the compliance is.
         compliance: the effect, of one joint.
         estimate: its parameters.
+        beside: parameters of another compliance, which stays as it is, or it would take over most itself.
         policy: what counts as a tie.
     """
     # Without the compliance it does not matter where it sits: that stays as it is.
@@ -35,8 +39,10 @@ def instead_of(tests: ScoreTests, compliance: Effect, estimate: Estimate, policy
         for p, value in zip(estimate.parameters, estimate.values, strict=True)
     }
     # What acts in the same place is a finer form of it.
-    others = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
-    costs = sorted(zip(tests.costs_instead(others, lost), others, strict=True))
+    loads = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
+    if beside and loads:
+        tests, loads = tests.among(loads, ()).holding(beside), list(range(len(loads)))
+    costs = sorted(zip(tests.costs_instead(loads, lost), loads, strict=True))
     rivals = [tests.effects[i] for cost, i in costs if cost < policy.tie]
     return each_heading_once(rivals, compliance, policy)
 

@@ -15,7 +15,7 @@ from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import find_excess
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.stability import Halves, Heading
-from pincal.discover.where import noise_floor, sure_compliances, where_of
+from pincal.discover.where import Sure, noise_floor, sure_compliances, where_of
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import (
     SURE,
@@ -136,8 +136,8 @@ def _found(
     known = calibration.fit.estimate
     if step.is_elastic:
         found = [
-            (effect, e, known.take(e.names).fitted_sigma, p_value, *_in_its_place(trail, effect, e, others=others))
-            for effect, e, p_value, others in sure_compliances(trail.final, step.effects, step.equivalent)
+            (sure.effect, e := sure.estimate, known.take(e.names).fitted_sigma, sure.p_value, *_in_its_place(trail, sure))
+            for sure in sure_compliances(trail.final, step.effects, step.equivalent)
         ]
     else:
         rivals = step.equivalent[:1]
@@ -159,15 +159,16 @@ def _found(
         )
 
 
-def _in_its_place(
-    trail: History, compliance: Effect, estimate: Estimate, *, others: tuple[Effect, ...]
-) -> tuple[tuple[Effect, ...], str]:
+def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:
     """Return what could give way in the place of one joint's compliance, others among it, and what decides."""
-    rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, estimate), *others)))
+    compliance = sure.effect
+    rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, sure.estimate, sure.beside), *sure.others)))
     if not rivals:
         return (), ""
     rest = without_compliance(trail.final, compliance)
-    own = np.array([estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)])
+    if sure.beside:
+        rest = without_compliance(rest, sure.others[0])
+    own = np.array([sure.estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)])
     return rivals, deciding_measurement(rest, compliance, own, rivals[0])
 
 

@@ -38,6 +38,8 @@ _TOLD = 0.01
 # geometry would be found wherever a machine leaves them. Sound arms with nearly parallel axes do: small errors of these are
 # large ones of where their common normal stands.
 WIDER = 10.0
+# What parameters that are held are known by, in units of what the data say of them.
+_HELD = 1e6
 # Keeps a scaled matrix of information definite where rounding would not.
 _ROUNDING = 1e-12
 
@@ -318,6 +320,11 @@ class ScoreTests:
             slope = scale * (self.b[N] - b[N] - self.pull)
             found.append((scale, factor, scale * cho_solve((factor, True), slope, check_finite=False)))
         return found
+
+    def holding(self, names: Collection[str]) -> ScoreTests:
+        """Return the same tests against the model with some of its parameters held where they are."""
+        held = np.array([name in names for name in self.names])
+        return replace(self, known=self.known + np.diag(held * np.diag(self.S)[: self.n_model] * _HELD))
 
     def among(self, which: Sequence[int], gone: Collection[str]) -> ScoreTests:
         """Return the tests of some candidates against the model as it stands with some of its parameters at zero.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -126,12 +126,14 @@ class Sure(NamedTuple):
         p_value: the chance of compliances as large if there were none: of its own, or of all of its step where none is
             sure by itself.
         others: what could give way instead: none of its step is sure, or the data can't tell it from these.
+        beside: parameters of the other one, if it is sure only together with another.
     """
 
     effect: Effect
     estimate: Estimate
     p_value: float
     others: tuple[Effect, ...]
+    beside: tuple[str, ...] = ()
 
 
 def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effect, ...] = ()) -> list[Sure]:
@@ -145,7 +147,7 @@ def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effe
     Returns:
         If none is far from zero, the surest alone, with the others in its place and the p-value of all together.
     """
-    found, chain = [], fit.problem.chain
+    found, chain = list[tuple[float, int, Sure]](), fit.problem.chain
     for effect in effects:
         if not isinstance(effect, Compliance):
             continue
@@ -157,6 +159,7 @@ def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effe
             found.append((z2, size, Sure(single, estimate, float(chdtrc(size, z2)), equivalent)))
     found.sort(key=lambda item: -item[0])
     sure = [entry for z2, size, entry in found if z2 > _SIGNIFICANT**2 * size]
+    sure += _sure_together(fit, [entry for z2, size, entry in found if z2 <= _SIGNIFICANT**2 * size])
     if sure:
         return sure
     first, *others = (entry for _, _, entry in found)
@@ -165,15 +168,37 @@ def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effe
     return [first._replace(others=rivals, p_value=float(chdtrc(size, z2)))]
 
 
-def _squares(estimate: Estimate) -> tuple[float, int]:
+def _squares(estimate: Estimate, known: Estimate | None = None) -> tuple[float, int]:
     """Return the squares of compliances in units of their covariance, and their number.
 
     Some that trade with each other may be sure together and none of them alone.
+
+    Args:
+        estimate: the parameters.
+        known: these first, then others that are taken to be as they are; default: without others.
     """
     # Where one sits says nothing of whether it gives way.
-    bends = estimate.take(p.name for p in estimate.parameters if p.unit.endswith("/(N m)"))
-    known = np.linalg.pinv(bends.dense_covariance(), hermitian=True)
-    return float(bends.values @ known @ bends.values), len(bends)
+    bends = [np.array([p.unit.endswith("/(N m)") for p in some.parameters]) for some in (estimate, known or estimate)]
+    values, size = estimate.values[bends[0]], int(bends[0].sum())
+    covariance = (known or estimate).dense_covariance()[np.ix_(bends[1], bends[1])]
+    information = np.linalg.pinv(covariance, hermitian=True)[:size, :size]
+    return float(values @ information @ values), size
+
+
+def _sure_together(fit: Fit, doubtful: Sequence[Sure]) -> Iterator[Sure]:
+    """Yield the compliances that would be sure if another one stayed as it is, each with that of which this holds most.
+
+    A drive and the bearing of the joint before may turn an arm nearly alike; that one of them gives way is sure, not which.
+    """
+    for one in doubtful:
+        pairs = []
+        for other in (entry for entry in doubtful if entry is not one):
+            z2, size = _squares(one.estimate, fit.estimate.take((*one.estimate.names, *other.estimate.names)))
+            pairs.append((z2 / size, float(chdtrc(size, z2)), other))
+        ratio, p_value, other = max(pairs, key=lambda pair: pair[0], default=(0.0, 1.0, one))
+        if ratio > _SIGNIFICANT**2:
+            others = each_heading_once((other.effect, *one.others), one.effect, POLICY)
+            yield one._replace(p_value=p_value, others=others, beside=other.estimate.names)
 
 
 _FOLLOWED = {
