@@ -16,7 +16,7 @@ from pincal.discover.history import State, Step
 from pincal.discover.named_beside import named_beside
 from pincal.discover.nuisance import score_test_beside_masses
 from pincal.discover.policy import Policy
-from pincal.discover.score_tests import enough_errors, standard_errors
+from pincal.discover.score_tests import WIDER, enough_errors, standard_errors
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
 from pincal.model.effect import Effect
@@ -96,7 +96,8 @@ def _fails(state: State, step: Step, worth: float, search: Search) -> bool:
     is_one_of_many, is_rest = len(state.steps) > 1, _may_be_left_over(state, step)
     if worth > least and not (is_rest or (is_one_of_many and _is_doubtful(fit, step, policy))):
         return False
-    tests = score_test_beside_masses(refit(fit, _without_all(fit, step).options.effects), own, search.groups)
+    rest, wider = refit(fit, _without_all(fit, step).options.effects), 1.0 if step.is_elastic else WIDER
+    tests = score_test_beside_masses(rest, own, search.groups, wider=wider)
     if standard_errors(tests.gains_by_block(range(len(own)))) <= least:
         return True
     limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
@@ -122,7 +123,8 @@ def _is_doubtful(fit: Fit, step: Step, policy: Policy) -> bool:
 
 def _worths(state: State, search: Search) -> dict[Step, float]:
     """Return what the model loses on blocks of poses left out without each step, in standard errors of it."""
-    tests, found = score_test_beside_masses(state.fit, (), search.groups), {}
+    # The model is what predicts, with the priors that it was fitted with.
+    tests, found = score_test_beside_masses(state.fit, (), search.groups, wider=1.0), {}
     # Masses bend the arm only by way of its compliances, and can't take their place.
     heavy = [effect for effect in state.fit.problem.effects if effect.bodies(state.fit.problem.chain)]
     for step in state.steps:
