@@ -794,3 +794,17 @@ def test_an_effect_is_asked_once_for_its_terms_over_the_same_poses(kuka: Robot, 
         across.predict(zero, conditions)
         across.with_chain(across.chain.with_moment_frame("paper")).predict(zero, conditions)
     assert asked == [7, 3, 7]
+
+
+def test_how_far_effects_move_coordinates_is_asked_once(kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same whether together or each by itself, and over parts of the rows that of the parts."""
+    chain, conditions = Chain.of(kuka), Conditions.at(kuka.random_configurations(12, np.random.default_rng(0)))
+    model = Model(chain, ELASTIC)
+    parts, acts = model.largest_bases(conditions, np.array([0, 5]))
+    whole, acted = model.largest_basis(conditions)
+    np.testing.assert_array_equal(parts.max(axis=0), whole)
+    np.testing.assert_array_equal(acts.any(axis=0), acted)
+    monkeypatch.setattr(Model, "_largest_bases", None)
+    each = [Model(chain, (effect,)).largest_basis(conditions) for effect in reversed(ELASTIC)]
+    np.testing.assert_array_equal(np.concatenate([size for size, _ in reversed(each)]), whole)
+    np.testing.assert_array_equal(np.concatenate([acts for _, acts in reversed(each)]), acted)

@@ -14,8 +14,9 @@ from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.effect import Body, Effect, Term
-from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, parameters_of_each, plain_terms
+from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, key_of, parameters_of_each, plain_terms
 from pincal.model.kernels import Bodies, Compliances, Layout, Payload, Places, Terms, Values
+from pincal.model.latest import Latest
 from pincal.model.sparse_basis import Basis, dense_rows, joined_rows, sparse_across
 from pincal.parameters import Parameter
 
@@ -28,6 +29,9 @@ _EQUILIBRIUM_TOLERANCE = 1e-15
 _LIGHTEST = 1e-9
 # What a model keeps of its parameters once it has been asked for it.
 _OF_PARAMETERS = ("parameters", "names", "spans", "of_station", "bodies")
+# How far effects move coordinates at most, on the latest tables: a discovery asks for the same candidates at every step.
+# The effects are held, too.
+_LARGEST = Latest[tuple[Effect, np.ndarray, np.ndarray]](4)
 
 
 @dataclass(frozen=True)
@@ -245,6 +249,20 @@ class Model:
 
     def largest_bases(self, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what :meth:`largest_basis` does of each of S parts of the rows, given where they start, shape (S, P)."""
+        if self.bodies or not self.effects:
+            # Whether masses act depends on what else follows moments.
+            return self._largest_bases(conditions, starts)
+        known, parts = _LARGEST.of(self.chain, conditions), starts.tobytes()
+        keys = [(key_of(effect), parts) for effect in self.effects]
+        new = self.with_effects([e for key, e in zip(keys, self.effects, strict=True) if key not in known])
+        if new.effects:
+            largest, excited = new._largest_bases(conditions, starts)
+            for of, effect in zip(new.spans, new.effects, strict=True):
+                known[key_of(effect), parts] = effect, largest[:, of], excited[:, of]
+        found = [known[key] for key in keys]
+        return np.hstack([size for _, size, _ in found]), np.hstack([acts for *_, acts in found])
+
+    def _largest_bases(self, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         state = _State.at(self, np.zeros(self.n_parameters), conditions)
 
         def most(of_rows: np.ndarray) -> np.ndarray:
