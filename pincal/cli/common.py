@@ -186,8 +186,8 @@ class TableArguments:
     )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
     rows_in_order: bool = option(
-        "Rows stand in the order of measurement: a joint without a column approach_<joint> arrived from where it stood in "
-        "the row before.",
+        "Rows stand in the order of measurement, or of their times: a joint without a column approach_<joint> arrived from "
+        "where it stood in the row before.",
         False,
     )
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
+from pincal.errors import PincalWarning
 
 # A joint that moved by less may still be on the side from which it came before [rad, m]: no robot's gear has as much play.
 _LEAST = 1e-3
@@ -42,7 +42,7 @@ def completed(
     q: np.ndarray,
     *,
     time: np.ndarray | None,
-    lines: np.ndarray,
+    station: np.ndarray | None,
     source: str,
 ) -> dict[str, np.ndarray]:
     """Return the sides of all joints, shape (N,) each: those of their columns, and of the others by the order of the rows.
@@ -51,21 +51,19 @@ def completed(
         given: the columns that there are, shape (N,) each, by joint.
         joints: the n joints.
         q: their positions, shape (N, n).
-        time: of the rows [s], shape (N,); None if unknown.
-        lines: of the rows in their file, shape (N,).
+        time: of the rows [s], shape (N,), which then says the order, as of poses that were measured again and put back in
+            their place; None if unknown.
+        station: of the rows, shape (N,), each with an order and a zero of time of its own; None for one.
         source: the table's name.
-
-    Raises:
-        MeasurementError: if the times say that the rows stand in another order.
     """
-    if time is not None and (back := np.flatnonzero(np.diff(time) < 0.0)).size:
-        raise MeasurementError(
-            f'{source}, line {lines[back[0] + 1]}, "time": earlier than the row before; expected rows in the order of '
-            "measurement: sort them by time, or leave out --rows-in-order"
-        )
-    missing = [joint for joint in joints if joint not in given]
-    if missing:
-        text = f"{source}: the side from which {', '.join(missing)} arrived is the sign of the move from the row before"
+    order = np.arange(len(q)) if time is None else np.argsort(time, kind="stable")
+    where = np.zeros(len(q), int) if station is None else np.unique(station, return_inverse=True)[1]
+    sides = np.empty_like(q)
+    for k in np.unique(where):
+        own = order[where[order] == k]
+        sides[own] = sides_by_order(q[own])
+    if missing := [joint for joint in joints if joint not in given]:
+        before = "from the row before" if time is None else "since the time before"
+        text = f"{source}: the side from which {', '.join(missing)} arrived is the sign of the move {before}"
         warnings.warn(text, PincalWarning, stacklevel=2)
-    sides = dict(zip(joints, sides_by_order(q).T, strict=True))
-    return sides | dict(given)
+    return dict(zip(joints, sides.T, strict=True)) | dict(given)

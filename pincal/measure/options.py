@@ -18,8 +18,8 @@ class TableOptions:
         orientation: convention of the orientation's columns, one of
             :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
         joints: a file of its own with the joint positions, see :mod:`pincal.measure.joined`.
-        rows_in_order: whether rows stand in the order in which they were measured, which says from which side joints arrived
-            that have no column for it, see :mod:`pincal.measure.approach`.
+        rows_in_order: whether rows stand in the order in which they were measured, or of their times, which says from
+            which side joints arrived that have no column for it, see :mod:`pincal.measure.approach`.
         shares_log: whether other tables have theirs from the same file, so that the order of its rows tells nothing.
     """
 

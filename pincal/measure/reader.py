@@ -82,7 +82,8 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
         arrays["droop"] = droop
     sides = {name: values.pop(f"approach_{name}") for name in joints if f"approach_{name}" in values}
     if schema.options.rows_in_order and joints:
-        sides = completed(sides, joints, arrays["q"], time=values.get("time"), lines=rows, source=path.name)
+        when = {name: values.get(name) for name in ("time", "station")}
+        sides = completed(sides, joints, arrays["q"], **when, source=path.name)
     if sides:
         unknown = np.zeros(len(rows))
         arrays["approach"] = np.column_stack([sides.get(name, unknown) for name in joints])

@@ -60,8 +60,8 @@ def read_measurements(
             as the header says.
         joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
             while the pose is held still, or by order; a `PincalWarning` says by which.
-        rows_in_order: whether rows stand in the order in which they were measured: joints that have no column
-            ``approach_<joint>`` then arrived from where they stood in the row before.
+        rows_in_order: whether rows stand in the order in which they were measured, or of their times: joints that have no
+            column ``approach_<joint>`` then arrived from where they stood in the row before.
         shares_log: whether other tables have their joints from the same file, so that the order of its rows tells nothing.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
