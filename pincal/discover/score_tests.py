@@ -324,7 +324,7 @@ class ScoreTests:
     def holding(self, names: Collection[str]) -> ScoreTests:
         """Return the same tests against the model with some of its parameters held where they are."""
         held = np.array([name in names for name in self.names])
-        return replace(self, known=self.known + np.diag(held * np.diag(self.S)[: self.n_model] * _HELD))
+        return replace(self, known=self.known + np.diag(held * np.diag(self._known_S)[: self.n_model] * _HELD))
 
     def among(self, which: Sequence[int], gone: Collection[str]) -> ScoreTests:
         """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
