@@ -13,35 +13,24 @@ k_g degrees of freedom if g is not there). One pass over the data serves all can
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve
 from scipy.special import fdtrc
 
-from pincal.discover.products import Between, products
+from pincal.discover.first_order import FirstOrder, scaled_factor
+from pincal.discover.products import products
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import Fit
 from pincal.model.effect import Family
 from pincal.model.effects import Effect
 
-# Part of a column's square that must be left after projection for the data to see it.
-_SEEN = 1e-5
-# Part of a parameter's prior variance that the data take off, at least, where they see it: they know nothing of what only
-# the priors of the model keep apart from it, as of a tilt that geometry is, too, were its lengths as far off as nobody
-# builds them.
-_TOLD = 0.01
 # By how much wider than in a fit the priors of geometry are where effects are tested: one that only they keep apart from
 # geometry would be found wherever a machine leaves them. Sound arms with nearly parallel axes do: small errors of these are
 # large ones of where their common normal stands.
 WIDER = 10.0
-# What parameters that are held are known by, in units of what the data say of them.
-_HELD = 1e6
-# Keeps a scaled matrix of information definite where rounding would not.
-_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -62,146 +51,13 @@ class Score:
 
 
 @dataclass(frozen=True, eq=False)
-class ScoreTests:
-    """Gram matrices of a fitted model and of all candidates, whitened by the noise that the model leaves.
-
-    Attributes:
-        effects: the candidates.
-        columns: for each candidate, its columns, counted from the first column of all candidates.
-        names: the parameters of the columns before these, those of the model and of nuisance effects.
-        values: their values, shape (len(names),).
-        sizes: shape (P,), standard deviations of the priors.
-        known: shape (n_model, n_model), inverse covariance of what was known of the model's parameters before.
-        pull: shape (n_model,), slope of the sum of squares by it at the present values.
-        blocks_S, blocks_b: shape (B, P, P), (B, P), S and b by block of poses.
-        between: holds the products of one candidate's columns with another's, which are taken when they are asked for and
-            may be left out of ``blocks_S``; None if this has all.
-        squares: weighted sum of squared residuals.
-        readings: number of readings that count.
-        spent: parameters spent by the model.
-    """
-
-    effects: tuple[Effect, ...]
-    columns: tuple[np.ndarray, ...]
-    names: tuple[str, ...]
-    values: np.ndarray
-    sizes: np.ndarray
-    known: np.ndarray
-    pull: np.ndarray
-    blocks_S: np.ndarray
-    blocks_b: np.ndarray
-    squares: float
-    readings: int
-    spent: float
-    between: Between | None = None
-
-    @cached_property
-    def S(self) -> np.ndarray:
-        """Gram matrix of all blocks, shape (P, P)."""
-        if self.between is None:
-            return self._known_S
-        whole, C = self._known_S.copy(), slice(self.n_model, None)
-        whole[C, C] = self.between.gram(range(len(self.effects)))
-        return whole
-
-    @cached_property
-    def _known_S(self) -> np.ndarray:
-        """The same, where products of one candidate with another may be left out."""
-        return self.blocks_S[0] if len(self.blocks_S) == 1 else np.asarray(self.blocks_S.sum(axis=0))
-
-    @property
-    def whole(self) -> ScoreTests:
-        """The same tests with all products in ``blocks_S``."""
-        return self if self.between is None else replace(self, blocks_S=self.S[None], between=None)
-
-    @cached_property
-    def b(self) -> np.ndarray:
-        """Products with the residuals of all blocks, shape (P,)."""
-        return np.asarray(self.blocks_b.sum(axis=0))
-
-    @property
-    def n_model(self) -> int:
-        """Number of columns of the model and of nuisance effects."""
-        return len(self.names)
-
-    @property
-    def precision(self) -> np.ndarray:
-        """Inverse variances of the priors, shape (P,)."""
-        return np.asarray(self.sizes**-2.0)
+class ScoreTests(FirstOrder):
+    """Score tests of all candidates: how likely chance explains one, and what it costs to believe it."""
 
     @property
     def dof(self) -> float:
         """Degrees of freedom that the model leaves."""
         return max(self.readings - self.spent, 1.0)
-
-    @cached_property
-    def projected(self) -> tuple[np.ndarray, np.ndarray]:
-        """S' and b' of all candidate columns."""
-        C, (taken, b) = slice(self.n_model, None), self._projection
-        return self.S[C, C] - taken @ taken.T, b
-
-    @cached_property
-    def _projection(self) -> tuple[np.ndarray, np.ndarray]:
-        """H, shape (C, n_model), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
-        N, C = slice(0, self.n_model), slice(self.n_model, None)
-        scale, L = _scaled_factor(self._known_S[N, N] + self.known)
-        taken = solve_triangular(L, scale[:, None] * self._known_S[N, C], lower=True, check_finite=False).T
-        slope = solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
-        return taken, self.b[C] - taken @ slope
-
-    def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the J columns of some candidates, and S' and b' of these, shape (J, J) and (J,)."""
-        j, (taken, b) = self.columns_of(which), self._projection
-        if self.between is None or len(which) == 1:
-            S = self._known_S[np.ix_(self.n_model + j, self.n_model + j)]
-        else:
-            S = self.between.gram(which)
-        return j, S - taken[j] @ taken[j].T, b[j]
-
-    def columns_of(self, which: Sequence[int]) -> np.ndarray:
-        """Return the columns of some candidates, counted from the first candidate column."""
-        return np.concatenate([self.columns[i] for i in which])
-
-    def gain(self, which: Sequence[int]) -> tuple[float, int]:
-        """Return T and rank of some candidates together."""
-        if len(which) == 1:
-            gains, ranks = self._alone
-            return float(gains[which[0]]), int(ranks[which[0]])
-        j, whitening = self.whitening(which)
-        return float(np.sum((self._projection[1][j] @ whitening) ** 2)), whitening.shape[1]
-
-    @cached_property
-    def _alone(self) -> tuple[np.ndarray, np.ndarray]:
-        """T and rank of each of C candidates by itself, shape (C,); those of one size are worked out at once."""
-        (taken, b), diagonal = self._projection, np.diag(self._known_S)[self.n_model :]
-        sizes = np.array([len(j) for j in self.columns])
-        gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
-        for size in np.unique(sizes):
-            some = np.flatnonzero(sizes == size)
-            j = np.array([self.columns[i] for i in some])
-            scale = 1.0 / np.sqrt(np.maximum(diagonal[j], 1e-300))
-            S = self._known_S[self.n_model + j[:, :, None], self.n_model + j[:, None]]
-            S = S - taken[j] @ taken[j].swapaxes(1, 2)
-            values, vectors = np.linalg.eigh(S * scale[:, :, None] * scale[:, None])
-            seen = self._seen(j, scale, values, vectors)
-            along = np.einsum("gi,gik->gk", scale * b[j], vectors) ** 2
-            gains[some] = np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=1)
-            ranks[some] = seen.sum(axis=1)
-        return gains, ranks
-
-    def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
-        j, S, _ = self.within(which)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._known_S)[self.n_model + j], 1e-300))
-        values, vectors = np.linalg.eigh(S * np.outer(scale, scale))
-        seen = self._seen(j, scale, values, vectors)
-        return j, scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
-
-    def _seen(self, j: np.ndarray, scale: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Return which eigenvectors, shape (..., J, J), of J columns the data see; shape (..., J) like all others."""
-        expected = (self.sizes[self.n_model + j] / scale) ** 2
-        told = values * np.einsum("...i,...ik->...k", expected, vectors**2)
-        return np.asarray((values > _SEEN) & (told > _TOLD))
 
     def score(self, which: Sequence[int], groups: int) -> Score:
         """Return the test of some candidates taken as one, of so many groups that are tested."""
@@ -248,29 +104,6 @@ class ScoreTests:
         looks = sum(float(np.log(self.effects[i].looks)) for i in which)
         return float(0.5 * (size * b) @ step - 0.5 * np.linalg.slogdet(information)[1]) - looks
 
-    def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
-        """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).
-
-        Both the model and the model with the candidates are refitted, to first order, without each block.
-        """
-        j = self.n_model + self.columns_of(which)
-        return np.array([self._gain_left_out(k, j) for k in range(len(self.blocks_S))])
-
-    def _gain_left_out(self, k: int, j: np.ndarray) -> float:
-        """Return by how much the columns ``j``, fitted without block k, lower the squared error on it."""
-        S, b, N, own = self.blocks_S[k], self.blocks_b[k], slice(0, self.n_model), np.ix_(j, j)
-        model_scale, model_factor, model_step = self._without_block[k]
-        cross = self._known_S[N, j] - S[N, j]
-        carried = model_scale[:, None] * cho_solve((model_factor, True), model_scale[:, None] * cross, check_finite=False)
-        scale, factor = _scaled_factor(self._known_S[own] - S[own] - cross.T @ carried + np.diag(self.precision[j]))
-        slope = scale * (self.b[j] - b[j] - cross.T @ model_step)
-        step = scale * cho_solve((factor, True), slope, check_finite=False)
-        change = -carried @ step
-        along = S[N, N] @ change + S[N, j] @ step
-        beside = S[j, N] @ change + S[own] @ step
-        left = b[N] - S[N, N] @ model_step, b[j] - S[j, N] @ model_step
-        return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
-
     def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
         """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
 
@@ -278,7 +111,7 @@ class ScoreTests:
         """
         j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
         N = slice(0, self.n_model)
-        scale, factor = _scaled_factor(self._known_S[N, N] + self.known)
+        scale, factor = scaled_factor(self._known_S[N, N] + self.known)
         units = np.eye(self.n_model)[:, j]
         columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
         values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.b[N] - self.pull)
@@ -291,71 +124,6 @@ class ScoreTests:
             loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
             costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
         return costs
-
-    def losses_by_block(self, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
-        """Return by how much the squared error on each block left out grows without some of the model, shape (B,).
-
-        Their values are held at zero and all others refitted, to first order, without each block.
-
-        Args:
-            names: parameters of the model.
-            still: others that stay as they are, as what they do is done by way of those that go.
-        """
-        j = np.array([i for i, name in enumerate(self.names) if name in names or name in still], int)
-        goes = np.array([self.names[i] in names for i in j], bool)
-        units, N, losses = np.eye(self.n_model)[:, j], slice(0, self.n_model), np.zeros(len(self.blocks_S))
-        for k, (scale, factor, step) in enumerate(self._without_block if len(j) else ()):
-            columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
-            held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * self.values[j])
-            S, b = self.blocks_S[k, N, N], self.blocks_b[k, N]
-            losses[k] = held @ S @ held - step @ S @ step - 2.0 * b @ (held - step)
-        return losses
-
-    @cached_property
-    def _without_block(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Scale and factor of the model's information without each block, and the step of its parameters."""
-        N, found = slice(0, self.n_model), []
-        for S, b in zip(self.blocks_S, self.blocks_b, strict=True):
-            scale, factor = _scaled_factor(self._known_S[N, N] - S[N, N] + self.known)
-            slope = scale * (self.b[N] - b[N] - self.pull)
-            found.append((scale, factor, scale * cho_solve((factor, True), slope, check_finite=False)))
-        return found
-
-    def holding(self, names: Collection[str]) -> ScoreTests:
-        """Return the same tests against the model with some of its parameters held where they are."""
-        held = np.array([name in names for name in self.names])
-        return replace(self, known=self.known + np.diag(held * np.diag(self._known_S)[: self.n_model] * _HELD))
-
-    def among(self, which: Sequence[int], gone: Collection[str]) -> ScoreTests:
-        """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
-
-        To first order nothing has to be evaluated again: without columns J of value v, r grows by J v, and b by S v.
-        """
-        stays = np.array([name not in gone for name in self.names], bool)
-        model, out = np.flatnonzero(stays), np.flatnonzero(~stays)
-        kept = np.concatenate([model, self.n_model + self.columns_of(which)])
-        v, S = self.values[out], self.blocks_S[:, :, out]
-        between = None if self.between is None else self.between.among(which)
-        ends = np.cumsum([0, *(len(self.columns[i]) for i in which)])
-        return replace(
-            self,
-            effects=tuple(self.effects[i] for i in which),
-            columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
-            names=tuple(self.names[i] for i in model),
-            values=self.values[model],
-            sizes=self.sizes[kept],
-            known=self.known[np.ix_(model, model)],
-            pull=self.pull[model],
-            blocks_S=self.blocks_S[:, kept[:, None], kept],
-            blocks_b=self.blocks_b[:, kept] + S[:, kept] @ v,
-            squares=self.squares + float(v @ (2.0 * self.b[out] + S[:, out].sum(axis=0) @ v)),
-            between=between,
-        )
-
-    def estimate(self, which: Sequence[int]) -> np.ndarray:
-        """Return some candidates' parameters to first order, priors included."""
-        j, S, b = self.within(which)
-        return np.asarray(np.linalg.inv(S + np.diag(self.precision[self.n_model + j])) @ b)
 
 
 def standard_errors(gains: np.ndarray) -> float:
@@ -374,14 +142,6 @@ def enough_errors(effect: Effect) -> float:
     that one comes up in both series, at 2.4 and 2.2; the others reach 1.7 at most.
     """
     return 2.0 if effect.looks > 1.0 else 1.0
-
-
-def _scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return s and the lower Cholesky factor of diag(s) H diag(s), whose diagonal is 1; H is overwritten."""
-    scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
-    H *= np.outer(scale, scale)
-    H[np.diag_indices_from(H)] += _ROUNDING
-    return scale, cholesky(H, lower=True, overwrite_a=True, check_finite=False)
 
 
 def score_test(
