@@ -28,6 +28,7 @@ from pincal.discover.remainders import add_remainders, merge_parts, take_whole_c
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import settle
 from pincal.discover.smoothness import smoothed
+from pincal.identify.bearings import called_for
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
@@ -119,6 +120,9 @@ def fit_all_rows(state: State, search: Search) -> State:
         whole = over_rows_of(fit, first)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
+        # More rows may call for more of the bearings: known now, it spares the last fit another one.
+        if more := called_for(fit):
+            fit = refit(fit, (*fit.options.effects, *more), rough=True)
         state = _with_curves(state, wider, fit)
     curves = _curves_of(state)
     if not curves and not is_thinned:
