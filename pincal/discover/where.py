@@ -123,8 +123,8 @@ class Sure(NamedTuple):
     Attributes:
         effect: the drive or the bearing.
         estimate: its parameters and those of the same name that go with them.
-        p_value: the chance of compliances as large if there were none: of its own, or of all of its step where none is
-            sure by itself.
+        p_value: the chance of compliances as large if there were none: of its own, with that other one as it is if it
+            is sure only so, or of all of its step where none is sure.
         others: what could give way instead: none of its step is sure, or the data can't tell it from these.
         beside: parameters of the other one, if it is sure only together with another.
     """
@@ -158,10 +158,10 @@ def sure_compliances(fit: Fit, effects: Iterable[Effect], equivalent: tuple[Effe
             z2, size = _squares(estimate)
             found.append((z2, size, Sure(single, estimate, float(chdtrc(size, z2)), equivalent)))
     found.sort(key=lambda item: -item[0])
-    sure = [entry for z2, size, entry in found if z2 > _SIGNIFICANT**2 * size]
+    sure = [(z2, entry) for z2, size, entry in found if z2 > _SIGNIFICANT**2 * size]
     sure += _sure_together(fit, [entry for z2, size, entry in found if z2 <= _SIGNIFICANT**2 * size])
     if sure:
-        return sure
+        return [entry for _, entry in sorted(sure, key=lambda item: -item[0])]
     first, *others = (entry for _, _, entry in found)
     rivals = each_heading_once((*equivalent, *(other.effect for other in others)), first.effect, POLICY)
     z2, size = _squares(fit.estimate.take({name for _, _, entry in found for name in entry.estimate.names}))
@@ -185,8 +185,10 @@ def _squares(estimate: Estimate, known: Estimate | None = None) -> tuple[float, 
     return float(values @ information @ values), size
 
 
-def _sure_together(fit: Fit, doubtful: Sequence[Sure]) -> Iterator[Sure]:
+def _sure_together(fit: Fit, doubtful: Sequence[Sure]) -> Iterator[tuple[float, Sure]]:
     """Yield the compliances that would be sure if another one stayed as it is, each with that of which this holds most.
+
+    Their squares come first.
 
     A drive and the bearing of the joint before may turn an arm nearly alike; that one of them gives way is sure, not which.
     """
@@ -194,11 +196,11 @@ def _sure_together(fit: Fit, doubtful: Sequence[Sure]) -> Iterator[Sure]:
         pairs = []
         for other in (entry for entry in doubtful if entry is not one):
             z2, size = _squares(one.estimate, fit.estimate.take((*one.estimate.names, *other.estimate.names)))
-            pairs.append((z2 / size, float(chdtrc(size, z2)), other))
-        ratio, p_value, other = max(pairs, key=lambda pair: pair[0], default=(0.0, 1.0, one))
-        if ratio > _SIGNIFICANT**2:
+            pairs.append((z2, size, other))
+        z2, size, other = max(pairs, key=lambda pair: pair[0], default=(0.0, 1, one))
+        if z2 > _SIGNIFICANT**2 * size:
             others = each_heading_once((other.effect, *one.others), one.effect, POLICY)
-            yield one._replace(p_value=p_value, others=others, beside=other.estimate.names)
+            yield z2, one._replace(p_value=float(chdtrc(size, z2)), others=others, beside=other.estimate.names)
 
 
 _FOLLOWED = {
