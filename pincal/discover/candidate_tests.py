@@ -23,7 +23,7 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MomentFrame
 from pincal.model.conditions import Situation
-from pincal.model.effect import Candidate, Effect, Family
+from pincal.model.effect import Candidate, Effect, Family, Tone
 from pincal.model.effects import Compliance
 
 
@@ -74,6 +74,20 @@ def explanation(fit: Fit, search: Search, test: Test, names: CandidateTable) -> 
     if decision is None or not decision.effect.is_nameless:
         return decision
     return _with_neighbours(decision, fit, search, test)
+
+
+def hidden_wave(fit: Fit, tests: ScoreTests, search: Search) -> Decision | None:
+    """Return the wave among tests of all names that chance does not explain, judged as in any other step.
+
+    Coarser curves leave more than noise, which hides waves that blocks left out tell only by little.
+    """
+    names, least = len({effect.identity for effect in tests.effects}), _least(fit, tests, search.policy)
+    scores = [(effect, tests.score([i], names)) for i, effect in enumerate(tests.effects) if isinstance(effect, Tone)]
+    waves = [wave for wave, s in scores if s.p_value < search.policy.false_name / names and s.gain >= least]
+    if not waves:
+        return None
+    table = table_of(fit, search, partial(score_test_beside_masses, fit), waves)
+    return decide(table, lambda _: table, search.policy)
 
 
 def _with_neighbours(decision: Decision, fit: Fit, search: Search, test: Test) -> Decision:
@@ -131,11 +145,15 @@ def table_of(
 
     return CandidateTable(
         rows,
-        policy.least_gain(tests.squares, declared=fit.is_declared),
+        _least(fit, tests, policy),
         left_given=lambda i, given: tests.score_given([i], [given]).p_value,
         cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
         predicts=predicts,
     )
+
+
+def _least(fit: Fit, tests: ScoreTests, policy: Policy) -> float:
+    return policy.least_gain(tests.squares, declared=fit.is_declared)
 
 
 def spare_compliances(fit: Fit, effects: Sequence[Effect], policy: Policy) -> list[Effect]:

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.discover.backward import drop_needless, name_again
-from pincal.discover.candidate_tests import Search, addable, named_tests, over_rows_of, sampled, variants
+from pincal.discover.candidate_tests import Search, addable, over_rows_of, sampled, variants
 from pincal.discover.decisions import each_heading_once, is_own_curve
-from pincal.discover.forward import add_effects, bent
+from pincal.discover.forward import add_effects, add_hidden_waves, bent
 from pincal.discover.history import History, State
 from pincal.discover.moment_frames import (
     best_frame,
@@ -64,7 +64,7 @@ def discover_effects(
     state = State(few)
     for step_on in PASSES:
         state = step_on(state, search)
-    last = named_tests(state.fit, search.extra, policy)
+    state, last = add_hidden_waves(state, search)
     first = in_frame(fit, state.fit.problem.chain.moment_frame)
     return History(first, state.steps, state.fit, last, state.changes)
 
