@@ -120,7 +120,7 @@ def fit_all_rows(state: State, search: Search) -> State:
         whole = over_rows_of(fit, first)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
-        # More rows may call for more of the bearings: known now, it spares the last fit another one.
+        # More rows may call for more of the bearings: that is asked here, where fits have fewer parameters.
         if more := called_for(fit):
             fit = refit(fit, (*fit.options.effects, *more), rough=True)
         state = _with_curves(state, wider, fit)
@@ -134,7 +134,8 @@ def fit_all_rows(state: State, search: Search) -> State:
     for curve, other in finer.items():
         log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, other.resolution)
     start: dict[Effect, np.ndarray] = {other: heights for other, heights in chosen.values()}
-    state = _with_curves(state, finer, refit(fit, _exchanged(fit.options.effects, finer), start=start))
+    effects = _exchanged(fit.options.effects, finer)
+    state = _with_curves(state, finer, refit(fit, effects, start=start, asks_bearings=not is_thinned))
     return state.changed(state.fit, state.steps, (), ())
 
 

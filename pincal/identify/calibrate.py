@@ -198,6 +198,7 @@ def refit(
     moment_frame: MomentFrame | None = None,
     start: Mapping[Effect, np.ndarray] | None = None,
     rough: bool = False,
+    asks_bearings: bool = True,
 ) -> Fit:
     """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
 
@@ -207,6 +208,8 @@ def refit(
         moment_frame: where moments are taken and bend the arm; default: as in ``fit``.
         start: values of new effects close to the end, so that the last stage is all that is needed; default: zero.
         rough: whether to stop before the last stage, close to the end, outliers only weighed down.
+        asks_bearings: whether the data are asked what else there is to know of each bearing, which may take further fits;
+            not of a rough fit.
     """
     frame = moment_frame or fit.problem.chain.moment_frame
     effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
@@ -220,7 +223,7 @@ def refit(
         problem, near.values, priors, fit.noise, options, near=None if start is None else near, rough=rough
     )
     found = Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
-    return found if rough else _with_bearings(found)
+    return found if rough or not asks_bearings else _with_bearings(found)
 
 
 def _with_bearings(fit: Fit) -> Fit:
