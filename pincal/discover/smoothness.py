@@ -163,12 +163,11 @@ class Quadratic:
                 w[j] = max(w[j] * np.clip(factor, 1.0 / _FARTHEST, _FARTHEST), _LEAST)
             if np.max(np.abs(np.log(w / before))) < _SETTLED:
                 break
-        others = np.ones(len(self.sizes), bool)
-        others[np.concatenate(columns)] = False
-        sizes, values = (
-            np.where(others, of / by, of) for of, by in ((self.sizes, np.sqrt(1.0 + _FIRM)), (self.values, 1.0 + _FIRM))
-        )
-        return w, replace(self, sizes=sizes, values=values)._posterior(columns, bends, w, noise)[0], noise
+        # Known surer, and nearer to what is believed by as much: the others are pulled as before, and move less.
+        firm = np.full(len(self.sizes), 1.0 + _FIRM)
+        firm[np.concatenate(columns)] = 1.0
+        firmly = replace(self, sizes=self.sizes / np.sqrt(firm), values=self.values / firm)
+        return w, firmly._posterior(columns, bends, w, noise)[0], noise
 
     def _posterior(
         self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray], w: np.ndarray, noise: float
