@@ -26,7 +26,7 @@ def missing(subject: Subject) -> Section | None:
     found = subject.discovery.findings
     is_declared = subject.discovery.calibration.fit.is_declared
     noise = "The noise alone" if is_declared else "The noise, estimated from what is left of the fitted poses,"
-    beyond = f"; {found.unexplained_mm:.4f} mm rms remain unexplained" if is_declared else ""
+    beyond = f"; {found.unexplained_mm:.4f} mm rms are left beyond it" if is_declared else ""
     intro = (
         "The search starts from a simple model, looks where model and data disagree, names the effect that explains most, "
         f"adds it, fits everything again, and stops when only noise is left. {noise} amounts to "
