@@ -20,6 +20,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future,
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -58,6 +59,22 @@ def spread(function: Callable[[T], R], items: Iterable[T], *, label: str, execut
     """
     tasks = list(items)
     return _told(map(function, tasks) if executor is None else _begun(function, tasks, executor, label), label, len(tasks))
+
+
+def wake(executor: Executor, count: int, module: str) -> None:
+    """Have the workers of so many tasks begin and load a module, which takes processes seconds, before there are the tasks.
+
+    Example:
+        >>> with ThreadPoolExecutor(1) as pool:
+        ...     wake(pool, 2, "pincal.spread")
+    """
+    with _losses(module):
+        for _ in range(count):
+            executor.submit(_load, module)
+
+
+def _load(module: str) -> None:
+    import_module(module)
 
 
 def _told(results: Iterator[R], label: str, of: int) -> Iterator[R]:

@@ -21,8 +21,7 @@ from matplotlib.figure import Figure
 from scipy.stats import beta
 
 from pincal.calibration.fit import Fit
-from pincal.discover.policy import POLICY
-from pincal.discover.stability import repeat_on_halves
+from pincal.discover.stability import begin_halves
 from pincal.discover.widened import widened
 from pincal.errors import PincalWarning
 from pincal.identify.split import hold_out, row_groups
@@ -57,7 +56,7 @@ def printed(task: tuple[str, int, float]) -> Printed:
     case = draw_case(kind, seed, **{**fresh(seed), "n": POSES, "strength": strength})
     training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
     trail = discover(case)
-    halves = repeat_on_halves(trail, [row_groups(training, split="blocked", seed=0)], HALVES, policy=POLICY)
+    halves = begin_halves(trail, [row_groups(training, split="blocked", seed=0)], HALVES)()
     steps = [step for step in trail.steps if step.effect.name not in ELASTICITY]
     groups = [{name_of(effect) for effect in (step.effect, *step.equivalent)} for step in steps]
     # What has no name claims none.
@@ -65,7 +64,7 @@ def printed(task: tuple[str, int, float]) -> Printed:
         step.effect.name == "unnamed" or any(t in names for t in case.truth)
         for step, names in zip(steps, groups, strict=True)
     ]
-    fit = Fit.of(widened(trail, POLICY))
+    fit = Fit.of(widened(trail))
     at = fit.readings(held).conditions
     error = fit.predict(at)[:, :, 3] - case.clean[held.rows - case.rows.rows[0]]
     coverage = float(np.mean(np.abs(error) < 1.96 * fit.position_sigma(at)))

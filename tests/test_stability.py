@@ -15,10 +15,9 @@ from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.discover.bootstrap import chance_of_best
 from pincal.discover.judge import findings_of
 from pincal.discover.nuisance import score_test_beside_masses
-from pincal.discover.policy import POLICY
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test
-from pincal.discover.stability import Halves, _halves, repeat_on_halves
+from pincal.discover.stability import Halves, _halves, begin_halves
 from pincal.discover.widened import of_bearings, of_candidates
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
@@ -70,7 +69,7 @@ def test_a_name_counts_where_it_is_named_or_could_be_meant() -> None:
 
 def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discovery) -> None:
     """And the file says so; it is the same without the repetition but for that."""
-    alone = msgspec.to_builtins(findings_of(found.calibration, found.trail, gaps=found.gaps, traces=found.traces))
+    alone = msgspec.to_builtins(findings_of(found.calibration.fit, found.trail, gaps=found.gaps, traces=found.traces))
     report = json.loads(json.dumps(found.report, allow_nan=False))
     often = {(e["effect"], e["joint"]): e.pop("stability") for e in report["effects"]}
 
@@ -89,7 +88,7 @@ def test_an_executor_brings_the_same(case: Case, found: Discovery) -> None:
     """Here threads; the order of the halves is kept."""
     regions = [row_groups(found.calibration.train, split="blocked", seed=0)]
     with ThreadPoolExecutor(2) as pool:
-        spread, here = (repeat_on_halves(found.trail, regions, 2, policy=POLICY, executor=e) for e in (pool, None))
+        spread, here = (begin_halves(found.trail, regions, 2, executor=e)() for e in (pool, None))
 
     assert spread == here and len(here) == 2
 

@@ -8,18 +8,14 @@ normal, with covariance S'.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.special import fdtrc
 
 from pincal.discover.candidate_tests import named_tests
 from pincal.discover.history import History
-from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import without
 from pincal.io.discovery_file import Bootstrap
-from pincal.model.effect import Effect
 
 # Tables that are drawn: the least chance that they can show is one in 201.
 DRAWS = 200
@@ -27,21 +23,15 @@ DRAWS = 200
 _ROUNDING = 1e-10
 
 
-def bootstrap_last(trail: History, extra: Sequence[Effect], policy: Policy) -> Bootstrap | None:
-    """Return the chance of the effect that was accepted last; None if nothing was accepted but elasticity.
-
-    Args:
-        trail: the discovery.
-        extra: effects of the user's own that took part.
-        policy: thresholds and limits.
-    """
+def bootstrap_last(trail: History) -> Bootstrap | None:
+    """Return the chance of the effect that was accepted last; None if nothing was accepted but elasticity."""
     steps = [step for step in trail.steps if not step.is_elastic]
     if not steps:
         return None
     rest = trail.final
     for effect in steps[-1].effects:
         rest = without(rest, effect)
-    tests = named_tests(rest, extra, policy, steps[-1].effects)
+    tests = named_tests(rest, trail.extra, trail.policy, steps[-1].effects)
     return Bootstrap.of(steps[-1].effect, p_value=chance_of_best(tests, DRAWS), draws=DRAWS)
 
 

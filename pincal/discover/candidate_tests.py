@@ -76,18 +76,22 @@ def explanation(fit: Fit, search: Search, test: Test, names: CandidateTable) -> 
     return _with_neighbours(decision, fit, search, test)
 
 
-def hidden_wave(fit: Fit, tests: ScoreTests, search: Search) -> Decision | None:
-    """Return the wave among tests of all names that chance does not explain, judged as in any other step.
+def hidden_wave(fit: Fit, search: Search) -> tuple[Decision, np.ndarray] | None:
+    """Return the wave that chance does not explain among all names, judged as in any other step, and its estimate.
 
     Coarser curves leave more than noise, which hides waves that blocks left out tell only by little.
     """
-    names, least = len({effect.identity for effect in tests.effects}), _least(fit, tests, search.policy)
-    scores = [(effect, tests.score([i], names)) for i, effect in enumerate(tests.effects) if isinstance(effect, Tone)]
-    waves = [wave for wave, s in scores if s.p_value < search.policy.false_name / names and s.gain >= least]
+    test, every = partial(score_test_beside_masses, fit), addable(fit, search)
+    waves: list[Effect] = [effect for effect in every if isinstance(effect, Tone)]
     if not waves:
         return None
-    table = table_of(fit, search, partial(score_test_beside_masses, fit), waves)
-    return decide(table, lambda _: table, search.policy)
+    tests, names = test(waves), len({effect.identity for effect in every})
+    least, scores = _least(fit, tests, search.policy), [tests.score([i], names) for i in range(len(waves))]
+    pairs = zip(waves, scores, strict=True)
+    sure = [wave for wave, s in pairs if s.p_value < search.policy.false_name / names and s.gain >= least]
+    table = table_of(fit, search, test, sure) if sure else None
+    found = None if table is None else decide(table, lambda _: table, search.policy)
+    return None if found is None else (found, tests.estimate([waves.index(found.effect)]))
 
 
 def _with_neighbours(decision: Decision, fit: Fit, search: Search, test: Test) -> Decision:

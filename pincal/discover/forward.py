@@ -7,12 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave, named_tests
+from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave
 from pincal.discover.decisions import Decision
 from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
 from pincal.discover.resolution import resolved
-from pincal.discover.score_tests import ScoreTests
 from pincal.discover.settling import linearised_about_itself
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
@@ -33,23 +32,22 @@ def add_effects(state: State, search: Search) -> State:
     return state
 
 
-def add_hidden_waves(state: State, search: Search) -> tuple[State, ScoreTests]:
-    """Add the waves that show once curves are as fine as the rows tell; return also the tests of what is left then.
+def add_hidden_waves(state: State, search: Search) -> State:
+    """Add the waves that show once curves are as fine as the rows tell.
 
     Of more rows than effects are chosen by, all are fitted once and nothing is added after it.
     """
-    last = named_tests(state.fit, search.extra, search.policy)
     is_thinned = len(search.groups) < len(state.fit.problem)
     for _ in range(0 if is_thinned else search.policy.most_steps):
-        found = hidden_wave(state.fit, last, search)
-        if found is None:
+        hidden = hidden_wave(state.fit, search)
+        if hidden is None:
             break
-        wave, start = found.effect, last.estimate([last.effects.index(found.effect)])
+        found, start = hidden
+        wave = found.effect
         after = refit(state.fit, [*state.fit.options.effects, wave], start={wave: start})
         log.info("found %s behind the curves", listed([wave]))
         state = state.with_step(Step((wave,), found.row.score, found.equivalent, state.fit, after, wave, start))
-        last = named_tests(after, search.extra, search.policy)
-    return state, last
+    return state
 
 
 def _next_step(fit: Fit, search: Search) -> Step | None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from pincal.discover.candidate_tests import named_tests
+from pincal.discover.policy import Policy
 from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Family
@@ -90,12 +93,19 @@ class History:
         first: the fit that it started from.
         steps: the accepted effects, in order.
         final: the fit of everything that stayed.
-        last: the tests against the final fit, none of which passed.
         changes: every change of the model between the two, also what was taken out again.
+        extra: effects of the user's own that took part.
+        policy: thresholds and limits.
     """
 
     first: Fit
     steps: tuple[Step, ...]
     final: Fit
-    last: ScoreTests
     changes: tuple[Change, ...]
+    extra: tuple[Effect, ...]
+    policy: Policy
+
+    @cached_property
+    def last(self) -> ScoreTests:
+        """The tests against the final fit, none of which passed."""
+        return named_tests(self.final, self.extra, self.policy)

@@ -8,7 +8,6 @@ import numpy as np
 from msgspec.structs import replace
 from scipy.special import chdtrc
 
-from pincal.calibration.run import Calibration
 from pincal.discover.elastic_rivals import instead_of, without_compliance
 from pincal.discover.history import History, Step
 from pincal.discover.power import ABSORBED, deciding_measurement
@@ -39,23 +38,19 @@ _MISFIT = 1e-3
 
 
 def findings_of(
-    calibration: Calibration,
+    fit: Fit,
     trail: History,
     *,
     gaps: tuple[Stage, ...],
     traces: tuple[PartialResidual, ...],
-    halves: Halves | None = None,
-    bootstrap: Bootstrap | None = None,
 ) -> Findings:
     """Return what a discovery found.
 
     Args:
-        calibration: the calibration with all that was found.
+        fit: the fit with all that was found, its covariance paying for the choice.
         trail: how it was found.
         gaps: the errors at the start and after each change of the model.
         traces: what each effect explains.
-        halves: what the search named in halves of the poses; default: nobody looked.
-        bootstrap: whether the effect that was accepted last may be chance; likewise.
     """
     final = trail.final
     excess = find_excess(final)
@@ -64,9 +59,7 @@ def findings_of(
     # Residuals that are larger than the declared noise allows.
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < _MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
-    effects = tuple(found for step in trail.steps for found in _found(calibration, trail, step, gaps=gaps, periods=periods))
-    if halves:
-        effects = tuple(replace(entry, stability=_stability(entry, halves)) for entry in effects)
+    effects = tuple(found for step in trail.steps for found in _found(fit, trail, step, gaps=gaps, periods=periods))
     return Findings(
         noise_floor_mm=floor,
         gap={"before": gaps[0].gap, "after": gaps[-1].gap},
@@ -77,9 +70,26 @@ def findings_of(
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
         verdict=Verdict.NOT_ADEQUATE if is_misfit or excess else Verdict.ADEQUATE,
         unexplained_mm=left,
+    )
+
+
+def repeated(findings: Findings, halves: Halves, bootstrap: Bootstrap | None) -> Findings:
+    """Return findings with how stable they are.
+
+    Args:
+        findings: what a discovery found.
+        halves: what the search named in halves of the poses.
+        bootstrap: whether the effect that was accepted last may be chance; None if there is none.
+    """
+    if not halves:
+        return replace(findings, bootstrap=bootstrap)
+    effects = tuple(replace(entry, stability=_stability(entry, halves)) for entry in findings.effects)
+    return replace(
+        findings,
+        effects=effects,
         hints=tuple(_repeated(entry, entry.stability) for entry in effects if entry.stability and entry.is_hint),
-        only_in_halves=tuple(_only_in_halves(effects, halves)) if halves else (),
-        poses_in_a_half=halves.poses if halves else None,
+        only_in_halves=tuple(_only_in_halves(effects, halves)),
+        poses_in_a_half=halves.poses,
         bootstrap=bootstrap,
     )
 
@@ -122,7 +132,7 @@ def _errors_of(fit: Fit) -> tuple[float, float]:
 
 
 def _found(
-    calibration: Calibration,
+    fit: Fit,
     trail: History,
     step: Step,
     *,
@@ -133,7 +143,7 @@ def _found(
     place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
     before, after = gaps[place], gaps[place + 1]
     # Standard deviations that pay for the choice, too.
-    known = calibration.fit.estimate
+    known = fit.estimate
     if step.is_elastic:
         found = [
             (sure.effect, e := sure.estimate, known.take(e.names).fitted_sigma, sure.p_value, *_in_its_place(trail, sure))

@@ -64,9 +64,8 @@ def discover_effects(
     state = State(few)
     for step_on in PASSES:
         state = step_on(state, search)
-    state, last = add_hidden_waves(state, search)
     first = in_frame(fit, state.fit.problem.chain.moment_frame)
-    return History(first, state.steps, state.fit, last, state.changes)
+    return History(first, state.steps, state.fit, state.changes, search.extra, policy)
 
 
 def start_in_likeliest_frame(state: State, search: Search) -> State:
@@ -182,4 +181,5 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     settle,
     merge_parts,
     suggest_whole_curves,
+    add_hidden_waves,
 )

@@ -20,12 +20,12 @@ from pincal.calibration.rows import LeftOut, Validation
 from pincal.calibration.run import Calibration, run_calibration
 from pincal.discover.bootstrap import bootstrap_last
 from pincal.discover.history import History
-from pincal.discover.judge import findings_of
+from pincal.discover.judge import findings_of, repeated
 from pincal.discover.loop import discover_effects
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import notes_on_repeats
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
-from pincal.discover.stability import repeat_on_halves
+from pincal.discover.stability import begin_halves
 from pincal.discover.widened import widened
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
@@ -37,6 +37,7 @@ from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
+from pincal.spread import wake
 
 # Blocks of poses that are left out in turn: enough that seven eighths determine the model nearly as well as all.
 _CV_BLOCKS = 8
@@ -142,19 +143,23 @@ def run_discovery(
         split, test_fraction = "random", 0.0
         others = partial(_discovered, search)
         left_out = leave_out_stations(robot, tables_of(measurements), options, fit_others=others, executor=executor)
+    if executor is not None:
+        wake(executor, stability, begin_halves.__module__)
     first = run_calibration(
         robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout
     )
     trail, notes = search(first)
-    halves = repeat_on_halves(trail, _regions(first), stability, extra=extra, policy=policy, executor=executor)
-    bootstrap = bootstrap_last(trail, extra, policy) if stability else None
+    halves = begin_halves(trail, _regions(first), stability, executor=executor)
+    # What follows is done here while workers are at the halves.
+    fit, gaps, traces = widened(trail), stages_of(trail, first.stations), partial_residuals(trail)
+    findings = findings_of(fit, trail, gaps=gaps, traces=traces)
+    if stability:
+        bootstrap = bootstrap_last(trail)
+        findings = repeated(findings, halves(), bootstrap)
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
-    fit = widened(trail, policy)
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
-    gaps, traces = stages_of(trail, final.stations), partial_residuals(trail)
-    findings = findings_of(final, trail, gaps=gaps, traces=traces, halves=halves, bootstrap=bootstrap)
     return Discovery(final, trail, findings, gaps, traces)
 
 

@@ -12,7 +12,7 @@ rows, see ``Policy.enough_readings``, halves are of this sample.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -64,38 +64,30 @@ class Halves:
         return [(name, n) for name, n in first.most_common() if name not in known and n >= share * len(self)]
 
 
-def repeat_on_halves(
-    trail: History,
-    regions: Sequence[np.ndarray],
-    count: int,
-    *,
-    extra: tuple[Effect, ...] = (),
-    policy: Policy,
-    executor: Executor | None = None,
-) -> Halves:
-    """Repeat a search on halves of the poses from which it chose.
+def begin_halves(
+    trail: History, regions: Sequence[np.ndarray], count: int, *, executor: Executor | None = None
+) -> Callable[[], Halves]:
+    """Begin to repeat a search on halves of the poses from which it chose; return what waits for the names.
 
     Args:
         trail: the search on all rows.
         regions: for each station shape (rows,), the region of joint space of each training row.
         count: number of halves.
-        extra: effects of the user's own that took part.
-        policy: thresholds and limits.
-        executor: makes the searches; default: one after the other, here.
+        executor: makes the searches, all of them begun now; default: one after the other, here, once they are waited for.
     """
     if not count:
-        return Halves((), 0)
-    few, rows = sampled(trail.first, policy)
+        return lambda: Halves((), 0)
+    few, rows = sampled(trail.first, trail.policy)
     offsets = np.cumsum([0, *(int(part.max()) + 1 for part in regions)])
     joined = np.concatenate([part + offset for part, offset in zip(regions, offsets, strict=False)])[rows]
     parts = [np.unique(joined[span]) for span in few.problem.rows]
     found = [effect for step in trail.steps for effect in (*step.effects, *step.equivalent)]
     nameless = frozenset(effect.identity for effect in found if effect.is_nameless)
-    run = partial(_names_in_half, few, joined, extra, policy, nameless)
+    run = partial(_names_in_half, few, joined, trail.extra, trail.policy, nameless)
     halves = list(_halves(parts, joined, count))
-    named = list(spread(run, halves, label="half of the poses", executor=executor))
-    sizes = [np.count_nonzero(np.isin(joined, half)) for half in halves]
-    return Halves(tuple(groups for groups in named if groups is not None), round(float(np.mean(sizes))))
+    poses = round(float(np.mean([np.count_nonzero(np.isin(joined, half)) for half in halves])))
+    named = spread(run, halves, label="half of the poses", executor=executor)
+    return lambda: Halves(tuple(groups for groups in named if groups is not None), poses)
 
 
 def _halves(parts: Sequence[np.ndarray], regions: np.ndarray, count: int) -> Iterator[np.ndarray]:

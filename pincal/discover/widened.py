@@ -26,21 +26,15 @@ import numpy as np
 from pincal.discover.candidate_tests import sampled
 from pincal.discover.history import History
 from pincal.discover.nuisance import MassError, score_test_beside_masses
-from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit, posterior_of
 from pincal.model.catalogue.bearings import bearing_features
 
 
-def widened(trail: History, policy: Policy) -> Fit:
-    """Return the last fit of a discovery with a covariance that pays for what the model does not have.
-
-    Args:
-        trail: the discovery.
-        policy: how many rows are enough to judge by.
-    """
+def widened(trail: History) -> Fit:
+    """Return the last fit of a discovery with a covariance that pays for what the model does not have."""
     fit = trail.final
-    few, _ = sampled(fit, policy)
+    few, _ = sampled(fit, trail.policy)
     rows = len(fit.problem) / max(len(few.problem), 1)
     noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
     beyond = (of_masses(few) + of_candidates(trail.last) + of_bearings(few)) * rows * noise
