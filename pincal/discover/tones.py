@@ -116,12 +116,20 @@ def _on_steps(
     sums = np.zeros((2, len(coarse), _FINE), complex)
     for at in range(0, len(q), _PIECE):
         piece = slice(at, at + _PIECE)
-        a, b = (np.exp(1j * np.outer(k, q[piece])) for k in (coarse, fine))
+        a, b = (_waves(k, q[piece]) for k in (coarse, fine))
         sums[0] += (a * along[piece]) @ b.T
         sums[1] += (a**2 * lever[piece]) @ (b**2).T
     orders = np.add.outer(coarse, fine).ravel()
     gains = _gains(sums.reshape(2, -1), float(lever.sum()))
     return orders[orders <= end], gains[orders <= end]
+
+
+def _waves(orders: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return exp(i k q) of even steps of orders, shape (K, N): each step is one more factor."""
+    factors = np.empty((len(orders), len(q)), complex)
+    factors[:1] = np.exp(1j * orders[0] * q)
+    factors[1:] = np.exp(1j * (orders[-1] - orders[0]) / max(len(orders) - 1, 1) * q)
+    return np.cumprod(factors, axis=0)
 
 
 def _sums(q: np.ndarray, u: np.ndarray, orders: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -171,7 +172,7 @@ class Effect(ABC):
         """Return what the effect needs and these poses lack: columns that are absent or the same in all rows."""
         return tuple(column for column in self.needs if not varies(conditions.column(column)))
 
-    @property
+    @cached_property
     def identity(self) -> tuple[str, Locus]:
         """What tells it from other effects: two effects of one identity are variants of each other."""
         return self.locus.cause or self.name, replace(self.locus, place=None, span=None)

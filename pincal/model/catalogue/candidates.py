@@ -21,6 +21,8 @@ from pincal.robot.robot import Robot
 _CONSTANT = 1e-9
 # What keeps effects from showing on the latest tables; the effects are held, too.
 _STILL = Latest[tuple[Effect, str]](4)
+# What can be tested on the latest tables: asked again of each effect that is judged beside the others.
+_TESTABLE = Latest[tuple[Candidate, ...]](4)
 
 
 def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
@@ -38,8 +40,16 @@ def testable(situation: Situation, acts_on: Collection[str] | None = None) -> tu
         situation: the arm and its poses.
         acts_on: what they move, see :class:`Locus`; default: anything.
     """
-    every = (c for c in _all(situation) if acts_on is None or c.effect.locus.acts_on in acts_on)
-    return tuple(candidate for candidate in every if not why_not_testable(candidate, situation))
+    if acts_on is not None:
+        some = (candidate for candidate in _all(situation) if candidate.effect.locus.acts_on in acts_on)
+        return tuple(candidate for candidate in some if not why_not_testable(candidate, situation))
+    known = _TESTABLE.of(situation.chain, situation.conditions)
+    key = (situation.compliances, tuple(EFFECTS.known().values()))
+    if key not in known:
+        # Those of other compliances won't be asked for again.
+        known.clear()
+        known[key] = tuple(candidate for candidate in _all(situation) if not why_not_testable(candidate, situation))
+    return known[key]
 
 
 def untestable(chain: Chain, conditions: Conditions) -> tuple[tuple[Effect, str], ...]:
