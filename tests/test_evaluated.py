@@ -11,7 +11,7 @@ from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.posterior import posterior, spent_parameters
+from pincal.identify.posterior import posterior, posterior_covariance, spent_parameters, unseen_directions
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import GearEccentricity
 from pincal.model.catalogue.unnamed import Unnamed
@@ -99,7 +99,8 @@ def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> No
     assert part_of(replace(whole), rows, (2, 5)) is not part_of(whole, rows, (2, 5))
 
 
-def test_the_parameters_that_data_spend_are_counted_without_a_posterior() -> None:
+def test_parts_of_a_posterior_are_found_without_the_whole() -> None:
+    """The parameters that data spend, the covariance, and the directions that nothing sees, one of them here."""
     rng = np.random.default_rng(4)
     J, sizes = rng.normal(size=(9, 30)) * 10.0 ** rng.uniform(-3.0, 2.0, (9, 1)), np.r_[np.inf, np.inf, np.ones(7)]
     known = np.zeros((9, 9))
@@ -109,6 +110,13 @@ def test_the_parameters_that_data_spend_are_counted_without_a_posterior() -> Non
     of_data = found.shared_effective - float(np.sum(found.covariance * known))
     assert spent_parameters(G, sizes) == pytest.approx(found.shared_effective, rel=1e-9)
     assert spent_parameters(G, sizes, known) == pytest.approx(of_data, rel=1e-9)
+    J[8] = J[7]
+    found = posterior(J @ J.T, nothing, sizes, nothing)
+    has_prior, unseen = unseen_directions(J @ J.T, sizes)
+    covariance = posterior_covariance(J @ J.T, sizes, diagonal=np.sum(J**2, axis=1), unseen=unseen)
+    assert np.array_equal(has_prior, found.has_prior) and np.count_nonzero(found.information == 0.0) == 1
+    np.testing.assert_allclose(np.abs(unseen.T @ found.directions[:, 0]), 1.0, rtol=1e-9)
+    np.testing.assert_allclose(covariance, found.covariance, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("blocks", [1, 4])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -106,25 +107,31 @@ class PartialResidual:
 
 
 def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
-    """Return what each step's effect explains in the final model."""
-    present = trail.final.problem.effects
-    kept = [[effect for effect in step.effects if effect in present] for step in trail.steps]
-    return tuple(partial_residual(trail.final, effects[0]) for effects in kept if effects)
-
-
-def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
-    """Return what an effect of a fit explains at the rows that count, those of all stations that have it.
+    """Return what each step's effect explains in the final model, at the rows that count of all stations that have it.
 
     An effect on one coordinate of the chain is seen through this coordinate's lever, any other along the way by which it
     moves the target.
     """
-    shown = effect
-    if isinstance(effect, Compliance):
-        # Of elasticity the joint that is surest to bend.
-        found = fit.estimate.take(fit.names_of([effect]))
-        surest = found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))]
-        shown = replace(effect, joints=(surest.rsplit(".", 1)[0],))
-    parts = [_of_station(alone, shown) for alone in fit.alone if effect in alone.model.effects]
+    fit = trail.final
+    kept = [[effect for effect in step.effects if effect in fit.problem.effects] for step in trail.steps]
+    present = [effects[0] for effects in kept if effects]
+    shown = tuple(_shown(fit, effect) for effect in present)
+    stations = [_Whitened(alone, shown) for alone in fit.alone]
+    pairs = zip(present, shown, strict=True)
+    return tuple(_joined([_of_station(s, part) for s in stations if e in s.fit.model.effects]) for e, part in pairs)
+
+
+def _shown(fit: Fit, effect: Effect) -> Effect:
+    """Return what is shown of an effect: of elasticity the joint that is surest to bend."""
+    if not isinstance(effect, Compliance):
+        return effect
+    found = fit.estimate.take(fit.names_of([effect]))
+    surest = found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))]
+    return replace(effect, joints=(surest.rsplit(".", 1)[0],))
+
+
+def _joined(parts: Sequence[PartialResidual]) -> PartialResidual:
+    """Return what an effect explains at all stations that have it."""
     if len(parts) == 1:
         return parts[0]
     names = ["x", "before", "after", "fitted", "weights"] + (["own"] if parts[0].own is not None else [])
@@ -132,28 +139,68 @@ def partial_residual(fit: Fit, effect: Effect) -> PartialResidual:
     return replace(parts[0], **arrays)
 
 
-def _of_station(fit: Fit, effect: Effect) -> PartialResidual:
-    """Return what an effect explains at the rows of the only station."""
-    station = fit.station
+@dataclass(frozen=True)
+class _Whitened:
+    """The only station of a fit, and what its effects share: its rows that count, and what is left at them.
+
+    Attributes:
+        fit: the fit.
+        effects: those that are shown.
+    """
+
+    fit: Fit
+    effects: tuple[Effect, ...]
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """Which rows count, shape (N,)."""
+        return np.asarray(self.fit.solution.weights > 0.0)
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """The residuals of the fit."""
+        return self.residuals(self.fit.values)
+
+    @cached_property
+    def moments(self) -> np.ndarray:
+        """Static moments at all N rows, shape (N, 3 n) [N m]."""
+        return self.fit.model.static_moments(self.fit.model_values, self.fit.station.conditions)
+
+    @cached_property
+    def levers(self) -> dict[int, np.ndarray]:
+        """How the readings that count move with each coordinate of the chain that an effect moves alone, likewise."""
+        moved = {_coordinate(self.fit, effect) for effect in self.effects}
+        coordinates = tuple(k for k in moved if k is not None)
+        return dict(zip(coordinates, levers(self.fit, coordinates)[..., self.rows] * self._scale, strict=True))
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Return the residuals of the rows that count, in units of the noise, shape (m, rows)."""
+        return np.asarray(self.fit.station.residuals(values)[:, self.rows] * self._scale)
+
+    @cached_property
+    def _scale(self) -> np.ndarray:
+        sizes = [block.size for block in self.fit.station.sensor.blocks]
+        return np.asarray(self.fit.station.weights[self.rows] / np.repeat(self.fit.solution.estimated, sizes)[:, None])
+
+
+def _of_station(seen: _Whitened, effect: Effect) -> PartialResidual:
+    """Return what an effect explains at the rows of a station."""
+    fit, station, rows, left = seen.fit, seen.fit.station, seen.rows, seen.left
     idle = fit.values.copy()
     idle[[fit.model.index(parameter.name) for parameter in effect.parameters(fit.model.chain)]] = 0.0
-    rows = fit.solution.weights > 0.0
-    sizes = [block.size for block in station.sensor.blocks]
-    scale = station.weights[rows] / np.repeat(fit.solution.estimated, sizes)[:, None]
-    without, left = (station.residuals(values)[:, rows] * scale for values in (idle, fit.values))
-    coordinate = _coordinate(fit, effect)
+    without, coordinate = seen.residuals(idle), _coordinate(fit, effect)
     if coordinate is None:
         change = without - left
         along = change / np.maximum(np.linalg.norm(change, axis=0), 1e-300)
         sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
         unit_errors, weights, unit = along * sigma, np.full(int(rows.sum()), sigma**-2.0), "m"
     else:
-        lever = levers(fit, (coordinate,))[0][:, rows] * scale
+        lever = seen.levers[coordinate]
         weights = np.sum(lever**2, axis=0)
         unit_errors = lever / np.maximum(weights, 1e-300)
         unit = "rad" if effect.locus.joint is None else drive_unit(fit.model.chain, effect.locus.joint)
     before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, left, without - left))
-    variable, x_unit, x = _explaining(fit, effect)
+    variable, x_unit, x = _explaining(seen, effect)
     own = None
     if effect.locus.shape in _OF_BOTH and effect.locus.joint:
         own = recorded_variable(fit.model.chain, station.conditions, effect.locus.joint)[rows]
@@ -169,13 +216,13 @@ def _coordinate(fit: Fit, effect: Effect) -> int | None:
     return moved.pop() if len(moved) == 1 else None
 
 
-def _explaining(fit: Fit, effect: Effect) -> tuple[str, str, np.ndarray]:
+def _explaining(seen: _Whitened, effect: Effect) -> tuple[str, str, np.ndarray]:
     """Return the name, the unit and the values of the variable that an effect follows, shape (N,)."""
-    conditions, chain, at = fit.station.conditions, fit.model.chain, effect.locus
+    conditions, chain, at = seen.fit.station.conditions, seen.fit.model.chain, effect.locus
     names = chain.robot.joint_names
     if at.follows == MOMENT:
         i = 0 if at.joint is None else names.index(at.joint)
-        moments = fit.model.static_moments(fit.model_values, conditions)
+        moments = seen.moments
         # Of the whole arm the moment on joint 1 that tilts it.
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
         return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]

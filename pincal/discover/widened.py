@@ -27,7 +27,7 @@ from pincal.discover.candidate_tests import sampled
 from pincal.discover.history import History
 from pincal.discover.nuisance import MassError, score_test_beside_masses
 from pincal.discover.score_tests import ScoreTests, score_test
-from pincal.identify.fit import Fit, posterior_of
+from pincal.identify.fit import Fit, equations_of
 from pincal.model.catalogue.bearings import bearing_features
 
 
@@ -40,9 +40,11 @@ def widened(trail: History) -> Fit:
     beyond = (of_masses(few) + of_candidates(trail.last) + of_bearings(few)) * rows * noise
     factor = 1.0 + beyond / max(fit.solution.posterior.effective, 1.0)
     solution = fit.solution
-    wide = posterior_of(fit.problem, replace(solution, sigma=solution.sigma * np.sqrt(factor)), fit.priors)
+    wide = equations_of(fit.problem, replace(solution, sigma=solution.sigma * np.sqrt(factor)), fit.priors)
     # What the data identify stays as it is.
-    posterior = replace(solution.posterior, covariance=wide.covariance, own=wide.own)
+    known = solution.posterior
+    unseen = known.directions[:, known.information == 0.0]
+    posterior = replace(known, covariance=wide.covariance(unseen), own=wide.own)
     return replace(fit, solution=replace(solution, posterior=posterior))
 
 

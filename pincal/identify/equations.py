@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.batch import Batch, Task
-from pincal.identify.posterior import Contribution, Eliminated, Posterior, posterior, posterior_step, spent_parameters
+from pincal.identify.posterior import (
+    Contribution,
+    Eliminated,
+    Posterior,
+    posterior,
+    posterior_covariance,
+    posterior_step,
+    spent_parameters,
+)
 from pincal.identify.problem import Problem
 from pincal.identify.sums import Kept, Part, Squares, contribution, contribution_of, reweighted, squares, squares_of
 from pincal.spread import repeated
@@ -104,6 +112,11 @@ class Equations:
         found = posterior(self.G, self.g, sizes, at, diagonal=diagonal)
         known = 0.0 if self.remembered is None else float(np.sum(found.covariance * self.remembered))
         return replace(found, own=self.own, remembered=known)
+
+    def covariance(self, unseen: np.ndarray) -> np.ndarray:
+        """Return the covariance of the shared parameters alone, given the directions that nothing sees, shape (H, K)."""
+        sizes, diagonal = self.sizes[self.shared], self.diagonal[self.shared]
+        return posterior_covariance(self.G, sizes, diagonal=diagonal, unseen=unseen)
 
     def spent(self) -> tuple[float, tuple[float, ...]]:
         """Return how many parameters the data spend, priors counted: of those that are shared, and of each station's own."""

@@ -14,7 +14,7 @@ import numpy as np
 from pincal.identify.fit import Fit
 from pincal.identify.normal import accumulate
 from pincal.identify.options import known_frames
-from pincal.identify.posterior import NULL, posterior
+from pincal.identify.posterior import NULL, unseen_directions
 from pincal.identify.problem import Problem
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.identify.station import Station
@@ -194,20 +194,17 @@ class _Nominal:
         problem = fit.problem if len(stations) == len(fit.problem.stations) else Problem(stations)
         chosen = fit.estimate.places(p.name for p in problem.parameters)
         free, n = fit.solution.free[chosen], len(chosen)
-        G, g = np.zeros((n, n)), np.zeros(n)
+        G = np.zeros((n, n))
         sigma = {s.name: fit.solution.sigma[b] for s, b in zip(fit.problem.stations, fit.problem.block_spans, strict=True)}
         for station, places in zip(problem.stations, problem.places, strict=True):
             rows = some_rows(len(station), _ROWS // len(stations))
             everything = np.ones(len(places), bool)
             nominal = fit.nominal.values[chosen][places]
             normal = accumulate(station.select(rows), nominal, everything, np.ones(len(rows)))
-            more, slope = normal.at(sigma[station.name])
-            G[places[:, None], places] += more
-            g[places] += slope
-        found = posterior(G[np.ix_(free, free)], g[free], fit.priors.sizes[chosen][free], np.zeros(int(free.sum())))
-        null = found.directions[:, found.information == 0.0]
+            G[places[:, None], places] += normal.at(sigma[station.name])[0]
+        has_prior, null = unseen_directions(G[np.ix_(free, free)], fit.priors.sizes[chosen][free])
         unseen = np.zeros(n)
-        unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(null**2, axis=1)
+        unseen[np.flatnonzero(free)[has_prior]] = np.sum(null**2, axis=1)
         scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
         G = np.where(np.outer(free, free), G / np.outer(scale, scale), 0.0)
         unknowns = " and ".join(dict.fromkeys(filter(None, (s.sensor.unknowns for s in stations))))

@@ -8,10 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.identify.equations import Linearised
+from pincal.identify.equations import Equations, Linearised
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
-from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Priors, Solution
 from pincal.identify.station import Station, station_of
@@ -115,7 +114,7 @@ class Fit:
             nominal, solution = (_part(of, places, blocks, rows) for of in (self.nominal, self.solution))
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
             noise = Noise(self.noise.declared[blocks])
-            solution = replace(solution, posterior=posterior_of(problem, solution, priors))
+            solution = replace(solution, posterior=equations_of(problem, solution, priors).posterior())
             yield Fit(problem, nominal, solution, priors, noise, self.stages, options)
 
     @property
@@ -149,9 +148,9 @@ def _part(solution: Solution, places: np.ndarray, blocks: slice, rows: slice) ->
     )
 
 
-def posterior_of(problem: Problem, part: Solution, priors: Priors) -> Posterior:
-    """Return what the rows of a problem say with the values, the rows' weights and the noise of a solution."""
-    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).equations(part.sigma).posterior()
+def equations_of(problem: Problem, part: Solution, priors: Priors) -> Equations:
+    """Return the normal equations of a problem with the values, the rows' weights and the noise of a solution."""
+    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).equations(part.sigma)
 
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg import cho_factor, cho_solve, cholesky, eigh
 from scipy.linalg.lapack import dpotri
 
 from pincal.parameters import Covariance, root_of
@@ -187,6 +187,52 @@ def posterior_step(
     return step
 
 
+def posterior_covariance(G: np.ndarray, sizes: np.ndarray, *, diagonal: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+    """Return the covariance of :func:`posterior` alone, in a fifth of the time where rounding lets a Cholesky factor do.
+
+    Args:
+        G: shape (F, F).
+        sizes: shape (F,), standard deviations of the priors; inf for none.
+        diagonal: shape (F,), as there.
+        unseen: shape (H, K), directions that are known to be unseen: what rounding makes up along them is left out.
+    """
+    has_prior = np.isfinite(sizes)
+    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
+    D, failed = sizes[prior], True
+    inverse, _, loose = _invert_frames(G[frames[:, None], frames])
+    F = inverse @ G[frames[:, None], prior]
+    if len(prior) and _floor(diagonal, sizes) <= _ROUNDING:
+        S = _reduced(G, prior, G[prior[:, None], frames] @ F, D)
+        made_up = S @ unseen - unseen
+        S -= (across := made_up @ unseen.T) + across.T - unseen @ (unseen.T @ made_up) @ unseen.T
+        half, failed = dpotri(cholesky(S, lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1)
+    if failed:
+        nothing = np.zeros(len(G))
+        return posterior(G, nothing, sizes, nothing, diagonal=diagonal).covariance
+    C = np.tril(half)
+    C += np.tril(half, -1).T
+    C *= np.outer(D, D)
+    return _with_frames(C, F, inverse + loose, prior, frames)
+
+
+def unseen_directions(G: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the directions of :func:`posterior` that the data do not see at all, in a third of the time.
+
+    Returns:
+        Which parameters have a prior, shape (F,), and the directions, shape (H, K), over those that do, as columns.
+    """
+    has_prior = np.isfinite(sizes)
+    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
+    if not len(prior):
+        return has_prior, np.zeros((0, 0))
+    inverse, _, _ = _invert_frames(G[frames[:, None], frames])
+    across = G[prior[:, None], frames]
+    S = (G[prior[:, None], prior] - across @ inverse @ across.T) * _outer(sizes[prior])
+    floor = max(float(_floor(np.diag(G), sizes)), NULL * 1e-300)
+    _, directions = eigh(0.5 * (S + S.T), subset_by_value=(-np.inf, floor), overwrite_a=True, check_finite=False)
+    return has_prior, np.asarray(directions)
+
+
 def spent_parameters(G: np.ndarray, sizes: np.ndarray, believed: np.ndarray | None = None) -> float | None:
     """Return :attr:`Posterior.shared_effective` alone, in a tenth of the time; None where rounding forbids.
 
@@ -317,12 +363,19 @@ def _determined(
     step[..., prior] = shift
     step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
     C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
-    covariance = np.empty_like(G)
-    covariance[..., prior[:, None], prior] = C
-    covariance[..., frames[:, None], prior] = -F @ C
-    covariance[..., prior[:, None], frames] = -_turned(F @ C)
-    covariance[..., frames[:, None], frames] = inverse + F @ C @ _turned(F)
+    covariance = _with_frames(C, F, inverse, prior, frames)
     return Posterior(step, covariance, information, V, frame_rank, has_prior), loose
+
+
+def _with_frames(C: np.ndarray, F: np.ndarray, inverse: np.ndarray, prior: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Return the covariance of all parameters, given that of those with a prior, which frames follow by -F."""
+    n = len(prior) + len(frames)
+    covariance, carried = np.empty((*C.shape[:-2], n, n)), F @ C
+    covariance[..., prior[:, None], prior] = C
+    covariance[..., frames[:, None], prior] = -carried
+    covariance[..., prior[:, None], frames] = -_turned(carried)
+    covariance[..., frames[:, None], frames] = inverse + carried @ _turned(F)
+    return covariance
 
 
 def _with_loose(found: Posterior, loose: np.ndarray) -> Posterior:
