@@ -11,11 +11,13 @@ from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays, run_disc
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.discover import tones
+from pincal.discover.backward import _is_close
 from pincal.discover.candidate_tests import Search, hidden_wave
 from pincal.discover.forward import add_hidden_waves
-from pincal.discover.history import State
+from pincal.discover.history import State, Step
 from pincal.discover.nuisance import score_test_beside_masses, situation_of
 from pincal.discover.policy import POLICY
+from pincal.discover.score_tests import Score
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
@@ -153,6 +155,21 @@ def test_waves_behind_curves_are_added_until_there_are_none(machine: sim.TrueMac
     assert step.effect in state.fit.problem.effects and [c.entered for c in state.changes] == [step.effects]
     assert hidden_wave(state.fit, search) is None
     assert add_hidden_waves(State(fit), part) == State(fit)
+
+
+def test_a_wave_found_again_close_by_came_in_so(machine: sim.TrueMachine) -> None:
+    """Its last order is told from the start, the fit is the last one, and no change of its own is told."""
+    first, again = GearRipple("joint_2", 161.3), GearRipple("joint_2", 161.34)
+    before = fitted(measured(machine, n=40))
+    after, last = replace(before), replace(before)
+    step = Step((first,), Score(90.0, 2, 1e-9, -50.0), (), before, after, first, np.zeros(2))
+    state = State(before).with_step(step).tuned(step, replace(step, effects=(again,), after=last))
+
+    assert _is_close(first, again) and not _is_close(first, GearRipple("joint_2", 165.0))
+    assert not _is_close(first, EncoderSubdivision("joint_2", 161.34))
+    assert [(c.fit, c.entered, c.left) for c in state.changes] == [(last, (again,), ())] and state.fit is last
+    (told,) = state.steps
+    assert (told.effect, told.before, told.after) == (again, before, last)
 
 
 def test_a_grid_of_positions_does_not_tell_orders_apart(machine: sim.TrueMachine) -> None:

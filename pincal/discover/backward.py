@@ -19,19 +19,23 @@ from pincal.discover.policy import Policy
 from pincal.discover.score_tests import WIDER, enough_errors, standard_errors
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit, without
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Tone
+
+# Orders closer than this [waves a turn] are one wave, found once more: stages of a drive differ by more.
+_CLOSE = 1.0
 
 log = logging.getLogger(__name__)
 
 
 def name_again(state: State, search: Search) -> State:
     """Name each effect once more beside all the others, which were not there when it was named."""
-    named = [step for step in state.steps if not step.is_elastic]
+    places = [k for k, step in enumerate(state.steps) if not step.is_elastic]
     beside: Iterator[tuple[Fit, Decision | None]] | None = None
-    for k, step in enumerate(named if len(named) > 1 else []):
+    for i, k in enumerate(places if len(places) > 1 else []):
+        step = state.steps[k]
         (effect,) = step.effects
         if beside is None:
-            beside = named_beside(state.fit, [later.effect for later in named[k:]], search)
+            beside = named_beside(state.fit, [state.steps[later].effect for later in places[i:]], search)
         rest, decision = next(beside)
         if decision is None:
             continue
@@ -44,10 +48,20 @@ def name_again(state: State, search: Search) -> State:
         new = decided(rest, decision, search)
         if _predicts_better(effect, new.effect, rest, search):
             continue
+        if _is_close(effect, new.effect):
+            state, beside = state.tuned(step, new), None
+            continue
         log.info("%s is %s beside what was found later", listed([effect]), listed([decision.effect]))
         steps = state.with_replaced(step, replace(new, before=step.before, after=step.after)).steps
         state, beside = state.changed(new.after, steps, (decision.effect,), (effect,)), None
     return state
+
+
+def _is_close(effect: Effect, other: Effect) -> bool:
+    """Return whether two effects are waves of nearly one order, of one name on one joint."""
+    if not (isinstance(effect, Tone) and isinstance(other, Tone)) or effect.heading != other.heading:
+        return False
+    return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < _CLOSE
 
 
 def _predicts_better(effect: Effect, other: Effect, fit: Fit, search: Search) -> bool:

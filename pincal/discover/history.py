@@ -80,6 +80,15 @@ class State:
         """Return the state with another step in the place of one."""
         return replace(self, steps=tuple(by if other is step else other for other in self.steps))
 
+    def tuned(self, step: Step, by: Step) -> State:
+        """Return the state with the wave of one step in another order, close by: told as if it had come in so."""
+        last = self.changes[-1]
+        told = (replace(c, entered=tuple(by.effect if e is step.effect else e for e in c.entered)) for c in self.changes)
+        changes = tuple(replace(change, fit=by.after) if change.fit is last.fit else change for change in told)
+        found = (replace(by, before=step.before, after=step.after) if other is step else other for other in self.steps)
+        steps = tuple(replace(other, after=by.after) if other.after is last.fit else other for other in found)
+        return State(by.after, steps, changes)
+
     def without_step(self, step: Step) -> State:
         """Return the state without one of its steps."""
         return replace(self, steps=tuple(other for other in self.steps if other is not step))
