@@ -11,8 +11,8 @@ from pincal import GEOMETRIC, Options, Robot, run_discovery
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import PincalWarning
-from pincal.measure.approach import sides_by_order
-from pincal.measure.measurements import Measurements
+from pincal.measure.approach import BY_COLUMNS, note_on_sides, sides_by_order
+from pincal.measure.measurements import Measurements, concatenate
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import Backlash, ThermalExpansion
 from pincal.model.catalogue.candidates import untestable
@@ -68,11 +68,17 @@ def test_the_order_tells_only_what_has_no_column(machine: sim.TrueMachine, tmp_p
         rows = read(path)
 
     assert rows.approach is not None
+    assert rows.approach_from == "the sign of the move from the row before; of joint_3 what columns say"
+    assert "the side from which joints arrived is the sign of" in str(note_on_sides("rows.csv", rows.approach_from))
+    assert concatenate([rows, read(path, in_order=False)]).approach_from == f"{rows.approach_from}, {BY_COLUMNS}"
     np.testing.assert_array_equal(rows.approach[:, 2], said)
     np.testing.assert_array_equal(np.delete(rows.approach, 2, axis=1), np.delete(sides_by_order(rows.q), 2, axis=1))
-    untold = read(path, in_order=False).approach
+    alone = read(path, in_order=False)
+    untold = alone.approach
+    assert alone.approach_from == BY_COLUMNS and note_on_sides("rows.csv", BY_COLUMNS) is None
     assert untold is not None and not np.delete(untold, 2, axis=1).any()
-    assert read(table(machine, tmp_path / "plain.csv"), in_order=False).approach is None
+    plain = read(table(machine, tmp_path / "plain.csv"), in_order=False)
+    assert plain.approach is None and not plain.approach_from
 
 
 def test_times_say_the_order(machine: sim.TrueMachine, tmp_path: Path) -> None:
@@ -105,9 +111,12 @@ def test_the_reason_names_the_option() -> None:
 
 @pytest.mark.long
 def test_play_is_found_by_the_order_of_rows(machine: sim.TrueMachine, tmp_path: Path) -> None:
-    """It is named at its joint, half of it either way."""
+    """It is named at its joint, half of it either way; file and page say where the sides come from."""
     robot, rows = Robot.from_urdf(kuka_urdf_path(), tip="tool0"), read(table(machine, tmp_path / "rows.csv"))
-    (found,) = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA)).findings.effects
+    discovery = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA))
+    (found,) = discovery.findings.effects
+    assert discovery.report["approach_from"] == "the sign of the move from the row before"
+    assert any("rows.csv: the side from which joints arrived" in text for text in discovery.calibration.result.warnings)
     (half,) = found.parameters.values()
 
     assert (found.effect, found.joint) == ("backlash", "joint_2")

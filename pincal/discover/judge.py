@@ -43,6 +43,7 @@ def findings_of(
     *,
     gaps: tuple[Stage, ...],
     traces: tuple[PartialResidual, ...],
+    approach_from: str | None = None,
 ) -> Findings:
     """Return what a discovery found.
 
@@ -51,6 +52,7 @@ def findings_of(
         trail: how it was found.
         gaps: the errors at the start and after each change of the model.
         traces: what each effect explains.
+        approach_from: where directions of approach come from, in words; None where there are none.
     """
     final = trail.final
     excess = find_excess(final)
@@ -70,6 +72,7 @@ def findings_of(
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
         verdict=Verdict.NOT_ADEQUATE if is_misfit or excess else Verdict.ADEQUATE,
         unexplained_mm=left,
+        approach_from=approach_from,
     )
 
 

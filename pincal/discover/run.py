@@ -32,6 +32,7 @@ from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings, Stage
+from pincal.measure.approach import note_on_sides
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effect import Effect
@@ -152,7 +153,8 @@ def run_discovery(
     halves = begin_halves(trail, _regions(first), stability, executor=executor)
     # What follows is done here while workers are at the halves.
     fit, gaps, traces = widened(trail), stages_of(trail, first.stations), partial_residuals(trail)
-    findings = findings_of(fit, trail, gaps=gaps, traces=traces)
+    origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
+    findings = findings_of(fit, trail, gaps=gaps, traces=traces, approach_from=origins or None)
     if stability:
         bootstrap = bootstrap_last(trail)
         findings = repeated(findings, halves(), bootstrap)
@@ -170,7 +172,9 @@ def _search(
     blocks = np.concatenate(_regions(first)) % _CV_BLOCKS
     trail = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
     problem = trail.final.problem
-    notes = [*first.notes, *notes_on_repeats(problem.chain.robot, problem.conditions.q)]
+    tables = (rows.train for rows in first.stations)
+    sides = (note_on_sides(table.source, table.approach_from) for table in tables)
+    notes = [*first.notes, *dict.fromkeys(filter(None, sides)), *notes_on_repeats(problem.chain.robot, problem.conditions.q)]
     was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
     if frame != was:
         notes.append(f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}")

@@ -256,6 +256,7 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         only_in_halves: names that come up in at least 60 % of the halves, but not in all poses.
         poses_in_a_half: how many poses each half has; None where nobody looked.
         bootstrap: whether the effect that was accepted last may be chance; None where nobody looked, or none was.
+        approach_from: where the side from which joints arrived comes from; None where a table doesn't tell any.
     """
 
     noise_floor_mm: float
@@ -271,3 +272,4 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     only_in_halves: tuple[Repeated, ...] = ()
     poses_in_a_half: int | None = None
     bootstrap: Bootstrap | None = None
+    approach_from: str | None = None

@@ -11,6 +11,8 @@ from pincal.errors import PincalWarning
 
 # A joint that moved by less may still be on the side from which it came before [rad, m]: no robot's gear has as much play.
 _LEAST = 1e-3
+# How tables say where sides come from, if their own columns tell them.
+BY_COLUMNS = "what the columns approach_<joint> say"
 # One that moved by less stood still [rad, m].
 _STILL = 1e-9
 
@@ -44,8 +46,8 @@ def completed(
     time: np.ndarray | None,
     station: np.ndarray | None,
     source: str,
-) -> dict[str, np.ndarray]:
-    """Return the sides of all joints, shape (N,) each: those of their columns, and of the others by the order of the rows.
+) -> tuple[dict[str, np.ndarray], str]:
+    """Return the sides of all joints: those of their columns, and of the others by the order of the rows.
 
     Args:
         given: the columns that there are, shape (N,) each, by joint.
@@ -55,6 +57,9 @@ def completed(
             their place; None if unknown.
         station: of the rows, shape (N,), each with an order and a zero of time of its own; None for one.
         source: the table's name.
+
+    Returns:
+        Sides by joint, shape (N,) each, and where they come from, in words.
     """
     order = np.arange(len(q)) if time is None else np.argsort(time, kind="stable")
     where = np.zeros(len(q), int) if station is None else np.unique(station, return_inverse=True)[1]
@@ -62,8 +67,17 @@ def completed(
     for k in np.unique(where):
         own = order[where[order] == k]
         sides[own] = sides_by_order(q[own])
+    origin = BY_COLUMNS
     if missing := [joint for joint in joints if joint not in given]:
-        before = "from the row before" if time is None else "since the time before"
-        text = f"{source}: the side from which {', '.join(missing)} arrived is the sign of the move {before}"
+        origin = f"the sign of the move {'from the row before' if time is None else 'since the time before'}"
+        text = f"{source}: the side from which {', '.join(missing)} arrived is {origin}"
         warnings.warn(text, PincalWarning, stacklevel=2)
-    return dict(zip(joints, sides.T, strict=True)) | dict(given)
+        others = ", ".join(joint for joint in joints if joint in given)
+        origin += f"; of {others} what columns say" if others else ""
+    return dict(zip(joints, sides.T, strict=True)) | dict(given), origin
+
+
+def note_on_sides(source: str, origin: str) -> str | None:
+    """Return what a report says of where sides come from, given that in words; None where there are no guesses."""
+    guessed = origin and origin != BY_COLUMNS
+    return f"{source}: the side from which joints arrived is {origin}" if guessed else None

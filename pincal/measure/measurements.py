@@ -60,6 +60,8 @@ class Measurements:
     """Standard deviation of the row [m], shape (N,)."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units that the header gave, by column; what is not in it was taken as SI."""
+    approach_from: str = ""
+    """Where ``approach`` comes from, in words, as far as it is known."""
 
     def __post_init__(self) -> None:
         for name, array in self._present().items():
@@ -220,7 +222,8 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     joined = first._with({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
     units = {k: v for k, v in first.units.items() if all(table.units.get(k) == v for table in tables)}
     source = ", ".join(dict.fromkeys(table.source for table in tables))
-    return replace(joined, units=units, source=source)
+    origins = ", ".join(dict.fromkeys(table.approach_from for table in tables if table.approach_from))
+    return replace(joined, units=units, source=source, approach_from=origins)
 
 
 def validated(

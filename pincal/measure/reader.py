@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.approach import completed
+from pincal.measure.approach import BY_COLUMNS, completed
 from pincal.measure.fields import CONDITIONS, Field
 from pincal.measure.files import open_sheet, typed_errors
 from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
@@ -39,11 +39,13 @@ class Cells:
             approach as "approach", shape (N, n), where there are any.
         rows: shape (N,), line of each row in its file, the header being line 1.
         units: the units that the header gave, by column.
+        approach_from: where directions of approach come from, in words; empty where there are none.
     """
 
     arrays: dict[str, np.ndarray]
     rows: np.ndarray
     units: dict[str, str]
+    approach_from: str = ""
 
 
 def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | None = None) -> Cells:
@@ -81,16 +83,17 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
     if droop is not None:
         arrays["droop"] = droop
     sides = {name: values.pop(f"approach_{name}") for name in joints if f"approach_{name}" in values}
+    origin = BY_COLUMNS if sides else ""
     if schema.options.rows_in_order and joints:
         when = {name: values.get(name) for name in ("time", "station")}
-        sides = completed(sides, joints, arrays["q"], **when, source=path.name)
+        sides, origin = completed(sides, joints, arrays["q"], **when, source=path.name)
     if sides:
         unknown = np.zeros(len(rows))
         arrays["approach"] = np.column_stack([sides.get(name, unknown) for name in joints])
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
-    return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit})
+    return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit}, origin)
 
 
 def _part(sheet: Sheet, part: range) -> Sheet:

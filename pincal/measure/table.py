@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -93,6 +94,7 @@ def read_measurements(
     )
     cells = read_table(path, schema, part=part)
     measurements = validated(names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
+    measurements = replace(measurements, approach_from=cells.approach_from)
     if not only_joints and measurements.sensor is None:
         raise MeasurementError(f"{source}: no measurement in the table; expected columns {expected_columns()}")
     return measurements
