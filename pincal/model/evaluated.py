@@ -120,7 +120,8 @@ def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) 
     keys = [key_of(effect) for effect in effects]
     found = [known.get(key) or _of_effect(effect, chain, conditions) for key, effect in zip(keys, effects, strict=True)]
     asked = dict(zip(keys, found, strict=True))
-    if past is None or not asked.keys() <= known.keys():
+    # Rows of several set-ups are put together anew each time: to keep what is found there would only keep these.
+    if conditions.setup is None and (past is None or not asked.keys() <= known.keys()):
         others = [table for table in tuple(_KEPT) if table is not past]
         # What is asked for now goes before what was asked for once.
         of_effect = next((kept for kept in (known | asked, asked) if _numbers(kept) <= _MOST_NUMBERS), {})

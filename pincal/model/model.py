@@ -249,8 +249,8 @@ class Model:
 
     def largest_bases(self, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what :meth:`largest_basis` does of each of S parts of the rows, given where they start, shape (S, P)."""
-        if self.bodies or not self.effects:
-            # Whether masses act depends on what else follows moments.
+        if self.bodies or not self.effects or conditions.setup is not None:
+            # Whether masses act depends on what else follows moments; rows of several set-ups are put together each time.
             return self._largest_bases(conditions, starts)
         known, parts = _LARGEST.of(self.chain, conditions), starts.tobytes()
         keys = [(key_of(effect), parts) for effect in self.effects]
