@@ -26,6 +26,8 @@ from pincal.robot.robot import Robot
 _ROWS = 2000
 _SETTLED_ROWS = 500
 _FEWEST_SETTLED_ROWS = 40
+# Starts that leave as much but for this factor end in the same place; rounding does not choose among them.
+_ALIKE = 1.0 + 1e-6
 
 
 def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
@@ -79,7 +81,7 @@ def place_arm(
 ) -> list[tuple[Station, np.ndarray]]:
     """Return the stations of an arm whose deviations are known, with base and tool about where they are, and their values.
 
-    Of the closed-form candidates the one whose fit of base and tool leaves least is taken.
+    Of the closed-form candidates the one whose fit of base and tool leaves least is taken, of those that end alike the last.
 
     Args:
         arm: the arm's chain and effects, without base and tool; its targets and reference orientations don't count.
@@ -94,7 +96,7 @@ def place_arm(
         those = [i for i, starts in enumerate(candidates) if k < len(starts)]
         settled = _settled([candidates[i][k] for i in those], options)
         for i, (rest, found) in zip(those, settled, strict=True):
-            if rest < best[i][0]:
+            if rest < _ALIKE * best[i][0]:
                 best[i] = rest, candidates[i][k][0], found
     return [(station, found) for _, station, found in best]
 
