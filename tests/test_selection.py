@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.stats import multivariate_normal
 from selection_cases import bent_panda, waving_ur5
 
 from pincal import GEOMETRIC, Measurements, Options
+from pincal.discover.first_order import Doubt
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit
@@ -71,6 +73,26 @@ def test_evidence_is_that_of_the_data_whatever_the_parameters_are(rng: np.random
         return float(multivariate_normal.logpdf(whole, cov=covariance))
 
     assert tests.log_evidence([0]) == pytest.approx(log_density(_MODEL + 2) - log_density(_MODEL), rel=1e-6)
+
+
+def test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without(rng: np.random.Generator) -> None:
+    """T is the ratio of the largest densities of the readings, over the candidate's values and two sizes of parameters."""
+    tests, A, r = linear(rng)
+    doubt = Doubt(np.array([False, False, True, False, True]), (0.1, 3.0), (0.0, 4.0))
+    tests = replace(tests, doubt=doubt, values=tests.values * ~doubt.columns, pull=tests.pull * ~doubt.columns)
+    A, r = A.reshape(-1, _MODEL + 2), r.ravel()
+    whole = r + A[:, :_MODEL] @ tests.values
+
+    def cost(n_free: int, factor: float) -> float:
+        sizes = tests.sizes[:_MODEL] * np.where(doubt.columns, factor, 1.0)
+        covariance = np.eye(len(r)) + A[:, :_MODEL] @ np.diag(sizes**2) @ A[:, :_MODEL].T
+        L, G = np.linalg.cholesky(covariance), A[:, _MODEL : _MODEL + n_free]
+        best = np.linalg.lstsq(np.linalg.solve(L, G), np.linalg.solve(L, whole), rcond=None)[0]
+        return float(-2.0 * multivariate_normal.logpdf(whole - G @ best, cov=covariance))
+
+    without, given = (min(cost(n, f) + c for f, c in zip(doubt.factors, doubt.costs, strict=True)) for n in (0, 2))
+
+    assert tests.gain([0]) == (pytest.approx(without - given, rel=1e-6), 2)
 
 
 def discovered(rows: Measurements, found: Discovery, clean: np.ndarray) -> list[float]:

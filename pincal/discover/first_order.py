@@ -34,6 +34,21 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
+class Doubt:
+    """Parameters at zero that are believed to be small, though not how small.
+
+    Attributes:
+        columns: shape (n_model,), whether each parameter of the model is one of them.
+        factors: what their sizes may have to be multiplied by.
+        costs: of believing in each factor, as an information criterion.
+    """
+
+    columns: np.ndarray
+    factors: tuple[float, ...]
+    costs: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class FirstOrder:
     """Gram matrices of a fitted model and of all candidates, whitened by the noise that the model leaves.
 
@@ -50,6 +65,7 @@ class FirstOrder:
         blocks_S, blocks_b: shape (B, P, P), (B, P), S and b by block of poses.
         between: holds the products of one candidate's columns with another's, which are taken when they are asked for and
             may be left out of ``blocks_S``; None if this has all.
+        doubt: parameters whose sizes are in doubt; None if none are.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
@@ -68,6 +84,7 @@ class FirstOrder:
     readings: int
     spent: float
     between: Between | None = None
+    doubt: Doubt | None = None
 
     @cached_property
     def S(self) -> np.ndarray:
@@ -112,11 +129,38 @@ class FirstOrder:
     @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:
         """H, shape (C, n_model), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
-        N, C = slice(0, self.n_model), slice(self.n_model, None)
-        scale, L = scaled_factor(self._known_S[N, N] + self.known)
+        N, C, (scale, L, slope) = slice(0, self.n_model), slice(self.n_model, None), self._factor
         taken = solve_triangular(L, scale[:, None] * self._known_S[N, C], lower=True, check_finite=False).T
-        slope = solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
         return taken, self.b[C] - taken @ slope
+
+    @cached_property
+    def _factor(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Scale and factor of the model's information, and its slope in units of it."""
+        N = slice(0, self.n_model)
+        scale, L = scaled_factor(self._known_S[N, N] + self.known)
+        return scale, L, solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
+
+    @cached_property
+    def _beliefs(self) -> list[tuple[float, Self]]:
+        """The same tests with each of the sizes that are in doubt, and what each costs: -2 log of how likely it is."""
+        if self.doubt is None:
+            return [(0.0, self)]
+        found, own = [], self.doubt.columns
+        for factor, cost in zip(self.doubt.factors, self.doubt.costs, strict=True):
+            known = self.known + np.diag(own * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
+            tests = replace(self, known=known, doubt=None)
+            scale, L, slope = tests._factor
+            evidence = np.sum(np.log(np.diag(L) / scale)) + np.count_nonzero(own) * np.log(factor) - 0.5 * slope @ slope
+            found.append((cost + 2.0 * float(evidence), tests))
+        least = min(cost for cost, _ in found)
+        return [(cost - least, tests) for cost, tests in found]
+
+    def likeliest(self, which: Sequence[int]) -> tuple[float, Self]:
+        """Return the tests with the sizes, of those in doubt, that are likeliest with some candidates, and their cost.
+
+        The cost is what these sizes cost beyond the likeliest ones without the candidates.
+        """
+        return min(self._beliefs, key=lambda belief: belief[0] - belief[1].gain(which)[0])
 
     def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and S' and b' of these, shape (J, J) and (J,)."""
@@ -132,7 +176,11 @@ class FirstOrder:
         return np.concatenate([self.columns[i] for i in which])
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
-        """Return T and rank of some candidates together."""
+        """Return T and rank of some candidates together; sizes in doubt are the likeliest ones, with and without them."""
+        if self.doubt is not None:
+            cost, tests = self.likeliest(which)
+            gain, rank = tests.gain(which)
+            return gain - cost, rank
         if len(which) == 1:
             gains, ranks = self._alone
             return float(gains[which[0]]), int(ranks[which[0]])
@@ -175,10 +223,11 @@ class FirstOrder:
     def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
         """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).
 
-        Both the model and the model with the candidates are refitted, to first order, without each block.
+        Both the model and the model with the candidates are refitted, to first order, without each block. Sizes in doubt
+        are those that are likeliest with the candidates.
         """
-        j = self.n_model + self.columns_of(which)
-        return np.array([self._gain_left_out(k, j) for k in range(len(self.blocks_S))])
+        j, tests = self.n_model + self.columns_of(which), self.likeliest(which)[1]
+        return np.array([tests._gain_left_out(k, j) for k in range(len(self.blocks_S))])
 
     def _gain_left_out(self, k: int, j: np.ndarray) -> float:
         """Return by how much the columns ``j``, fitted without block k, lower the squared error on it."""
@@ -248,6 +297,7 @@ class FirstOrder:
             values=self.values[model],
             sizes=self.sizes[kept],
             known=self.known[np.ix_(model, model)],
+            doubt=None if self.doubt is None else replace(self.doubt, columns=self.doubt.columns[model]),
             pull=self.pull[model],
             blocks_S=self.blocks_S[:, kept[:, None], kept],
             blocks_b=self.blocks_b[:, kept] + S[:, kept] @ v,

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import fdtrc
 
-from pincal.discover.first_order import FirstOrder, scaled_factor
+from pincal.discover.first_order import Doubt, FirstOrder, scaled_factor
 from pincal.discover.products import products
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import Fit
@@ -97,12 +97,13 @@ class ScoreTests(FirstOrder):
         Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order). The
         places or frequencies among which they were chosen cost, too.
         """
-        j, S, b = self.within(which)
+        cost, tests = self.likeliest(which)
+        j, S, b = tests.within(which)
         size = self.sizes[self.n_model + j]
         information = np.outer(size, size) * S + np.eye(len(j))
         step = np.linalg.solve(information, size * b)
         looks = sum(float(np.log(self.effects[i].looks)) for i in which)
-        return float(0.5 * (size * b) @ step - 0.5 * np.linalg.slogdet(information)[1]) - looks
+        return float(0.5 * ((size * b) @ step - np.linalg.slogdet(information)[1] - cost)) - looks
 
     def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
         """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
@@ -151,6 +152,7 @@ def score_test(
     groups: np.ndarray | None = None,
     *,
     wider: float = WIDER,
+    beliefs: Sequence[tuple[float, float]] = (),
 ) -> ScoreTests:
     """Test candidates against a fit.
 
@@ -160,6 +162,8 @@ def score_test(
         nuisance: effects that are projected out but not tested.
         groups: shape (N,), the block of each training row, for cross-validation; default: one block.
         wider: by how much wider than in the fit the priors of geometry are.
+        beliefs: what the sizes of nuisance parameters may have to be multiplied by, and the cost of believing that, as an
+            information criterion; default: they are what they are.
     """
     problem, known = fit.problem.extended([*nuisance, *candidates])
     groups = np.zeros(len(problem), int) if groups is None else groups
@@ -177,6 +181,8 @@ def score_test(
     found = products(fit, problem, values, free, tested, groups)
     columns, model = found.columns, found.places[: found.n_model]
     beyond, slope = problem.beyond_priors(model, values, sizes)
+    doubtful = [places for effect in nuisance for places in problem.places_at(effect)] if beliefs else []
+    doubt = Doubt(np.isin(model, doubtful), *zip(*beliefs, strict=True)) if doubtful else None
     counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
     return ScoreTests(
         effects=tuple(candidates),
@@ -192,4 +198,5 @@ def score_test(
         readings=int(counts @ problem.block_sizes),
         spent=fit.solution.posterior.effective,
         between=found.between,
+        doubt=doubt,
     )
