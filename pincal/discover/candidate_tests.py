@@ -132,14 +132,14 @@ def table_of(
     count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
     rows = []
     for i, effect in enumerate(effects):
-        n, more = count[effect.is_nameless], _surcharge(effect, policy)
+        n = count[effect.is_nameless]
         given = range(len(effects), len(effects) + len(spare)) if effect.is_of_loads else range(0)
         score, limit = tests.score_given([i], given, n) if given else tests.score([i], n), policy.false_name / n
         # Asked only where chance does not explain the candidate anyway.
         if is_small and score.p_value < limit:
             evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
-            limit = 0.0 if evidence < 0.5 * more - np.log(limit) else limit
-        rows.append(Row(effect, score, costs.get(id(effect), score.ebic + more), limit))
+            limit = 0.0 if evidence < -np.log(limit) else limit
+        rows.append(Row(effect, score, costs.get(id(effect), score.ebic + _surcharge(effect, policy)), limit))
 
     def predicts(i: int) -> bool:
         left_out = test([effects[i]], search.groups)
