@@ -224,14 +224,14 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
         return replace(found, blocks_S=whole * found.blocks_S)
 
     here = tests_at(station.conditions for station in stations)
-    again = _separation(here, 2.0 * here.blocks_S, value)
     designs = [dict(_designs(few.problem.chain.robot, station.conditions)) for station in stations]
     for words in (words for words in designs[0] if all(words in others for others in designs)):
         try:
             there = tests_at(design[words] for design in designs)
         except (ValueError, KeyError):
             continue
-        if _separation(here, here.blocks_S + there.blocks_S, value) > max(TOLD_APART, _TELLING * again):
+        told = _separation(here, here.blocks_S + there.blocks_S, value)
+        if told > TOLD_APART and told > _TELLING * _separation(here, 2.0 * here.blocks_S, value):
             return words
     many = TOLD_APART / max(_separation(here, here.blocks_S, value), 1e-9)
     if many < 50:

@@ -338,6 +338,8 @@ class Problem:
 
     def places_at(self, effect: Effect) -> np.ndarray:
         """Return where the parameters of an effect of the problem, this very object, stand: those of all stations."""
+        if len(self.stations) == 1:
+            return self.places[0][self._spans[0].get(id(effect), slice(0))]
         found: dict[int, None] = {}
         for spans, places in zip(self._spans, self.places, strict=True):
             found |= dict.fromkeys(places[spans.get(id(effect), slice(0))].tolist())

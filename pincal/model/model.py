@@ -76,13 +76,17 @@ class Model:
     @cached_property
     def spans(self) -> tuple[slice, ...]:
         """For each effect, where its parameters stand."""
-        starts = np.cumsum([0, *map(len, parameters_of_each(self.effects, self.chain))]).tolist()
+        starts = np.cumsum([0, *map(len, self._parameters_of_each)]).tolist()
         return tuple(slice(a, b) for a, b in pairwise(starts))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, effect by effect."""
-        return tuple(p for of_effect in parameters_of_each(self.effects, self.chain) for p in of_effect)
+        return tuple(p for of_effect in self._parameters_of_each for p in of_effect)
+
+    @cached_property
+    def _parameters_of_each(self) -> list[tuple[Parameter, ...]]:
+        return parameters_of_each(self.effects, self.chain)
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
