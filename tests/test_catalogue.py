@@ -58,6 +58,7 @@ from pincal.model.effect import Discoverable, Reducible, Tone
 from pincal.model.effects import ELASTIC, BaseFrame, Conditions, Effect, JointElasticity, JointOffset, ToolFrame
 from pincal.model.model import Model
 from pincal.model.registry import meaning_of
+from pincal.model.sizes import largest_basis
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot, find_file
 
@@ -735,7 +736,7 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     assert "lines a turn are not known" in next(r for e, r in reasons.items() if isinstance(e, EncoderSubdivision))
     assert "could be compensated" in reasons[GravityCompensator(first)]
     assert not set(found) & set(reasons)
-    excited = Model(chain, found).largest_basis(conditions)[1]
+    excited = largest_basis(Model(chain, found), conditions)[1]
     owners = {p.name for p, moved in zip(Model(chain, found).parameters, excited, strict=True) if moved}
     assert all(any(p.name in owners for p in effect.parameters(chain)) for effect in found)
 

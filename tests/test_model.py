@@ -17,13 +17,14 @@ from numba.core.event import EventStatus
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.model import effects as catalogue
-from pincal.model import kernels
+from pincal.model import kernels, sizes
 from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
 from pincal.model.catalogue.bearings import ObliqueBearing
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, JointOffset, LinkGeometry, ToolFrame
 from pincal.model.kernels import BLOCK, FRAME
 from pincal.model.model import Model
+from pincal.model.sizes import largest_bases, largest_basis
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
 
@@ -87,7 +88,7 @@ def unit_of(model: Model, conditions: Conditions) -> np.ndarray:
         if symbol.startswith("k_"):
             unit[p] = max(moments[3 * joints.index(element) + "xyz".index(symbol[-1])], floor)
     # A bearing beside the origin of its frame turns short links to move them.
-    size = model.largest_basis(conditions)[0]
+    size = largest_basis(model, conditions)[0]
     return np.where(size > 2.0 * unit, size, unit)
 
 
@@ -800,11 +801,11 @@ def test_how_far_effects_move_coordinates_is_asked_once(kuka: Robot, monkeypatch
     """The same whether together or each by itself, and over parts of the rows that of the parts."""
     chain, conditions = Chain.of(kuka), Conditions.at(kuka.random_configurations(12, np.random.default_rng(0)))
     model = Model(chain, ELASTIC)
-    parts, acts = model.largest_bases(conditions, np.array([0, 5]))
-    whole, acted = model.largest_basis(conditions)
+    parts, acts = largest_bases(model, conditions, np.array([0, 5]))
+    whole, acted = largest_basis(model, conditions)
     np.testing.assert_array_equal(parts.max(axis=0), whole)
     np.testing.assert_array_equal(acts.any(axis=0), acted)
-    monkeypatch.setattr(Model, "_largest_bases", None)
-    each = [Model(chain, (effect,)).largest_basis(conditions) for effect in reversed(ELASTIC)]
+    monkeypatch.setattr(sizes, "_largest_bases", None)
+    each = [largest_basis(Model(chain, (effect,)), conditions) for effect in reversed(ELASTIC)]
     np.testing.assert_array_equal(np.concatenate([size for size, _ in reversed(each)]), whole)
     np.testing.assert_array_equal(np.concatenate([acts for _, acts in reversed(each)]), acted)

@@ -25,6 +25,7 @@ from pincal.measure.registry import foreseeable
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
+from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot
 
 # Noise below which the arithmetic of a design has no digits left [m, rad].
@@ -94,7 +95,7 @@ class DesignModel:
                 model = model.with_effects([*model.effects, rival])
         values = nominal_values(model, rig, rig.target(robot))
         problem = foreseen_station(model, values, rig, conditions)
-        free = np.append(model.largest_basis(conditions)[1], ~problem.sensor.fixed)
+        free = np.append(largest_basis(model, conditions)[1], ~problem.sensor.fixed)
         sizes = priors_of(Problem((problem,)), options).sizes[free]
         places = _places(model, free, rivals)
         for columns in places:

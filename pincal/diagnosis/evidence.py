@@ -28,6 +28,7 @@ from pincal.discover.nuisance import MassError
 from pincal.identify.normal import belief_rows, block_rows
 from pincal.identify.station import Station
 from pincal.model.effect import Effect
+from pincal.model.sizes import largest_basis
 from pincal.parameters import root_of
 
 # Part of a column's square that must be left after projection for the data to see it.
@@ -109,7 +110,7 @@ def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassE
     _, J = wide.linearise(values, conditions)
     columns = J.transpose(2, 0, 1).reshape(J.shape[2], -1) / calibrated.sigma[0]
     G = columns @ columns.T
-    sizes = np.array([parameter.size for parameter in model.parameters]) / model.largest_basis(conditions)[0]
+    sizes = np.array([parameter.size for parameter in model.parameters]) / largest_basis(model, conditions)[0]
     H = G[:n, :n] + np.diag(sizes**-2.0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     slope = np.linalg.lstsq(H * np.outer(scale, scale), scale[:, None] * G[:n, n:], rcond=_ROUNDING)[0]

@@ -15,6 +15,7 @@ from pincal.diagnosis.mend import Posterior, Prior, most_probable
 from pincal.discover.nuisance import compliances_of
 from pincal.identify.station import Station
 from pincal.model.conditions import Conditions, Situation, varies
+from pincal.model.sizes import largest_basis
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class Lineup:
     def sizes(self) -> np.ndarray:
         """How large a change is that the rows do not tell, shape (P,): as errors of such robots are."""
         largest = np.ones(len(self.start))
-        self.station.split(largest)[0][:] = self.station.model.largest_basis(self.station.conditions)[0]
+        self.station.split(largest)[0][:] = largest_basis(self.station.model, self.station.conditions)[0]
         return np.array([parameter.size for parameter in self.station.parameters]) / largest
 
 

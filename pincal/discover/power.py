@@ -19,6 +19,7 @@ from pincal.identify.problem import Problem
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Curve, Effect, Reducible
 from pincal.model.model import Model
+from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot
 
 # Chance with which an effect of the size that is called detectable is found (test_discovery_report.py counts it).
@@ -130,7 +131,7 @@ def _measure(effect: Effect, fit: Fit, own: np.ndarray, unit: str) -> tuple[str,
         return "rms of the curve", unit, _unit_curves(effect, fit)
     if "N m" in unit:
         # Micro-radians say more than compliances.
-        largest, felt = Model(fit.problem.chain, (effect,)).largest_basis(fit.problem.conditions)
+        largest, felt = largest_basis(Model(fit.problem.chain, (effect,)), fit.problem.conditions)
         return "largest rotation in these poses", "rad", np.diag(1.0 / largest[own])[:, felt[own]]
     one = len(own) == 1
     return effect.parameters(fit.problem.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))

@@ -24,6 +24,7 @@ from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined, part_of
 from pincal.model.effects import BaseFrame, Effect, ToolFrame
+from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
 
 # Rows by which sizes are judged.
@@ -268,7 +269,7 @@ class Problem:
         for batch in self.batches:
             sample = replace(batch, stations=tuple(map(_sample, batch.stations)))
             model = sample.stations[0].model
-            found = model.largest_bases(sample.together().conditions, sample.ends[:-1])
+            found = largest_bases(model, sample.together().conditions, sample.ends[:-1])
             n_sensor = batch.places.shape[1] - model.n_parameters
             size, acts = (np.pad(of, ((0, 0), (0, n_sensor)), constant_values=1) for of in found)
             np.maximum.at(largest, batch.places, size)

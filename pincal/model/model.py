@@ -12,12 +12,11 @@ import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.conditions import UNFELT, Conditions
+from pincal.model.conditions import Conditions
 from pincal.model.effect import Body, Effect, Term
-from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, key_of, parameters_of_each, plain_terms
+from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, parameters_of_each, plain_terms
 from pincal.model.kernels import Bodies, Compliances, Layout, Payload, Places, Terms, Values
-from pincal.model.latest import Latest
-from pincal.model.sparse_basis import Basis, dense_rows, joined_rows, sparse_across
+from pincal.model.sparse_basis import Basis, joined_rows, sparse_across
 from pincal.parameters import Parameter
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
@@ -29,9 +28,6 @@ _EQUILIBRIUM_TOLERANCE = 1e-15
 _LIGHTEST = 1e-9
 # What a model keeps of its parameters once it has been asked for it.
 _OF_PARAMETERS = ("parameters", "names", "spans", "of_station", "bodies")
-# How far effects move coordinates at most, on the latest tables: a discovery asks for the same candidates at every step.
-# The effects are held, too.
-_LARGEST = Latest[tuple[Effect, np.ndarray, np.ndarray]](4)
 
 
 @dataclass(frozen=True)
@@ -148,7 +144,7 @@ class Model:
         Returns:
             Shape (N, 3, 4): rotation and translation [m].
         """
-        state = _State.at(self, values, conditions)
+        state = State.at(self, values, conditions)
         return np.moveaxis(kernels.tip_poses(self.chain.layout, state.deformed, state.places), -1, 0)
 
     def linearise(
@@ -165,7 +161,7 @@ class Model:
         Returns:
             Poses, shape (N, 3, 4), and Jacobian, shape (N, rows, number of free parameters).
         """
-        state = _State.at(self, values, conditions)
+        state = State.at(self, values, conditions)
         columns = np.arange(self.n_parameters) if free is None else np.where(free, np.cumsum(free) - 1, -1)
         poses, jacobian = self._linearise(state, columns, [], rows)
         return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
@@ -179,7 +175,7 @@ class Model:
             Poses, shape (N, 3, 4); Jacobian, shape (D + L, rows, N), of the D free parameters that share nothing, in
             order, and of the coordinates that the L groups of the others act on; these groups.
         """
-        state = _State.at(self, values, conditions)
+        state = State.at(self, values, conditions)
         shared = state.shared(free)
         apart = free.copy()
         for group in shared:
@@ -190,7 +186,7 @@ class Model:
         return np.moveaxis(poses, -1, 0), jacobian, shared
 
     def _linearise(
-        self, state: _State, columns: np.ndarray, coordinates: list[int], rows: int
+        self, state: State, columns: np.ndarray, coordinates: list[int], rows: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
         n_columns = int(columns.max(initial=-1)) + 1
@@ -211,12 +207,12 @@ class Model:
 
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
-        state = _State.at(self, values, conditions)
+        state = State.at(self, values, conditions)
         return np.asarray(kernels.static_moments(state.layout, state.rigid, state.payload).T)
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
-        deformed = _State.at(self, values, conditions).deformed
+        deformed = State.at(self, values, conditions).deformed
         out = np.tile(deformed.constant, (len(conditions), 1))
         varies = deformed.slot >= 0
         out[:, varies] = deformed.varying[deformed.slot[varies]].T
@@ -237,71 +233,9 @@ class Model:
                     constant[term.coordinate] += values[span][term.parameter]
         return constant
 
-    def largest_basis(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
-        """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.
-
-        A moment itself is taken as at least a part of the largest on the arm, so that a wrist that carries nothing is
-        not thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
-        not excite its parameter, although a base that is not quite level would. A spline of a curve is taken to be as
-        large as the others of the curve, however few of the poses are near it.
-
-        Returns:
-            Sizes and whether excited, both of shape (P,).
-        """
-        largest, excited = self.largest_bases(conditions, np.zeros(1, int))
-        return largest[0], excited[0]
-
-    def largest_bases(self, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what :meth:`largest_basis` does of each of S parts of the rows, given where they start, shape (S, P)."""
-        if self.bodies or not self.effects or conditions.setup is not None:
-            # Whether masses act depends on what else follows moments; rows of several set-ups are put together each time.
-            return self._largest_bases(conditions, starts)
-        known, parts = _LARGEST.of(self.chain, conditions), starts.tobytes()
-        keys = [(key_of(effect), parts) for effect in self.effects]
-        new = self.with_effects([e for key, e in zip(keys, self.effects, strict=True) if key not in known])
-        if new.effects:
-            largest, excited = new._largest_bases(conditions, starts)
-            for of, effect in zip(new.spans, new.effects, strict=True):
-                known[key_of(effect), parts] = effect, largest[:, of], excited[:, of]
-        found = [known[key] for key in keys]
-        return np.hstack([size for _, size, _ in found]), np.hstack([acts for *_, acts in found])
-
-    def _largest_bases(self, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        state = _State.at(self, np.zeros(self.n_parameters), conditions)
-
-        def most(of_rows: np.ndarray) -> np.ndarray:
-            return np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))
-
-        moments = np.array([most(moment) for moment in state.moments]).reshape(-1, len(starts))
-        heaviest = moments.max(axis=0, initial=0.0)
-        largest = np.zeros((len(starts), self.n_parameters))
-        excited = np.zeros(largest.shape, bool)
-        least = np.zeros(self.n_parameters)
-        for span, effect in zip(self.spans, self.effects, strict=True):
-            least[span] = effect.least_moment
-        for p, term in state.terms:
-            size = np.ones(len(starts)) if term.basis is None else most(term.basis)
-            if term.moment is not None:
-                excited[:, p] |= moments[term.moment] > UNFELT * heaviest
-                size = size if term.slope is not None else np.maximum(size, least[p] * heaviest)
-            else:
-                excited[:, p] |= size > 0.0
-            largest[:, p] = np.maximum(largest[:, p], size)
-        for at, _, basis in state.curves:
-            for row, p in zip(dense_rows(basis), at.tolist(), strict=True):
-                largest[:, p] = most(row)
-            excited[:, at] = largest[:, at] > 0.0
-        for body in self.bodies:
-            excited[:, body.parameter] = heaviest > 0.0
-        for span, effect in zip(self.spans, self.effects, strict=True):
-            if effect.alike:
-                largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
-                excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
-        return np.where(largest > 0.0, largest, 1.0), excited
-
 
 @dataclass(frozen=True)
-class _State:
+class State:
     """Terms and coordinates of a model at one set of values."""
 
     model: Model
@@ -316,7 +250,8 @@ class _State:
     payload: Payload
 
     @classmethod
-    def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> _State:
+    def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> State:
+        """Return the state of a model at values of its parameters, shape (P,) or (P, S), at some poses."""
         target = np.require(conditions.target, np.int64, ["C", "W"])
         if target.max(initial=0) >= len(model.chain.targets):
             raise ValueError(f"target {target.max()} of a chain with {len(model.chain.targets)} targets")

@@ -19,6 +19,7 @@ from pincal.measure.sensing import ideal_readings
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
+from pincal.model.sizes import largest_basis
 from pincal.report.words import effect_words
 from pincal.viewer.workspace import at_conditions, workspace_poses
 
@@ -228,7 +229,7 @@ def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
     if not free.any():
         return start
     # Other targets than those of these rows are not seen: they stay.
-    station.split(free)[0][:] &= station.model.largest_basis(station.conditions)[1]
+    station.split(free)[0][:] &= largest_basis(station.model, station.conditions)[1]
     nothing = np.full(len(start), np.inf)
     noise = Noise((None,) * len(station.sensor.blocks))
     return most_probable(Problem((station,)), start, free, Priors(nothing, nothing), noise, loss="huber", rough=True)

@@ -15,6 +15,7 @@ from pincal.model.evaluated import key_of
 from pincal.model.latest import Latest
 from pincal.model.model import Model
 from pincal.model.registry import EFFECTS
+from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot
 
 # A basis that changes by less than this part of its size is a constant.
@@ -99,7 +100,7 @@ def why_not_testable(candidate: Candidate, situation: Situation) -> str:
 
 
 def _unmoved(effect: Effect, situation: Situation) -> str:
-    excited = bool(Model(situation.chain, (effect,)).largest_basis(situation.conditions)[1].any())
+    excited = bool(largest_basis(Model(situation.chain, (effect,)), situation.conditions)[1].any())
     return "" if excited else "gravity exerts no moment about its axis in any pose"
 
 

@@ -1,0 +1,81 @@
+"""How far a unit of each parameter moves its coordinate at most: by this, priors are millimetres and milliradians."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.model.conditions import UNFELT, Conditions
+from pincal.model.effect import Effect
+from pincal.model.evaluated import key_of
+from pincal.model.latest import Latest
+from pincal.model.model import Model, State
+from pincal.model.sparse_basis import dense_rows
+
+# How far effects move coordinates at most, on the latest tables: a discovery asks for the same candidates at every step.
+# The effects are held, too.
+_LARGEST = Latest[tuple[Effect, np.ndarray, np.ndarray]](4)
+
+
+def largest_basis(model: Model, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.
+
+    A moment itself is taken as at least a part of the largest on the arm, so that a wrist that carries nothing is
+    not thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
+    not excite its parameter, although a base that is not quite level would. A spline of a curve is taken to be as
+    large as the others of the curve, however few of the poses are near it.
+
+    Returns:
+        Sizes and whether excited, both of shape (P,).
+    """
+    largest, excited = largest_bases(model, conditions, np.zeros(1, int))
+    return largest[0], excited[0]
+
+
+def largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what :func:`largest_basis` does of each of S parts of the rows, given where they start, shape (S, P)."""
+    if model.bodies or not model.effects or conditions.setup is not None:
+        # Whether masses act depends on what else follows moments; rows of several set-ups are put together each time.
+        return _largest_bases(model, conditions, starts)
+    known, parts = _LARGEST.of(model.chain, conditions), starts.tobytes()
+    keys = [(key_of(effect), parts) for effect in model.effects]
+    new = model.with_effects([e for key, e in zip(keys, model.effects, strict=True) if key not in known])
+    if new.effects:
+        largest, excited = _largest_bases(new, conditions, starts)
+        for of, effect in zip(new.spans, new.effects, strict=True):
+            known[key_of(effect), parts] = effect, largest[:, of], excited[:, of]
+    found = [known[key] for key in keys]
+    return np.hstack([size for _, size, _ in found]), np.hstack([acts for *_, acts in found])
+
+
+def _largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    state = State.at(model, np.zeros(model.n_parameters), conditions)
+
+    def most(of_rows: np.ndarray) -> np.ndarray:
+        return np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))
+
+    moments = np.array([most(moment) for moment in state.moments]).reshape(-1, len(starts))
+    heaviest = moments.max(axis=0, initial=0.0)
+    largest = np.zeros((len(starts), model.n_parameters))
+    excited = np.zeros(largest.shape, bool)
+    least = np.zeros(model.n_parameters)
+    for span, effect in zip(model.spans, model.effects, strict=True):
+        least[span] = effect.least_moment
+    for p, term in state.terms:
+        size = np.ones(len(starts)) if term.basis is None else most(term.basis)
+        if term.moment is not None:
+            excited[:, p] |= moments[term.moment] > UNFELT * heaviest
+            size = size if term.slope is not None else np.maximum(size, least[p] * heaviest)
+        else:
+            excited[:, p] |= size > 0.0
+        largest[:, p] = np.maximum(largest[:, p], size)
+    for at, _, basis in state.curves:
+        for row, p in zip(dense_rows(basis), at.tolist(), strict=True):
+            largest[:, p] = most(row)
+        excited[:, at] = largest[:, at] > 0.0
+    for body in model.bodies:
+        excited[:, body.parameter] = heaviest > 0.0
+    for span, effect in zip(model.spans, model.effects, strict=True):
+        if effect.alike:
+            largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
+            excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
+    return np.where(largest > 0.0, largest, 1.0), excited
