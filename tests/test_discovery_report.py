@@ -220,8 +220,10 @@ def test_detectable_size_follows_noise_and_curves_are_measured_by_rms(elastic_fi
     for a, b in zip(once, twice, strict=True):
         assert (a.size is None) == bool(a.reason)
         if a.size is not None and b.size is not None:
-            # Priors do not grow with the noise: where it is loud the model takes up less, along more directions.
-            assert 1.35 * a.size < b.size < (2.01 if a.size == a.best else 3.0) * a.size
+            # Priors do not grow with the noise: where it is loud the model takes up less, along more directions. Of what
+            # they let it take up nearly all, most is left to them.
+            least = 1.35 if a.absorbed < 0.995 else 1.0
+            assert least * a.size < b.size < (2.01 if a.size == a.best else 3.0) * a.size
             assert a.best is not None and 0.0 < a.best <= a.size * (1.0 + 1e-9)
     assert {a.measure for a in once if isinstance(a.effect, TransmissionError)} == {"rms of the curve"}
     joint = case.hidden[0].joint

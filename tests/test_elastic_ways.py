@@ -19,7 +19,7 @@ from pincal.discover.moment_frames import elastic_ways, single_compliance
 from pincal.discover.nuisance import missing_compliances
 from pincal.discover.policy import POLICY
 from pincal.discover.where import sure_compliances
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import refit, with_bearings
 from pincal.identify.fit import Fit
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import ELASTIC, BearingElasticity, JointElasticity
@@ -54,7 +54,7 @@ def test_one_soft_bearing_enters_alone(tmp_path: Path) -> None:
         for joint in part.joints or ()
     ]
     assert left == ["axis_1", "axis_2", "axis_4", "axis_5", "axis_6"]
-    features = with_features(step.after, step.effects)[1:]
+    features = with_features(with_bearings(step.after), step.effects)[1:]
     assert features and all(e.heading == ("bearing_elasticity", "axis_3", None) for e in features)
     (sure,) = sure_compliances(step.after, step.effects, step.equivalent)
     assert sure.effect == step.effect and sure.p_value < 1e-10

@@ -14,7 +14,7 @@ from stability_study import by_class, study
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.discover.bootstrap import chance_of_best
 from pincal.discover.judge import findings_of
-from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.nuisance import score_test_beside_nuisances
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.discover.stability import Halves, _halves, begin_halves
@@ -172,7 +172,7 @@ def test_bearings_may_give_way_in_directions_that_no_data_called_for(found: Disc
     """Each direction and place counts less than it could take off the squares; of a rigid arm there is none."""
     fit = found.trail.final
     refused = [e for e in bearing_features(fit.problem.chain, fit.options.effects) if e not in fit.options.effects]
-    gains = [score_test_beside_masses(fit, [effect]).gain([0])[0] for effect in refused]
+    gains = [score_test_beside_nuisances(fit, [effect]).gain([0])[0] for effect in refused]
 
     assert 0.0 < of_bearings(fit) < sum(gains)
     assert of_bearings(refit(fit, GEOMETRIC)) == 0.0

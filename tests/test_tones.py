@@ -15,7 +15,7 @@ from pincal.discover.backward import _is_close
 from pincal.discover.candidate_tests import Search, hidden_wave
 from pincal.discover.forward import add_hidden_waves
 from pincal.discover.history import State, Step
-from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.nuisance import score_test_beside_nuisances, situation_of
 from pincal.discover.policy import POLICY
 from pincal.discover.score_tests import Score
 from pincal.errors import BadInputError
@@ -99,7 +99,7 @@ def test_what_was_searched_for_is_paid_for() -> None:
 def test_the_price_is_in_the_test(machine: sim.TrueMachine) -> None:
     """A searched order's p-value is that of a known order times the number of orders, its criterion dearer by as much."""
     fit = fitted(measured(machine))
-    tests = score_test_beside_masses(fit, [GearRipple("joint_2", 90.0), GearRipple("joint_2", 90.0, 50.0)])
+    tests = score_test_beside_nuisances(fit, [GearRipple("joint_2", 90.0), GearRipple("joint_2", 90.0, 50.0)])
     known, searched = tests.score([0], 1), tests.score([1], 1)
 
     assert searched.gain == pytest.approx(known.gain, rel=1e-9)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 from test_scatter import NOISE, measured
 
-from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.nuisance import score_test_beside_nuisances
 from pincal.discover.uneven import p_value_of_uneven_noise
 from pincal.identify.calibrate import calibrate
 from pincal.identify.options import Options
@@ -19,7 +19,7 @@ RIPPLE = GearRipple("joint_3", 77.3)
 def p_values(robot: Robot, scatter: float, seed: int, poses: int = 70) -> tuple[float, float]:
     """Return the p-value of the ripple by the score test, and that which holds whatever the noise is."""
     fit = calibrate(robot, measured(robot, scatter, seed=seed, poses=poses), Options(effects=GEOMETRIC, sigma=NOISE))
-    tests = score_test_beside_masses(fit, [RIPPLE])
+    tests = score_test_beside_nuisances(fit, [RIPPLE])
     return tests.score([0], 1).p_value, p_value_of_uneven_noise(fit, tests)
 
 

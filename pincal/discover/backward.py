@@ -14,7 +14,7 @@ from pincal.discover.elastic_ways import with_features
 from pincal.discover.forward import decided, listed
 from pincal.discover.history import State, Step
 from pincal.discover.named_beside import named_beside
-from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.nuisance import score_test_beside_nuisances
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import WIDER, enough_errors, standard_errors
 from pincal.identify.calibrate import refit
@@ -66,7 +66,7 @@ def _is_close(effect: Effect, other: Effect) -> bool:
 
 def _predicts_better(effect: Effect, other: Effect, fit: Fit, search: Search) -> bool:
     """Return whether an effect predicts blocks of poses left out better than another, by more than chance."""
-    tests = score_test_beside_masses(fit, [effect, other], search.groups)
+    tests = score_test_beside_nuisances(fit, [effect, other], search.groups)
     return standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > 1.0
 
 
@@ -111,7 +111,7 @@ def _fails(state: State, step: Step, worth: float, search: Search) -> bool:
     if worth > least and not (is_rest or (is_one_of_many and _is_doubtful(fit, step, policy))):
         return False
     rest, wider = refit(fit, _without_all(fit, step).options.effects), 1.0 if step.is_elastic else WIDER
-    tests = score_test_beside_masses(rest, own, search.groups, wider=wider)
+    tests = score_test_beside_nuisances(rest, own, search.groups, wider=wider)
     if standard_errors(tests.gains_by_block(range(len(own)))) <= least:
         return True
     limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
@@ -138,7 +138,7 @@ def _is_doubtful(fit: Fit, step: Step, policy: Policy) -> bool:
 def _worths(state: State, search: Search) -> dict[Step, float]:
     """Return what the model loses on blocks of poses left out without each step, in standard errors of it."""
     # The model is what predicts, with the priors that it was fitted with.
-    tests, found = score_test_beside_masses(state.fit, (), search.groups, wider=1.0), {}
+    tests, found = score_test_beside_nuisances(state.fit, (), search.groups, wider=1.0), {}
     # Masses bend the arm only by way of its compliances, and can't take their place.
     heavy = [effect for effect in state.fit.problem.effects if effect.bodies(state.fit.problem.chain)]
     for step in state.steps:

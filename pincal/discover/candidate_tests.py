@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.discover.decisions import CandidateTable, Decision, Row, decide, each_heading_once
 from pincal.discover.maps import likely_maps
-from pincal.discover.nuisance import missing_compliances, score_test_beside_masses, situation_of
+from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances, situation_of
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests, enough_errors, standard_errors
 from pincal.discover.tones import strongest_tones
@@ -57,7 +57,7 @@ class Test(Protocol):
 
 def choose(fit: Fit, search: Search) -> Decision | None:
     """Return the best explanation of what a fit leaves, if it is more than chance."""
-    test = partial(score_test_beside_masses, fit)
+    test = partial(score_test_beside_nuisances, fit)
     return explanation(fit, search, test, table_of(fit, search, test, addable(fit, search)))
 
 
@@ -81,7 +81,7 @@ def hidden_wave(fit: Fit, search: Search) -> tuple[Decision, np.ndarray] | None:
 
     Coarser curves leave more than noise, which hides waves that blocks left out tell only by little.
     """
-    test, every = partial(score_test_beside_masses, fit), addable(fit, search)
+    test, every = partial(score_test_beside_nuisances, fit), addable(fit, search)
     waves: list[Effect] = [effect for effect in every if isinstance(effect, Tone)]
     if not waves:
         return None
@@ -195,7 +195,7 @@ def named_tests(fit: Fit, extra: Sequence[Effect], policy: Policy, others: Seque
     """Test all that may be added by name, and others if they are not among them, on the rows that effects are chosen by."""
     few, _ = sampled(fit, policy)
     every = _addable(fit, extra, policy)
-    return score_test_beside_masses(few, [*every, *(effect for effect in others if effect not in every)])
+    return score_test_beside_nuisances(few, [*every, *(effect for effect in others if effect not in every)])
 
 
 def _addable(fit: Fit, extra: Sequence[Effect], policy: Policy) -> list[Effect]:

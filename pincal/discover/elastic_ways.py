@@ -10,7 +10,7 @@ import numpy as np
 
 from pincal.discover.candidate_tests import is_small_table
 from pincal.discover.decisions import Row, rivals_of
-from pincal.discover.nuisance import missing_compliances, score_test_beside_masses
+from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.fit import Fit
@@ -54,7 +54,7 @@ def elastic_way(fit: Fit, policy: Policy) -> ElasticWay | None:
     forms = [(part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments)) for part in parts]
     starts = np.cumsum([0, *map(len, forms)])
     # All arms give way: what gravity bends is not left to geometry that nobody would have built.
-    tests = score_test_beside_masses(fit, [effect for form in forms for effect in form], wider=1.0)
+    tests = score_test_beside_nuisances(fit, [effect for form in forms for effect in form], wider=1.0)
     whole = [int(i) for i in starts[:-1]]
     families = [[i for i, part in zip(whole, parts, strict=True) if part.name == effect.name] for effect in block]
     singles = [range(a, b) for a, b in pairwise(starts)]

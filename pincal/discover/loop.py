@@ -28,7 +28,6 @@ from pincal.discover.remainders import add_remainders, merge_parts, take_whole_c
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import settle
 from pincal.discover.smoothness import smoothed
-from pincal.identify.bearings import called_for
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
@@ -119,9 +118,6 @@ def fit_all_rows(state: State, search: Search) -> State:
         whole = over_rows_of(fit, first)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
-        # More rows may call for more of the bearings: that is asked here, where fits have fewer parameters.
-        if more := called_for(fit):
-            fit = refit(fit, (*fit.options.effects, *more), rough=True)
         state = _with_curves(state, wider, fit)
     curves = _curves_of(state)
     if not curves and not is_thinned:
@@ -134,7 +130,7 @@ def fit_all_rows(state: State, search: Search) -> State:
         log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, other.resolution)
     start: dict[Effect, np.ndarray] = {other: heights for other, heights in chosen.values()}
     effects = _exchanged(fit.options.effects, finer)
-    state = _with_curves(state, finer, refit(fit, effects, start=start, asks_bearings=not is_thinned))
+    state = _with_curves(state, finer, refit(fit, effects, start=start))
     return state.changed(state.fit, state.steps, (), ())
 
 

@@ -13,7 +13,7 @@ from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import score_test
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import refit, with_bearings
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER, best_of, misfit
 from pincal.model.chain import MomentFrame
@@ -45,9 +45,13 @@ def elastic_ways(fit: Fit, frames: Sequence[MomentFrame], policy: Policy) -> dic
 
 
 def likeliest_fit(fit: Fit, compliances: Sequence[Effect], frames: Sequence[MomentFrame]) -> Fit:
-    """Return a fit with compliances in the convention in which they explain most; the first unless beyond chance."""
-    fits = {frame: refit(fit, [*fit.options.effects, *compliances], moment_frame=frame) for frame in frames}
-    return fits[best_of(list(fits.values()))]
+    """Return a fit with compliances in the convention in which they explain most; the first unless beyond chance.
+
+    What the data call for of the bearings takes part in the choice, and may enter once names have had their turn.
+    """
+    effects = [*fit.options.effects, *compliances]
+    fits = {frame: refit(fit, effects, moment_frame=frame) for frame in frames}
+    return fits[best_of([with_bearings(other) for other in fits.values()])]
 
 
 def single_compliance(

@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.discover.candidate_tests import Search, addable, explanation, nameless_near, spare_compliances, table_of
 from pincal.discover.decisions import Decision
-from pincal.discover.nuisance import score_test_beside_masses
+from pincal.discover.nuisance import score_test_beside_nuisances
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit, without
 from pincal.model.effect import Effect
@@ -66,7 +66,7 @@ class _Shared:
         once = {key_of(effect): effect for effect in effects}
         if once:
             number = {key: i for i, key in enumerate(once)}
-            tests = score_test_beside_masses(self.fit, tuple(once.values()), groups)
+            tests = score_test_beside_nuisances(self.fit, tuple(once.values()), groups)
             self.passes.append((groups is not None, number, tests))
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
@@ -75,4 +75,4 @@ class _Shared:
             which = [number.get(key_of(effect), -1) for effect in effects]
             if has_blocks == (groups is not None) and min(which) >= 0:
                 return tests.among(which, self.fit.names_of([gone]))
-        return score_test_beside_masses(without(self.fit, gone), effects, groups)
+        return score_test_beside_nuisances(without(self.fit, gone), effects, groups)

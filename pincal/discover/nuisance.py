@@ -1,4 +1,4 @@
-"""What may be wrong without being worth a name: masses and centres of mass that a URDF knows to some per cent only."""
+"""What may be wrong without being worth a name: masses that a URDF knows to some per cent only, and where bearings sit."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from pincal.discover.score_tests import WIDER, ScoreTests, score_test
 from pincal.identify.fit import Fit
 from pincal.model import kernels
+from pincal.model.catalogue.bearings import bearing_features
 from pincal.model.catalogue.candidates import elasticity
 from pincal.model.chain import Chain
 from pincal.model.conditions import MOMENT, Conditions, Situation
@@ -145,9 +146,30 @@ def missing_compliances(fit: Fit) -> tuple[Compliance, ...]:
     return tuple(found)
 
 
-def score_test_beside_masses(
+def nuisances(fit: Fit, effects: Sequence[Effect]) -> list[Effect]:
+    """Return what effects are tested beside: errors of masses, and what a fit and they do not have of its bearings.
+
+    A bearing that gives way elsewhere or in other directions than the drawing says is no effect that a name may stand for.
+    """
+    masses, named = MassError.of(*fit.arm), {effect.identity for effect in effects}
+    features = [feature for feature in missing_features(fit) if feature.identity not in named]
+    return [masses, *features] if masses else features
+
+
+def missing_features(fit: Fit) -> list[Effect]:
+    """Return the places and directions of bearings that a fit takes from the drawing."""
+    present = {effect.identity for effect in fit.problem.effects}
+    features = bearing_features(fit.problem.chain, fit.problem.effects)
+    return [feature for feature in features if feature.identity not in present]
+
+
+def score_test_beside_nuisances(
     fit: Fit, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = WIDER
 ) -> ScoreTests:
-    """Test effects against a fit, masses and first moments projected out as far as they may be off; :func:`score_test`."""
-    masses = MassError.of(*fit.arm)
-    return score_test(fit, effects, [masses] if masses else [], groups, wider=wider, beliefs=MASS_BELIEFS)
+    """Test effects against a fit with what is nobody's name projected out, masses as far as they may be off.
+
+    See :func:`nuisances` and :func:`score_test`.
+    """
+    beside = nuisances(fit, effects)
+    masses = [effect for effect in beside if isinstance(effect, MassError)]
+    return score_test(fit, effects, beside, groups, wider=wider, doubtful=masses, beliefs=MASS_BELIEFS)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import fdtri, ncfdtr
 
 from pincal.discover.candidate_tests import sampled
-from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.nuisance import score_test_beside_nuisances, situation_of
 from pincal.discover.policy import ALPHA, POLICY
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit
@@ -91,7 +91,7 @@ def minimum_detectable(
     tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
-    found = score_test_beside_masses(quiet, tested)
+    found = score_test_beside_nuisances(quiet, tested)
     if found.dof < FEWEST:
         return [Detectable(effect, reason=_too_few(found)) for effect in effects]
     groups = len({effect.identity for effect in effects})

@@ -12,7 +12,7 @@ from pincal.discover.candidate_tests import Search
 from pincal.discover.decisions import Decision, Row, each_heading_once, is_own_curve, rivals_of
 from pincal.discover.forward import decided, listed
 from pincal.discover.history import State
-from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.nuisance import score_test_beside_nuisances, situation_of
 from pincal.discover.resolution import curves_over
 from pincal.discover.score_tests import standard_errors
 from pincal.identify.fit import Fit, without
@@ -60,7 +60,7 @@ def take_whole_curves(state: State, search: Search) -> State:
         if decision is None or not _is_sure(decision, state.fit, search):
             continue
         rest = without(state.fit, step.effect)
-        score = score_test_beside_masses(rest, [decision.effect]).score([0], len(sizes))
+        score = score_test_beside_nuisances(rest, [decision.effect]).score([0], len(sizes))
         new = decided(rest, replace(decision, row=replace(decision.row, score=score)), search)
         log.info("%s is part of %s", listed(step.effects), listed(new.effects))
         others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
@@ -73,7 +73,7 @@ def _most_left(smooth: Sequence[Effect], fit: Fit, search: Search) -> Decision |
     """Return what explains most of what a fit leaves, chance or not, and what explains as much; None of nothing."""
     if not smooth:
         return None
-    tests, limit = score_test_beside_masses(fit, smooth), search.policy.remainder / len(smooth)
+    tests, limit = score_test_beside_nuisances(fit, smooth), search.policy.remainder / len(smooth)
     scores = [tests.score([i], len(smooth)) for i in range(len(smooth))]
     rows = [Row(effect, score, score.ebic, limit) for effect, score in zip(smooth, scores, strict=True)]
     best = int(np.argmin([score.p_value for score in scores]))
@@ -89,7 +89,7 @@ def _is_sure(decision: Decision, fit: Fit, search: Search) -> bool:
     """Return whether what a fit leaves is more than chance, and helps to predict blocks left out."""
     if decision.row.score.p_value > decision.row.limit:
         return False
-    return standard_errors(score_test_beside_masses(fit, [decision.effect], search.groups).gains_by_block([0])) > 0.0
+    return standard_errors(score_test_beside_nuisances(fit, [decision.effect], search.groups).gains_by_block([0])) > 0.0
 
 
 def _smooth_beside(effect: Effect, fit: Fit, search: Search) -> Sequence[Effect]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pincal.discover.nuisance import score_test_beside_masses, situation_of
+from pincal.discover.nuisance import score_test_beside_nuisances, situation_of
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import most_pieces
 from pincal.model.conditions import distinct_values
@@ -49,7 +49,7 @@ def resolved(fit: Fit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.n
     """
     forms = _forms_of(fit, effect)
     if not forms:
-        estimate = score_test_beside_masses(fit, [effect]).estimate([0])
+        estimate = score_test_beside_nuisances(fit, [effect]).estimate([0])
         return effect, estimate, estimate
     forms = [*forms, effect]
     estimates, gains = _tested(fit, forms, groups)
@@ -73,7 +73,7 @@ def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[lis
     """
     estimates, gains = list[np.ndarray](), list[np.ndarray]()
     for some in _few_at_once(fit, curves):
-        tests = score_test_beside_masses(fit, some, groups)
+        tests = score_test_beside_nuisances(fit, some, groups)
         estimates += [tests.estimate([i]) for i in range(len(some))]
         gains += [tests.gains_by_block([i]) for i in range(len(some))]
         # Before the next tests are made, and not after it.

@@ -152,6 +152,7 @@ def score_test(
     groups: np.ndarray | None = None,
     *,
     wider: float = WIDER,
+    doubtful: Sequence[Effect] = (),
     beliefs: Sequence[tuple[float, float]] = (),
 ) -> ScoreTests:
     """Test candidates against a fit.
@@ -162,12 +163,13 @@ def score_test(
         nuisance: effects that are projected out but not tested.
         groups: shape (N,), the block of each training row, for cross-validation; default: one block.
         wider: by how much wider than in the fit the priors of geometry are.
-        beliefs: what the sizes of nuisance parameters may have to be multiplied by, and the cost of believing that, as an
+        doubtful: those of the nuisance effects of whose parameters the sizes are in doubt.
+        beliefs: what these sizes may have to be multiplied by, and the cost of believing that, as an
             information criterion; default: they are what they are.
     """
     problem, known = fit.problem.extended([*nuisance, *candidates])
     groups = np.zeros(len(problem), int) if groups is None else groups
-    # Nuisance parameters are relative errors: their sizes are priors as they are, whatever they move.
+    # Of nuisance parameters the sizes are priors as they are, whatever they move.
     sizes = np.array([parameter.size for parameter in problem.parameters])
     sizes[known] = fit.priors.sizes
     for effect in fit.problem.effects:
@@ -181,8 +183,8 @@ def score_test(
     found = products(fit, problem, values, free, tested, groups)
     columns, model = found.columns, found.places[: found.n_model]
     beyond, slope = problem.beyond_priors(model, values, sizes)
-    doubtful = [places for effect in nuisance for places in problem.places_at(effect)] if beliefs else []
-    doubt = Doubt(np.isin(model, doubtful), *zip(*beliefs, strict=True)) if doubtful else None
+    unsure = [place for effect in doubtful for place in problem.places_at(effect)]
+    doubt = Doubt(np.isin(model, unsure), *zip(*beliefs, strict=True)) if unsure else None
     counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
     return ScoreTests(
         effects=tuple(candidates),

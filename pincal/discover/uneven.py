@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from pincal.discover.nuisance import MassError
+from pincal.discover.nuisance import nuisances
 from pincal.discover.scatter import visits
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit
@@ -50,8 +50,8 @@ def p_value_of_uneven_noise(fit: Fit, tests: ScoreTests) -> float:
 
 def _scores_by_visit(fit: Fit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
-    masses, (effect,) = MassError.of(*fit.arm), tests.effects
-    problem, known = fit.problem.extended([*([masses] if masses else []), effect])
+    (effect,) = tests.effects
+    problem, known = fit.problem.extended([*nuisances(fit, [effect]), effect])
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, fit.solution.free
     place = {parameter.name: i for i, parameter in enumerate(problem.parameters)}

@@ -25,10 +25,9 @@ import numpy as np
 
 from pincal.discover.candidate_tests import sampled
 from pincal.discover.history import History
-from pincal.discover.nuisance import MassError, score_test_beside_masses
+from pincal.discover.nuisance import MassError, missing_features, score_test_beside_nuisances
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.identify.fit import Fit, equations_of
-from pincal.model.catalogue.bearings import bearing_features
 
 
 def widened(trail: History) -> Fit:
@@ -63,9 +62,8 @@ def of_masses(fit: Fit) -> float:
 
 def of_bearings(fit: Fit) -> float:
     """Return the same of directions and places of bearings that the data did not call for: each may be there by itself."""
-    effects = fit.options.effects
-    refused = [effect for effect in bearing_features(fit.problem.chain, effects) if effect not in effects]
-    tests = score_test_beside_masses(fit, refused) if refused else None
+    refused = missing_features(fit)
+    tests = score_test_beside_nuisances(fit, refused) if refused else None
     return sum(of_candidates(tests, [i]) for i in range(len(refused))) if tests else 0.0
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pincal.identify.beliefs import priors_of
@@ -15,7 +17,14 @@ from pincal.model.effect import Effect
 _ENOUGH = 10.0
 
 
-def called_for(fit: Fit) -> tuple[Effect, ...]:
+class Called(NamedTuple):
+    """Features of bearings that data call for, and what they take off the sum of squares, to first order."""
+
+    effects: tuple[Effect, ...]
+    gain: float
+
+
+def called_for(fit: Fit) -> Called:
     """Return the features of bearings that a fit does not have and that the data call for.
 
     A bearing sits where the URDF has the joint, and its stiff and soft directions are the axes of its frame, unless the data
@@ -26,7 +35,7 @@ def called_for(fit: Fit) -> tuple[Effect, ...]:
     effects = fit.options.effects
     asked = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
     if not asked:
-        return ()
+        return Called((), 0.0)
     problem = fit.problem.with_effects((*effects, *asked))
     near, sizes = carried(fit.solution, fit.problem, problem), priors_of(problem, fit.options).sizes
     places = {effect: int(problem.places_at(effect)[0]) for effect in asked}
@@ -42,10 +51,11 @@ def called_for(fit: Fit) -> tuple[Effect, ...]:
         return wide.of(kept[free]).gain
 
     found: tuple[Effect, ...] = ()
-    least = gain() + _ENOUGH
+    settled = gain()
+    least = settled + _ENOUGH
     while len(found) < len(asked) and gain(*asked) > least:
         best = max((effect for effect in asked if effect not in found), key=lambda effect: gain(*found, effect))
         if gain(*found, best) < least:
             break
         found, least = (*found, best), gain(*found, best) + _ENOUGH
-    return found
+    return Called(found, least - _ENOUGH - settled)

@@ -76,7 +76,7 @@ def calibrate(
     """
     tables = tables_of(measurements)
     options = _completed(robot, options, tables)
-    fit = _with_bearings(_weighed_anew(_fitted(robot, tables, options, executor)))
+    fit = with_bearings(_weighed_anew(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit.problem, fit.solution, fit.noise)
     return _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
 
@@ -181,13 +181,13 @@ def _in_best_frame(fit: Fit) -> Fit:
         return fit
     if any(effect.uses_moments for effect in effects):
         few = some_rows_of(fit)
-        tried = [few if few is fit else refit(few, effects)]
+        tried = [few if few is fit else with_bearings(refit(few, effects))]
         for other in (other for other in MOMENT_FRAMES if other != frame):
             log.info("how well --moment-frame %s fits, by %d rows", other, len(few.problem))
-            tried.append(refit(few, effects, moment_frame=other))
+            tried.append(with_bearings(refit(few, effects, moment_frame=other)))
         frame = best_of(tried)
     if frame != fit.problem.chain.moment_frame:
-        return refit(fit, effects, moment_frame=frame)
+        return with_bearings(refit(fit, effects, moment_frame=frame))
     return replace(fit, options=replace(fit.options, moment_frame=frame))
 
 
@@ -198,7 +198,6 @@ def refit(
     moment_frame: MomentFrame | None = None,
     start: Mapping[Effect, np.ndarray] | None = None,
     rough: bool = False,
-    asks_bearings: bool = True,
 ) -> Fit:
     """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
 
@@ -208,8 +207,6 @@ def refit(
         moment_frame: where moments are taken and bend the arm; default: as in ``fit``.
         start: values of new effects close to the end, so that the last stage is all that is needed; default: zero.
         rough: whether to stop before the last stage, close to the end, outliers only weighed down.
-        asks_bearings: whether the data are asked what else there is to know of each bearing, which may take further fits;
-            not of a rough fit.
     """
     frame = moment_frame or fit.problem.chain.moment_frame
     effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
@@ -222,14 +219,13 @@ def refit(
     fitted, stages = _fit(
         problem, near.values, priors, fit.noise, options, near=None if start is None else near, rough=rough
     )
-    found = Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
-    return found if rough or not asks_bearings else _with_bearings(found)
+    return Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
 
 
-def _with_bearings(fit: Fit) -> Fit:
-    """Return a fit with what the data call for of the features of its bearings."""
-    more = called_for(fit)
-    return refit(fit, (*fit.options.effects, *more), start={}) if more else fit
+def with_bearings(fit: Fit) -> Fit:
+    """Return a fit with what the data call for of the features of its bearings, which may take further fits."""
+    more = called_for(fit).effects
+    return with_bearings(refit(fit, (*fit.options.effects, *more), start={})) if more else fit
 
 
 def _begin(
