@@ -123,7 +123,7 @@ def test_a_bootstrap_of_noise_has_any_chance_alike(found: Discovery) -> None:
         N = slice(0, tests.n_model)
         b[N] += tests.pull
         squares -= float((b[N] - tests.pull) @ np.linalg.solve(tests.S[N, N] + tests.known, b[N] - tests.pull))
-        table = replace(tests, blocks_S=tests.S[None], blocks_b=b[None], squares=squares)
+        table = replace(tests, shared=None, blocks_S=tests.S[None], blocks_b=b[None], squares=squares)
         chances.append(chance_of_best(table, 100, seed))
 
     assert kstest(chances, "uniform").pvalue > 1e-3
@@ -159,7 +159,7 @@ def test_candidates_weigh_as_likely_as_they_are(found: Discovery) -> None:
         """Residuals that are the third candidate's, of so large a gain."""
         b = tests.S[:, tests.n_model + chosen[0]] * np.sqrt(gain / tests.projected[0][chosen[0], chosen[0]])
         b[N] += tests.pull
-        return replace(tests, blocks_S=tests.S[None], blocks_b=b[None], squares=tests.dof + gain)
+        return replace(tests, shared=None, blocks_S=tests.S[None], blocks_b=b[None], squares=tests.dof + gain)
 
     assert of_candidates(left(0.0)) == pytest.approx(0.0, abs=1e-9)
     assert of_candidates(left(3.0)) < 0.5

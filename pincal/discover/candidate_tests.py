@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from pincal.discover.decisions import CandidateTable, Decision, Row, decide, each_heading_once
 from pincal.discover.maps import likely_maps
-from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances, situation_of
+from pincal.discover.nuisance import BesideNuisances, missing_compliances, score_test_beside_nuisances, situation_of
 from pincal.discover.policy import Policy
 from pincal.discover.score_tests import ScoreTests, enough_errors, standard_errors
 from pincal.discover.tones import strongest_tones
@@ -57,7 +56,7 @@ class Test(Protocol):
 
 def choose(fit: Fit, search: Search) -> Decision | None:
     """Return the best explanation of what a fit leaves, if it is more than chance."""
-    test = partial(score_test_beside_nuisances, fit)
+    test = BesideNuisances(fit)
     return explanation(fit, search, test, table_of(fit, search, test, addable(fit, search)))
 
 
@@ -81,7 +80,7 @@ def hidden_wave(fit: Fit, search: Search) -> tuple[Decision, np.ndarray] | None:
 
     Coarser curves leave more than noise, which hides waves that blocks left out tell only by little.
     """
-    test, every = partial(score_test_beside_nuisances, fit), addable(fit, search)
+    test, every = BesideNuisances(fit), addable(fit, search)
     waves: list[Effect] = [effect for effect in every if isinstance(effect, Tone)]
     if not waves:
         return None

@@ -16,8 +16,9 @@ from itertools import pairwise
 from typing import Self
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
+from pincal.discover.information import Information, scaled_factor
 from pincal.discover.products import Between
 from pincal.model.effects import Effect
 
@@ -29,8 +30,6 @@ _SEEN = 1e-5
 _TOLD = 0.01
 # What parameters that are held are known by, in units of what the data say of them.
 _HELD = 1e6
-# Keeps a scaled matrix of information definite where rounding would not.
-_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +68,7 @@ class FirstOrder:
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
+        shared: what other tests against the same model know of it already; None of nothing.
     """
 
     effects: tuple[Effect, ...]
@@ -85,6 +85,7 @@ class FirstOrder:
     spent: float
     between: Between | None = None
     doubt: Doubt | None = None
+    shared: Information | None = None
 
     @cached_property
     def S(self) -> np.ndarray:
@@ -121,6 +122,12 @@ class FirstOrder:
         return np.asarray(self.sizes**-2.0)
 
     @cached_property
+    def model(self) -> Information:
+        """What rows and priors say of the model's own parameters."""
+        N = slice(0, self.n_model)
+        return self.shared or Information(self.blocks_S[:, N, N], self.blocks_b[:, N], self.known, self.pull)
+
+    @cached_property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """S' and b' of all candidate columns."""
         C, (taken, b) = slice(self.n_model, None), self._projection
@@ -129,16 +136,9 @@ class FirstOrder:
     @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:
         """H, shape (C, n_model), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
-        N, C, (scale, L, slope) = slice(0, self.n_model), slice(self.n_model, None), self._factor
+        N, C, (scale, L, slope) = slice(0, self.n_model), slice(self.n_model, None), self.model.factor
         taken = solve_triangular(L, scale[:, None] * self._known_S[N, C], lower=True, check_finite=False).T
         return taken, self.b[C] - taken @ slope
-
-    @cached_property
-    def _factor(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Scale and factor of the model's information, and its slope in units of it."""
-        N = slice(0, self.n_model)
-        scale, L = scaled_factor(self._known_S[N, N] + self.known)
-        return scale, L, solve_triangular(L, scale * (self.b[N] - self.pull), lower=True, check_finite=False)
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
@@ -148,8 +148,8 @@ class FirstOrder:
         found, own = [], self.doubt.columns
         for factor, cost in zip(self.doubt.factors, self.doubt.costs, strict=True):
             known = self.known + np.diag(own * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
-            tests = replace(self, known=known, doubt=None)
-            scale, L, slope = tests._factor
+            tests = replace(self, known=known, doubt=None, shared=self.model.believing(factor, known))
+            scale, L, slope = tests.model.factor
             evidence = np.sum(np.log(np.diag(L) / scale)) + np.count_nonzero(own) * np.log(factor) - 0.5 * slope @ slope
             found.append((cost + 2.0 * float(evidence), tests))
         least = min(cost for cost, _ in found)
@@ -232,7 +232,7 @@ class FirstOrder:
     def _gain_left_out(self, k: int, j: np.ndarray) -> float:
         """Return by how much the columns ``j``, fitted without block k, lower the squared error on it."""
         S, b, N, own = self.blocks_S[k], self.blocks_b[k], slice(0, self.n_model), np.ix_(j, j)
-        model_scale, model_factor, model_step = self._without_block[k]
+        model_scale, model_factor, model_step = self.model.without_block[k]
         cross = self._known_S[N, j] - S[N, j]
         carried = model_scale[:, None] * cho_solve((model_factor, True), model_scale[:, None] * cross, check_finite=False)
         scale, factor = scaled_factor(self._known_S[own] - S[own] - cross.T @ carried + np.diag(self.precision[j]))
@@ -256,27 +256,17 @@ class FirstOrder:
         j = np.array([i for i, name in enumerate(self.names) if name in names or name in still], int)
         goes = np.array([self.names[i] in names for i in j], bool)
         units, N, losses = np.eye(self.n_model)[:, j], slice(0, self.n_model), np.zeros(len(self.blocks_S))
-        for k, (scale, factor, step) in enumerate(self._without_block if len(j) else ()):
+        for k, (scale, factor, step) in enumerate(self.model.without_block if len(j) else ()):
             columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
             held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * self.values[j])
             S, b = self.blocks_S[k, N, N], self.blocks_b[k, N]
             losses[k] = held @ S @ held - step @ S @ step - 2.0 * b @ (held - step)
         return losses
 
-    @cached_property
-    def _without_block(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Scale and factor of the model's information without each block, and the step of its parameters."""
-        N, found = slice(0, self.n_model), []
-        for S, b in zip(self.blocks_S, self.blocks_b, strict=True):
-            scale, factor = scaled_factor(self._known_S[N, N] - S[N, N] + self.known)
-            slope = scale * (self.b[N] - b[N] - self.pull)
-            found.append((scale, factor, scale * cho_solve((factor, True), slope, check_finite=False)))
-        return found
-
     def holding(self, names: Collection[str]) -> Self:
         """Return the same tests against the model with some of its parameters held where they are."""
         held = np.array([name in names for name in self.names])
-        return replace(self, known=self.known + np.diag(held * np.diag(self._known_S)[: self.n_model] * _HELD))
+        return replace(self, shared=None, known=self.known + np.diag(held * np.diag(self._known_S)[: self.n_model] * _HELD))
 
     def among(self, which: Sequence[int], gone: Collection[str]) -> Self:
         """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
@@ -299,6 +289,7 @@ class FirstOrder:
             known=self.known[np.ix_(model, model)],
             doubt=None if self.doubt is None else replace(self.doubt, columns=self.doubt.columns[model]),
             pull=self.pull[model],
+            shared=None,
             blocks_S=self.blocks_S[:, kept[:, None], kept],
             blocks_b=self.blocks_b[:, kept] + S[:, kept] @ v,
             squares=self.squares + float(v @ (2.0 * self.b[out] + S[:, out].sum(axis=0) @ v)),
@@ -309,11 +300,3 @@ class FirstOrder:
         """Return some candidates' parameters to first order, priors included."""
         j, S, b = self.within(which)
         return np.asarray(np.linalg.inv(S + np.diag(self.precision[self.n_model + j])) @ b)
-
-
-def scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return s and the lower Cholesky factor of diag(s) H diag(s), whose diagonal is 1; H is overwritten."""
-    scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
-    H *= np.outer(scale, scale)
-    H[np.diag_indices_from(H)] += _ROUNDING
-    return scale, cholesky(H, lower=True, overwrite_a=True, check_finite=False)

@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.discover.candidate_tests import Search, addable, explanation, nameless_near, spare_compliances, table_of
 from pincal.discover.decisions import Decision
-from pincal.discover.nuisance import score_test_beside_nuisances
+from pincal.discover.nuisance import BesideNuisances, score_test_beside_nuisances
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit, without
 from pincal.model.effect import Effect
@@ -29,7 +29,7 @@ def named_beside(fit: Fit, effects: Sequence[Effect], search: Search) -> Iterato
         effects: those of its effects that are to be named.
         search: what is looked for.
     """
-    shared = _Shared(fit)
+    shared = _Shared(BesideNuisances(fit))
     rests = [without(fit, effect) for effect in effects]
     tests = [partial(shared.without, effect) for effect in effects]
     tried = [addable(rest, search) for rest in rests]
@@ -54,11 +54,11 @@ class _Shared:
     """Tests against a fit, for tests against the fit without one of its effects.
 
     Attributes:
-        fit: the fit.
+        beside: tests against the fit.
         passes: what was tested at once, with blocks of rows or without, each candidate with its number.
     """
 
-    fit: Fit
+    beside: BesideNuisances
     passes: list[tuple[bool, dict[object, int], ScoreTests]] = field(default_factory=list)
 
     def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> None:
@@ -66,7 +66,7 @@ class _Shared:
         once = {key_of(effect): effect for effect in effects}
         if once:
             number = {key: i for i, key in enumerate(once)}
-            tests = score_test_beside_nuisances(self.fit, tuple(once.values()), groups)
+            tests = self.beside(tuple(once.values()), groups)
             self.passes.append((groups is not None, number, tests))
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
@@ -74,5 +74,5 @@ class _Shared:
         for has_blocks, number, tests in self.passes:
             which = [number.get(key_of(effect), -1) for effect in effects]
             if has_blocks == (groups is not None) and min(which) >= 0:
-                return tests.among(which, self.fit.names_of([gone]))
-        return score_test_beside_nuisances(without(self.fit, gone), effects, groups)
+                return tests.among(which, self.beside.fit.names_of([gone]))
+        return score_test_beside_nuisances(without(self.beside.fit, gone), effects, groups)

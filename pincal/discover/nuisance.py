@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import log
 from typing import ClassVar
 
 import numpy as np
 
-from pincal.discover.score_tests import WIDER, ScoreTests, score_test
+from pincal.discover.score_tests import WIDER, ScoreTests, tests_beside
+from pincal.discover.tangent import Tangent
 from pincal.identify.fit import Fit
 from pincal.model import kernels
 from pincal.model.catalogue.bearings import bearing_features
@@ -163,6 +164,27 @@ def missing_features(fit: Fit) -> list[Effect]:
     return [feature for feature in features if feature.identity not in present]
 
 
+@dataclass(frozen=True)
+class BesideNuisances:
+    """Tests effects against a fit with what is nobody's name projected out; what all tests share is made once.
+
+    Attributes:
+        fit: the fit.
+    """
+
+    fit: Fit
+    _tangents: dict[object, Tangent] = field(default_factory=dict, repr=False)
+
+    def __call__(self, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = WIDER) -> ScoreTests:
+        """Return the tests of candidates; arguments as of :func:`score_test`."""
+        beside = nuisances(self.fit, effects)
+        key = (tuple(effect.identity for effect in beside), None if groups is None else groups.tobytes())
+        if key not in self._tangents:
+            self._tangents[key] = Tangent.at(self.fit, beside, groups)
+        masses = [effect for effect in self._tangents[key].nuisance if isinstance(effect, MassError)]
+        return tests_beside(self._tangents[key], effects, wider=wider, doubtful=masses, beliefs=MASS_BELIEFS)
+
+
 def score_test_beside_nuisances(
     fit: Fit, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = WIDER
 ) -> ScoreTests:
@@ -170,6 +192,4 @@ def score_test_beside_nuisances(
 
     See :func:`nuisances` and :func:`score_test`.
     """
-    beside = nuisances(fit, effects)
-    masses = [effect for effect in beside if isinstance(effect, MassError)]
-    return score_test(fit, effects, beside, groups, wider=wider, doubtful=masses, beliefs=MASS_BELIEFS)
+    return BesideNuisances(fit)(effects, groups, wider=wider)

@@ -222,7 +222,7 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
         problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
         found = score_test(replace(few, problem=problem), [effect, rival]).whole
-        return replace(found, blocks_S=whole * found.blocks_S)
+        return replace(found, shared=None, blocks_S=whole * found.blocks_S)
 
     here = tests_at(station.conditions for station in stations)
     designs = [dict(_designs(few.problem.chain.robot, station.conditions)) for station in stations]
@@ -242,7 +242,7 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
 
 def _separation(found: ScoreTests, blocks_S: np.ndarray, value: np.ndarray) -> float:
     """Return the signal of the first effect that the second can't take over, squared, in units of the noise."""
-    S, _ = replace(found, blocks_S=blocks_S).projected
+    S, _ = replace(found, shared=None, blocks_S=blocks_S).projected
     c, g = found.columns
     G = S[np.ix_(g, g)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pincal.discover.nuisance import score_test_beside_nuisances, situation_of
+from pincal.discover.nuisance import BesideNuisances, score_test_beside_nuisances, situation_of
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import most_pieces
 from pincal.model.conditions import distinct_values
@@ -71,9 +71,9 @@ def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[lis
     Returns:
         The parameters of each curve, to first order; the gains, shape (curves, blocks).
     """
-    estimates, gains = list[np.ndarray](), list[np.ndarray]()
+    estimates, gains, test = list[np.ndarray](), list[np.ndarray](), BesideNuisances(fit)
     for some in _few_at_once(fit, curves):
-        tests = score_test_beside_nuisances(fit, some, groups)
+        tests = test(some, groups)
         estimates += [tests.estimate([i]) for i in range(len(some))]
         gains += [tests.gains_by_block([i]) for i in range(len(some))]
         # Before the next tests are made, and not after it.

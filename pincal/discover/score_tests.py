@@ -20,8 +20,9 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import fdtrc
 
-from pincal.discover.first_order import Doubt, FirstOrder, scaled_factor
-from pincal.discover.products import products
+from pincal.discover.first_order import Doubt, FirstOrder
+from pincal.discover.information import Information
+from pincal.discover.tangent import Tangent
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import Fit
 from pincal.model.effect import Family
@@ -112,7 +113,7 @@ class ScoreTests(FirstOrder):
         """
         j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
         N = slice(0, self.n_model)
-        scale, factor = scaled_factor(self._known_S[N, N] + self.known)
+        scale, factor, _ = self.model.factor
         units = np.eye(self.n_model)[:, j]
         columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
         values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.b[N] - self.pull)
@@ -167,38 +168,52 @@ def score_test(
         beliefs: what these sizes may have to be multiplied by, and the cost of believing that, as an
             information criterion; default: they are what they are.
     """
-    problem, known = fit.problem.extended([*nuisance, *candidates])
-    groups = np.zeros(len(problem), int) if groups is None else groups
+    tangent = Tangent.at(fit, nuisance, groups)
+    return tests_beside(tangent, candidates, wider=wider, doubtful=doubtful, beliefs=beliefs)
+
+
+def tests_beside(
+    tangent: Tangent,
+    candidates: Sequence[Effect],
+    *,
+    wider: float = WIDER,
+    doubtful: Sequence[Effect] = (),
+    beliefs: Sequence[tuple[float, float]] = (),
+) -> ScoreTests:
+    """Test candidates against a fit, given the columns of the model; see :func:`score_test`."""
+    fit, found = tangent.fit, tangent.products(candidates)
+    problem, known = found.problem, found.known
     # Of nuisance parameters the sizes are priors as they are, whatever they move.
     sizes = np.array([parameter.size for parameter in problem.parameters])
-    sizes[known] = fit.priors.sizes
+    n_model = len(tangent.b[0])
+    values, model = np.zeros(len(problem.parameters)), found.places[:n_model]
+    sizes[known], values[known] = fit.priors.sizes, fit.values
     for effect in fit.problem.effects:
         sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
     alone = fit.problem.with_effects(candidates)
-    own, tested = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
-    for effect, places in zip(candidates, tested, strict=True):
-        sizes[places] = own[alone.places_at(effect)]
-    values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
-    values[known], free[known] = fit.values, fit.solution.free
-    found = products(fit, problem, values, free, tested, groups)
-    columns, model = found.columns, found.places[: found.n_model]
+    own = priors_of(alone, fit.options).sizes
+    for effect in candidates:
+        sizes[problem.places_at(effect)] = own[alone.places_at(effect)]
     beyond, slope = problem.beyond_priors(model, values, sizes)
     unsure = [place for effect in doubtful for place in problem.places_at(effect)]
     doubt = Doubt(np.isin(model, unsure), *zip(*beliefs, strict=True)) if unsure else None
+    known_before, pull = np.diag(sizes[model] ** -2.0) + beyond, values[model] * sizes[model] ** -2.0 - slope
+    shared = tangent.information.setdefault(wider, Information(tangent.S, tangent.b, known_before, pull))
     counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
     return ScoreTests(
         effects=tuple(candidates),
-        columns=columns,
+        columns=found.columns,
         names=tuple(problem.parameters[i].name for i in model),
         values=values[model],
         sizes=sizes[found.places],
-        known=np.diag(sizes[model] ** -2.0) + beyond,
-        pull=values[model] * sizes[model] ** -2.0 - slope,
+        known=known_before,
+        pull=pull,
         blocks_S=found.S,
         blocks_b=found.b,
-        squares=found.squares,
+        squares=tangent.squares,
         readings=int(counts @ problem.block_sizes),
         spent=fit.solution.posterior.effective,
         between=found.between,
         doubt=doubt,
+        shared=shared,
     )

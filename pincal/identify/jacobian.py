@@ -161,7 +161,9 @@ class Jacobian:
         r = r.transpose(1, 0, 2).reshape(len(counts), -1, 1)
         return A @ A.swapaxes(1, 2), (A @ r)[..., 0]
 
-    def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None) -> None:
+    def add_gram(
+        self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None, *, known: int = 0
+    ) -> None:
         """Add J J^T to G, shape (F, F), and J r to g, shape (F,).
 
         Args:
@@ -170,6 +172,7 @@ class Jacobian:
             g: what J r is added to.
             groups: shape (F,), the group that each column belongs to, negative for all of them: the products of a column of
                 one group with one of another may be left out. Default: one group.
+            known: number of first columns whose products with each other are left out; families have all or none of them.
         """
         families, apart, dense = self.families, self.places, np.ascontiguousarray(self.dense)
         of_dense, meant, of_all = {0}, [{0}] * len(families), np.zeros(0, int)
@@ -178,23 +181,38 @@ class Jacobian:
             families = tuple(part for family in families for part in family.parted(common))
             meant = [set(groups[family.places].tolist()) for family in families]
             of_dense, of_all = set(groups[apart].tolist()) - {-1}, np.flatnonzero(common[apart])
-        A = dense.reshape(len(dense), residuals.size)
-        G[_block(_span(apart), _span(apart))] += A @ A.T
+        A, n_old = dense.reshape(len(dense), residuals.size), int(np.searchsorted(apart, known))
+        old, new = _span(apart[:n_old]), _span(apart[n_old:])
+        G[_block(new, new)] += A[n_old:] @ A[n_old:].T
+        if n_old:
+            cross = A[:n_old] @ A[n_old:].T
+            G[_block(old, new)] += cross
+            G[_block(new, old)] += cross.T
         g[_span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
         spans = [_span(family.places) for family in families]
         for i, (family, rows, own) in enumerate(zip(families, spans, meant, strict=True)):
             g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[:, 0]
-            every = -1 in own or not own.isdisjoint(of_dense)
-            columns = _span(apart if every else apart[of_all])
-            part = family.times_dense(dense if every else dense[of_all])
+            every, is_old = -1 in own or not own.isdisjoint(of_dense), bool(np.all(family.places < known))
+            which = slice(n_old, None) if is_old else slice(None) if every else of_all
+            columns = _span(apart[which])
+            part = family.times_dense(dense[which])
             G[_block(rows, columns)] += part
             G[_block(columns, rows)] += part.T
             for other, columns, others in zip(families[: i + 1], spans, meant, strict=False):
+                if is_old and np.all(other.places < known):
+                    continue
                 if -1 in own or -1 in others or not own.isdisjoint(others):
                     _add_products(G, family, rows, other, columns)
         thin = [family.places for family in families if isinstance(family.basis, SparseBasis)]
         if thin:
             mirror(G, np.sort(np.concatenate(thin)))
+
+    def beside(self, others: Jacobian) -> Jacobian:
+        """Return these columns, and others of the same readings behind them."""
+        families = tuple(replace(family, places=self.size + family.places) for family in others.families)
+        places = np.concatenate([self.places, self.size + others.places])
+        dense = np.concatenate([self.dense, others.dense])
+        return Jacobian(self.size + others.size, places, dense, (*self.families, *families))
 
     def only(self, columns: np.ndarray) -> Jacobian:
         """Return the part of some columns, in this order."""
