@@ -16,7 +16,7 @@ from pincal import ELASTIC, Chain, Conditions, Discoverable, Effect, Model, Robo
 from pincal.builtin import kuka_urdf_path
 from pincal.io.effect_entry import known_effects
 from pincal.model.conditions import COLUMN_UNITS
-from pincal.model.effect import Tone
+from pincal.model.effect import Family, Tone
 from pincal.model.effects import BaseFrame, ToolFrame
 
 PICTURES = Path(__file__).parent / "pictures" / "effects"
@@ -29,6 +29,8 @@ _WAVES = 12.0
 _STEPS = 60
 # A moment that changes by less than this part of the largest is rounding.
 _FELT = 1e-6
+# What is below this part of the largest is rounding.
+_DISTINCT = 1e-9
 # How large a frame's parameters are, which may be anywhere [m or rad].
 _FRAME = 1e-3
 # A look-alike takes at least this share of the square of what is left beside geometry and elasticity.
@@ -92,9 +94,7 @@ def signatures() -> dict[str, Signature]:
     """Return the signature of every effect that discovery looks for, by name."""
     at = situation()
     others = {name: _examples(cls, at) for name, cls in own_effects().items()}
-    known = _motion(at, (*ELASTIC, BaseFrame(), ToolFrame()))
-    rotation = np.linalg.qr(known / np.maximum(np.linalg.norm(known, axis=0), 1e-30))[0]
-    bases = {name: [_left(_motion(at, (effect,)), rotation) for effect in effects] for name, effects in others.items()}
+    motions = {name: [_motion(at, (effect,)) for effect in effects] for name, effects in others.items()}
     found = {}
     for name, effects in others.items():
         chosen = next((k for k, effect in enumerate(effects) if effect.locus.joint in _JOINTS), 0 if effects else None)
@@ -108,10 +108,11 @@ def signatures() -> dict[str, Signature]:
         if drawn is None:
             found[name] = Signature(effects[chosen], *_swept(effects[chosen], at))
             continue
-        left = bases[name][chosen] @ values
-        shares = {
-            other: max((_share(left, basis) for basis in bases[other]), default=0.0) for other in others if other != name
-        }
+        shares = {}
+        for other in (other for other in others if other != name):
+            rotation = _known(frozenset({name, other}))
+            left, bases = _left(motions[name][chosen] @ values, rotation), (_left(of, rotation) for of in motions[other])
+            shares[other] = max((_share(left, basis) for basis in bases), default=0.0)
         alike = sorted(((other, share) for other, share in shares.items() if share > ALIKE), key=lambda pair: -pair[1])
         found[name] = Signature(effects[chosen], *drawn, tuple(alike))
     return found
@@ -132,8 +133,21 @@ def _motion(at: Situation, effects: tuple[Effect, ...]) -> np.ndarray:
     return model.linearise(np.zeros(model.n_parameters), at.conditions)[1].reshape(-1, model.n_parameters)
 
 
+@cache
+def _known(names: frozenset[str]) -> np.ndarray:
+    """Return the directions of geometry and elasticity, but for linear elasticity of these names, shape (3 N, R)."""
+    others = [e for e in ELASTIC if e.family is Family.GEOMETRY or e.name not in names]
+    columns = _motion(situation(), (*others, BaseFrame(), ToolFrame()))
+    sizes = np.linalg.norm(columns, axis=0)
+    seen = sizes > _DISTINCT * sizes.max()
+    directions, sizes, _ = np.linalg.svd(columns[:, seen] / sizes[seen], full_matrices=False)
+    return np.asarray(directions[:, sizes > _DISTINCT * sizes[0]])
+
+
 def _left(columns: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    return np.asarray(columns - rotation @ (rotation.T @ columns))
+    """Return what geometry and elasticity leave of columns; nothing where that is rounding."""
+    left = columns - rotation @ (rotation.T @ columns)
+    return np.asarray(np.where(np.linalg.norm(left, axis=0) > _DISTINCT * np.linalg.norm(columns, axis=0), left, 0.0))
 
 
 def _share(signal: np.ndarray, basis: np.ndarray) -> float:
