@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -79,15 +80,13 @@ def drop_needless(state: State, search: Search) -> State:
     well be that other.
     """
     while state.steps:
-        worth = _worths(state, search)
-        failed = [step for step in state.steps if _fails(state, step, worth[step], search)]
+        worth, without_it = _worths(state, search), cache(partial(_refitted_without, state.fit))
+        failed = [step for step in state.steps if _fails(state, step, worth[step], search, without_it)]
         if not failed:
             break
         least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
         log.info("dropped %s: the others predict blocks left out as well without it", listed(least.effects))
-        smaller = _without_all(state.fit, least)
-        rest = state.without_step(least)
-        state = state.changed(refit(state.fit, smaller.options.effects), rest.steps, (), least.effects)
+        state = state.changed(without_it(least), state.without_step(least).steps, (), least.effects)
         state = _with_rivals(state, least, [step for step in failed if step is not least], search)
     for step in state.steps:
         told = tuple(other for other in step.equivalent if not _is_in(other, state.fit))
@@ -99,7 +98,7 @@ def _is_in(effect: Effect, fit: Fit) -> bool:
     return effect.identity in {other.identity for other in fit.problem.effects}
 
 
-def _fails(state: State, step: Step, worth: float, search: Search) -> bool:
+def _fails(state: State, step: Step, worth: float, search: Search, without_it: Callable[[Step], Fit]) -> bool:
     """Return whether a step would not enter again: suspected to first order, judged on the others fitted again.
 
     The others may lean on it, so that what they leave without it is not what they must; and where it can't be told from
@@ -110,7 +109,7 @@ def _fails(state: State, step: Step, worth: float, search: Search) -> bool:
     is_one_of_many, is_rest = len(state.steps) > 1, _may_be_left_over(state, step)
     if worth > least and not (is_rest or (is_one_of_many and _is_doubtful(fit, step, policy))):
         return False
-    rest, wider = refit(fit, _without_all(fit, step).options.effects), 1.0 if step.is_elastic else WIDER
+    rest, wider = without_it(step), 1.0 if step.is_elastic else WIDER
     tests = score_test_beside_nuisances(rest, own, search.groups, wider=wider)
     if standard_errors(tests.gains_by_block(range(len(own)))) <= least:
         return True
@@ -161,7 +160,8 @@ def _with_rivals(state: State, gone: Step, failed: list[Step], search: Search) -
     return state
 
 
-def _without_all(fit: Fit, step: Step) -> Fit:
+def _refitted_without(fit: Fit, step: Step) -> Fit:
+    rest = fit
     for effect in with_features(fit, step.effects):
-        fit = without(fit, effect)
-    return fit
+        rest = without(rest, effect)
+    return refit(fit, rest.options.effects)
