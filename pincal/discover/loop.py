@@ -173,6 +173,7 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     drop_needless,
     take_whole_curves,
     add_remainders,
+    settle,
     fit_all_rows,
     settle,
     merge_parts,

@@ -16,9 +16,9 @@ from pincal.model.effect import Settling
 _MOST_EXPANSIONS = 8
 
 
-def linearised_about_itself(fit: Fit, effect: Settling) -> tuple[Fit, Settling]:
-    """Return a fit in which an effect stands linearised about its own parameters, and the effect."""
-    for _ in range(_MOST_EXPANSIONS):
+def linearised_about_itself(fit: Fit, effect: Settling, most: int = _MOST_EXPANSIONS) -> tuple[Fit, Settling]:
+    """Return a fit in which an effect stands linearised about its own parameters, and the effect; at most so many fits."""
+    for _ in range(most):
         values = fit.values[fit.problem.places_at(effect)]
         about = effect.about(values)
         if about == effect:
@@ -31,11 +31,15 @@ def linearised_about_itself(fit: Fit, effect: Settling) -> tuple[Fit, Settling]:
 
 
 def settle(state: State, search: Search) -> State:
-    """Linearise each effect with a time constant about its parameters as they are beside all others."""
+    """Linearise each effect with a time constant about its parameters as they are beside all others.
+
+    All rows of a large table move it little from where the rows that effects are chosen by left it: one fit is enough.
+    """
+    most = 1 if len(state.fit.problem) > len(search.groups) else _MOST_EXPANSIONS
     for step in state.steps:
         for effect in step.effects:
             if isinstance(effect, Settling):
-                fit, about = linearised_about_itself(state.fit, effect)
+                fit, about = linearised_about_itself(state.fit, effect, most)
                 steps = tuple(replace(s, effects=(about,)) if s is step else s for s in state.steps)
                 state = state if about == effect else state.changed(fit, steps, (), ())
     return state
