@@ -62,6 +62,7 @@ class Information:
 def scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return s and the lower Cholesky factor of diag(s) H diag(s), whose diagonal is 1; H is overwritten."""
     scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
-    H *= np.outer(scale, scale)
+    H *= scale
+    H *= scale[:, None]
     H[np.diag_indices_from(H)] += _ROUNDING
     return scale, cholesky(H, lower=True, overwrite_a=True, check_finite=False)

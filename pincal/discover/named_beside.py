@@ -7,14 +7,15 @@ times their values, to the residuals. So all are named from the same tests of al
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from pincal.discover.candidate_tests import Search, addable, explanation, nameless_near, spare_compliances, table_of
 from pincal.discover.decisions import Decision
-from pincal.discover.nuisance import BesideNuisances, score_test_beside_nuisances
+from pincal.discover.information import Information
+from pincal.discover.nuisance import BesideNuisances
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit, without
 from pincal.model.effect import Effect
@@ -56,10 +57,14 @@ class _Shared:
     Attributes:
         beside: tests against the fit.
         passes: what was tested at once, with blocks of rows or without, each candidate with its number.
+        rests: tests against the fit without one of its effects, by its identity as an object.
+        known: what these say of the model, by pass and effect.
     """
 
     beside: BesideNuisances
     passes: list[tuple[bool, dict[object, int], ScoreTests]] = field(default_factory=list)
+    rests: dict[int, BesideNuisances] = field(default_factory=dict)
+    known: dict[tuple[int, int], Information] = field(default_factory=dict)
 
     def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> None:
         """Test candidates at once, equal ones once."""
@@ -71,8 +76,11 @@ class _Shared:
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
         """Return the tests of candidates against the fit without one of its effects."""
-        for has_blocks, number, tests in self.passes:
+        for k, (has_blocks, number, tests) in enumerate(self.passes):
             which = [number.get(key_of(effect), -1) for effect in effects]
             if has_blocks == (groups is not None) and min(which) >= 0:
-                return tests.among(which, self.beside.fit.names_of([gone]))
-        return score_test_beside_nuisances(without(self.beside.fit, gone), effects, groups)
+                found = tests.among(which, self.beside.fit.names_of([gone]))
+                return replace(found, shared=self.known.setdefault((k, id(gone)), found.model))
+        if id(gone) not in self.rests:
+            self.rests[id(gone)] = BesideNuisances(without(self.beside.fit, gone))
+        return self.rests[id(gone)](effects, groups)

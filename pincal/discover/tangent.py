@@ -105,7 +105,7 @@ class Tangent:
             local_values, local_free = values[places], free[places]
             weights, sigma = fit.solution.weights[rows][order], fit.solution.estimated[problem.block_spans[i]]
             mine = column[places[local_free]]
-            own_S, own_b = np.zeros((n_blocks, len(mine), len(mine))), np.zeros((n_blocks, len(mine)))
+            own_S, own_b = _room(mine, S, b)
             found = []
             for piece, residuals, jacobian in sorted_station.linearise_shared(local_values, local_free):
                 whitening = np.empty_like(residuals)
@@ -145,7 +145,7 @@ class Tangent:
             local_values, local_free = values[places], free[places]
             of_model = column[known[self.problem.places[i]][self.free[self.problem.places[i]]]]
             mine = np.concatenate([of_model, column[places[local_free]]])
-            own_S, own_b = np.zeros((n_blocks, len(mine), len(mine))), np.zeros((n_blocks, len(mine)))
+            own_S, own_b = _room(mine, S, b)
             slot = np.full(len(kept), -1)
             slot[mine] = np.arange(len(mine))
             linearised = _sorted(station, self.orders[i]).linearise_shared(local_values, local_free)
@@ -168,9 +168,16 @@ def _sorted(station: Station, order: np.ndarray | slice) -> Station:
     return replace(station.select(order), conditions=conditions)
 
 
+def _room(mine: np.ndarray, S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where to add up the products of a station's columns: those of all, where it has all in their order."""
+    if np.array_equal(mine, np.arange(b.shape[1])):
+        return S, b
+    return np.zeros((len(S), len(mine), len(mine))), np.zeros((len(b), len(mine)))
+
+
 def _scatter(own_S: np.ndarray, own_b: np.ndarray, mine: np.ndarray, S: np.ndarray, b: np.ndarray) -> None:
-    """Add the products of a station's columns to those of all, at their places."""
-    for here, rows in _runs(mine):
+    """Add the products of a station's columns to those of all, at their places, if they are not there."""
+    for here, rows in _runs(mine) if own_S is not S else ():
         b[:, here] += own_b[:, rows]
         for there, across in _runs(mine):
             S[:, here, there] += own_S[:, rows, across]
