@@ -29,8 +29,8 @@ def add_effects(state: State, search: Search) -> State:
     """
     for _ in range(search.policy.most_steps):
         step, called = _next_step(state.fit, search), called_for(state.fit)
-        features = _that_predict(state.fit, called.effects, search)
-        if features and (step is None or called.gain > step.score.gain):
+        explains_more = step is None or called.gain > step.score.gain
+        if features := _that_predict(state.fit, called.effects, search) if explains_more else ():
             fit = refit(state.fit, [*state.fit.options.effects, *features], start={})
             log.info("bearings: %s", listed(features))
             state = state.changed(fit, state.steps, features, ())
@@ -45,6 +45,8 @@ def add_effects(state: State, search: Search) -> State:
 
 def _that_predict(fit: Fit, features: Sequence[Effect], search: Search) -> tuple[Effect, ...]:
     """Return those of some features of bearings without which blocks of poses left out are predicted worse."""
+    if not features:
+        return ()
     tests, found, gains = score_test(fit, features, (), search.groups, wider=1.0), list[int](), 0.0
     for i in range(len(features)):
         beside = float(tests.gains_by_block([*found, i]).sum())
