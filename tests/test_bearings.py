@@ -10,13 +10,14 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from discovery_cases import draw_case, fresh
+from discovery_cases import discover, draw_case, fresh
 from rewritten_urdf import rewritten
 from scipy.spatial.transform import Rotation
 
 import pincal.simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.score_tests import score_test
+from pincal.discover.shrink import _words
 from pincal.errors import ModelFileError
 from pincal.identify import equations
 from pincal.identify.calibrate import calibrate
@@ -195,6 +196,21 @@ def test_files_of_old_have_bearings_where_they_were() -> None:
     assert np.abs(places[1] - places[2]).max() > 1e-6
     with pytest.raises(ModelFileError, match=r"bearing_heights: has 2 entries; expected 7, one per joint"):
         read(short)
+
+
+@pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+@pytest.mark.parametrize(("seed", "is_last"), [(98711, True), pytest.param(98704, False, marks=pytest.mark.long)])
+def test_of_bearings_and_names_what_explains_more_enters_first(seed: int, is_last: bool) -> None:
+    """After the compliances; of bearings the chain of the gap tells directions and places apart from these."""
+    trail = discover(draw_case("gear_eccentricity", seed, **fresh(seed)))
+    entered = [change.entered for change in trail.changes]
+    (features,) = (effects for effects in entered if isinstance(effects[0], ObliqueBearing | BearingPlace))
+    names = [effects for effects in entered if effects[0].name == "gear_eccentricity"]
+
+    assert entered[0][-1] == BearingElasticity()
+    assert entered[1:] == ([*names, features] if is_last else [features, *names])
+    said = [_words(change) for change in trail.changes if change.entered == features]
+    assert said == ["+ " + ", ".join(f"{effect.name} of {effect.locus.joint}" for effect in features)]
 
 
 @pytest.mark.long

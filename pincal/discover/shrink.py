@@ -16,7 +16,7 @@ from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Family
 from pincal.model.effects import Compliance
 from pincal.model.places import drive_unit
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
@@ -285,4 +285,6 @@ def _title(effect: Effect) -> str:
     by = f" by {source}" if source and source != joint else ""
     where = f" at {effect.locus.station}" if effect.locus.station else ""
     order = f" order {effect.locus.order:g}" if (effect.locus.order or 1) != 1 else ""
-    return f"{effect.heading[0]}{of}{by}{where}{order}"
+    # Places and directions of bearings, which compliances share a name with, are told by their own.
+    is_feature = effect.family is Family.ELASTICITY and effect.locus.station is None
+    return f"{effect.name if is_feature else effect.heading[0]}{of}{by}{where}{order}"
