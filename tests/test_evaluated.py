@@ -91,6 +91,31 @@ def test_products_of_thin_and_dense_columns_are_those_of_the_whole_jacobian() ->
         np.testing.assert_allclose(g[s], A @ b, rtol=1e-12, atol=1e-12)
 
 
+def test_products_that_are_known_are_left_out_and_no_others() -> None:
+    """Of columns put beside those of a model, as far as they are asked for: a candidate's with the model's and its own."""
+    rng = np.random.default_rng(5)
+
+    def drawn(places: list[int], curve: int) -> Jacobian:
+        basis = sparse_rows(rng.normal(size=(curve, 40)) * (rng.random((curve, 40)) < 0.3))
+        family = SharedColumns(np.arange(len(places), len(places) + curve), basis, rng.normal(size=(3, 40)))
+        return Jacobian(len(places) + curve, np.array(places), rng.normal(size=(len(places), 3, 40)), (family,))
+
+    model, candidates = drawn([0, 1, 2], 4), drawn([0, 1], 5)
+    both, residuals, n = model.beside(candidates), rng.normal(size=(3, 40)), model.size
+    dense = both.along(np.eye(both.size)).reshape(both.size, -1)
+    group = np.repeat([-1, 0, 1], [n, 2, 5])
+    G, g = np.zeros((both.size, both.size)), np.zeros(both.size)
+    both.add_gram(residuals, G, g, group, known=n)
+
+    expected = dense @ dense.T
+    np.testing.assert_array_equal(G[:n, :n], 0.0)
+    np.testing.assert_allclose(G[:n, n:], expected[:n, n:], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(G[n:, :n], expected[n:, :n], rtol=1e-12, atol=1e-12)
+    for own in (slice(n, n + 2), slice(n + 2, None)):
+        np.testing.assert_allclose(G[own, own], expected[own, own], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(g, dense @ residuals.ravel(), rtol=1e-12, atol=1e-12)
+
+
 def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> None:
     whole = Conditions.at(ROBOT.random_configurations(10, np.random.default_rng(2)))
     rows = slice(2, 5)
