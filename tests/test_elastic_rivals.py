@@ -110,3 +110,10 @@ def test_two_compliances_of_which_one_gives_way_are_told_for_each_other() -> Non
         assert abs(one.estimate.values[0]) < 3.0 * size and one.p_value < 1e-100
     assert instead_of(tests, bearing.effect, bearing.estimate, bearing.beside) == (BaseElasticity(),)
     assert instead_of(tests, drive.effect, drive.estimate, drive.beside) == ()
+
+    # What is lost without both is not the sum of what each loses beside the other.
+    rest = without_compliance(fit, drive.effect, bearing.effect)
+    again = refit(fit, rest.options.effects, rough=True)
+    assert again.problem.index == rest.problem.index
+    assert again.solution.estimated[0] > 1.2 * fit.solution.estimated[0]
+    assert rest.solution.estimated == pytest.approx(again.solution.estimated, rel=0.1)

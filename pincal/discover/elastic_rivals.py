@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -47,27 +47,16 @@ def instead_of(
     return each_heading_once(rivals, compliance, policy)
 
 
-def without_compliance(fit: Fit, compliance: Effect) -> Fit:
-    """Return a fit as it stands without the compliance of one joint, its noise that of a fit of everything else.
+def without_compliance(fit: Fit, *compliances: Effect) -> Fit:
+    """Return a fit as it stands without some compliances, of one joint each, its noise that of a fit of everything else.
 
-    To first order that takes no fit: the squares grow by those of the compliance, in units of its covariance.
+    To first order that takes no fit: the squares grow by those of the compliances, in units of their covariance.
     """
-    joint = compliance.locus.joint
-    others = tuple(name for name in fit.problem.chain.robot.joint_names if name != joint)
-    effects: list[Effect] = []
-    for effect in fit.options.effects:
-        own = effect.heading[0] == compliance.heading[0]
-        if own and isinstance(effect, Compliance):
-            joints = others if effect.joints is None else effect.joints
-            effects.append(replace(effect, joints=tuple(name for name in joints if name != joint)))
-        elif own and effect.locus.joint is None:
-            # What else there is to know of all bearings stays with the others.
-            feature: Any = effect
-            effects += [replace(feature, joint=name) for name in others]
-        elif not own or effect.locus.joint != joint:
-            effects.append(effect)
+    effects = fit.options.effects
+    for compliance in compliances:
+        effects = tuple(_without(effects, compliance, fit.problem.chain.robot.joint_names))
     problem = fit.problem.with_effects(effects)
-    options = replace(fit.options, effects=tuple(effects))
+    options = replace(fit.options, effects=effects)
     known = {parameter.name for parameter in problem.parameters}
     lost = fit.estimate.take(name for name in fit.estimate.names if name not in known)
     grown = float(lost.values @ np.linalg.pinv(lost.dense_covariance(), hermitian=True) @ lost.values)
@@ -80,6 +69,22 @@ def without_compliance(fit: Fit, compliance: Effect) -> Fit:
         priors=priors_of(problem, options),
         options=options,
     )
+
+
+def _without(effects: Iterable[Effect], compliance: Effect, joints: Sequence[str]) -> Iterator[Effect]:
+    """Yield effects without the compliance of one joint and what else there is to know of it."""
+    joint = compliance.locus.joint
+    for effect in effects:
+        own = effect.heading[0] == compliance.heading[0]
+        if own and isinstance(effect, Compliance):
+            have = joints if effect.joints is None else effect.joints
+            yield replace(effect, joints=tuple(name for name in have if name != joint))
+        elif own and effect.locus.joint is None:
+            # What else there is to know of all bearings stays with the others.
+            feature: Any = effect
+            yield from (replace(feature, joint=name) for name in joints if name != joint)
+        elif not own or effect.locus.joint != joint:
+            yield effect
 
 
 def _place(effect: Effect) -> tuple[str | None, str, str | None]:

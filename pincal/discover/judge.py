@@ -178,9 +178,7 @@ def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:
     rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, sure.estimate, sure.beside), *sure.others)))
     if not rivals:
         return (), ""
-    rest = without_compliance(trail.final, compliance)
-    if sure.beside:
-        rest = without_compliance(rest, sure.others[0])
+    rest = without_compliance(trail.final, compliance, *(sure.others[:1] if sure.beside else ()))
     own = np.array([sure.estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)])
     return rivals, deciding_measurement(rest, compliance, own, rivals[0])
 
