@@ -21,9 +21,13 @@ from pincal.model.catalogue.bearings import bearing_features
 from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MomentFrame
-from pincal.model.conditions import Situation
+from pincal.model.conditions import Conditions, Situation
 from pincal.model.effect import Candidate, Effect, Family, Tone
 from pincal.model.effects import Compliance
+from pincal.model.latest import Latest
+
+# Some of the rows of tables: their conditions by the table's.
+_SAMPLES = Latest[Conditions](16)
 
 
 @dataclass(frozen=True)
@@ -252,7 +256,14 @@ def sampled(fit: Fit, policy: Policy) -> tuple[Fit, np.ndarray]:
     if n <= most:
         return fit, np.arange(n)
     rows = np.linspace(0, n - 1, most).astype(int)
-    return some_rows(fit, rows), rows
+    few = some_rows(fit, rows)
+    triples = zip(fit.problem.stations, few.problem.stations, fit.problem.rows, strict=True)
+    # The same objects whenever they are asked for again: what was evaluated at these poses is then known.
+    stations = tuple(
+        replace(part, conditions=_SAMPLES.of(whole.conditions).setdefault((n, most, span.start), part.conditions))
+        for whole, part, span in triples
+    )
+    return replace(few, problem=replace(few.problem, stations=stations)), rows
 
 
 def some_rows(fit: Fit, rows: np.ndarray) -> Fit:

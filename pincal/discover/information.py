@@ -60,9 +60,10 @@ class Information:
 
 
 def scaled_factor(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return s and the lower Cholesky factor of diag(s) H diag(s), whose diagonal is 1; H is overwritten."""
+    """Return s and the lower Cholesky factor of diag(s) H diag(s), whose diagonal is 1; H, symmetric, is overwritten."""
     scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
     H *= scale
     H *= scale[:, None]
     H[np.diag_indices_from(H)] += _ROUNDING
-    return scale, cholesky(H, lower=True, overwrite_a=True, check_finite=False)
+    # Column-major, which spares LAPACK a copy.
+    return scale, cholesky(H.T, lower=True, overwrite_a=True, check_finite=False)

@@ -18,6 +18,7 @@ from pincal.identify.fit import Fit
 from pincal.identify.problem import Problem
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Curve, Effect, Reducible
+from pincal.model.latest import Latest
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot
@@ -38,6 +39,8 @@ TOLD_APART = 30.0
 _TELLING = 1.5
 # Change of temperature that another run could make [K].
 _WARMER = 10.0
+# The runs that could be made instead of the latest poses, by what they are.
+_DESIGNS = Latest[dict[str, Conditions]](16)
 
 
 @dataclass(frozen=True)
@@ -217,32 +220,41 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
         rival: the other one.
     """
     few, _ = sampled(fit, POLICY)
-    stations, whole = few.problem.stations, len(fit.problem) / len(few.problem)
+    stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
 
-    def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
+    def tests_at(poses: Iterable[Conditions]) -> tuple[ScoreTests, np.ndarray]:
         problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        found = score_test(replace(few, problem=problem), [effect, rival]).whole
-        return replace(found, shared=None, blocks_S=whole * found.blocks_S)
+        found = score_test(replace(few, problem=problem), [effect, rival])
+        S = found.S
+        S *= rows_each
+        return found, S
 
-    here = tests_at(station.conditions for station in stations)
-    designs = [dict(_designs(few.problem.chain.robot, station.conditions)) for station in stations]
+    found, here = tests_at(station.conditions for station in stations)
+    designs = [_designs(few.problem.chain.robot, station.conditions) for station in stations]
     for words in (words for words in designs[0] if all(words in others for others in designs)):
         try:
-            there = tests_at(design[words] for design in designs)
+            _, there = tests_at(design[words] for design in designs)
         except (ValueError, KeyError):
             continue
-        told = _separation(here, here.blocks_S + there.blocks_S, value)
-        if told > TOLD_APART and told > _TELLING * _separation(here, 2.0 * here.blocks_S, value):
+        there += here
+        told = _separation(found, there, value)
+        if told > TOLD_APART and told > _TELLING * _separation(found, 2.0 * here, value):
             return words
-    many = TOLD_APART / max(_separation(here, here.blocks_S, value), 1e-9)
+    many = TOLD_APART / max(_separation(found, here, value), 1e-9)
     if many < 50:
         return f"about {int(np.ceil(many)) * len(fit.problem)} poses of this kind"
     return "no further run of this kind tells them apart; look at the joint itself, or at its drive's own encoder"
 
 
-def _separation(found: ScoreTests, blocks_S: np.ndarray, value: np.ndarray) -> float:
-    """Return the signal of the first effect that the second can't take over, squared, in units of the noise."""
-    S, _ = replace(found, shared=None, blocks_S=blocks_S).projected
+def _separation(found: ScoreTests, gram: np.ndarray, value: np.ndarray) -> float:
+    """Return the signal of the first effect that the second can't take over, squared, in units of the noise.
+
+    Args:
+        found: the tests of both.
+        gram: shape (P, P), products of all columns at the poses that are measured.
+        value: the parameters of the first.
+    """
+    S, _ = replace(found, shared=None, between=None, blocks_S=gram[None]).projected
     c, g = found.columns
     G = S[np.ix_(g, g)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
@@ -251,8 +263,15 @@ def _separation(found: ScoreTests, blocks_S: np.ndarray, value: np.ndarray) -> f
     return float(max(value @ left @ value, 0.0))
 
 
-def _designs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
-    """Return further runs that a user could make instead of these poses, cheapest first."""
+def _designs(robot: Robot, c: Conditions) -> dict[str, Conditions]:
+    """Return further runs that a user could make instead of these poses, cheapest first; the same objects if asked again."""
+    known = _DESIGNS.of(robot, c)
+    if "runs" not in known:
+        known["runs"] = dict(_runs(robot, c))
+    return known["runs"]
+
+
+def _runs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
     rng = np.random.default_rng(0)
     load = 0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
     if np.ptp(c.payload) == 0.0:

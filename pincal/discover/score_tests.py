@@ -197,8 +197,9 @@ def tests_beside(
     beyond, slope = problem.beyond_priors(model, values, sizes)
     unsure = [place for effect in doubtful for place in problem.places_at(effect)]
     doubt = Doubt(np.isin(model, unsure), *zip(*beliefs, strict=True)) if unsure else None
-    known_before, pull = np.diag(sizes[model] ** -2.0) + beyond, values[model] * sizes[model] ** -2.0 - slope
-    shared = tangent.information.setdefault(wider, Information(tangent.S, tangent.b, known_before, pull))
+    beyond.flat[:: len(beyond) + 1] += sizes[model] ** -2.0
+    pull = values[model] * sizes[model] ** -2.0 - slope
+    shared = tangent.information.setdefault(wider, Information(tangent.S, tangent.b, beyond, pull))
     counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
     return ScoreTests(
         effects=tuple(candidates),
@@ -206,7 +207,7 @@ def tests_beside(
         names=tuple(problem.parameters[i].name for i in model),
         values=values[model],
         sizes=sizes[found.places],
-        known=known_before,
+        known=beyond,
         pull=pull,
         blocks_S=found.S,
         blocks_b=found.b,

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpstrf
 
 from pincal.identify.fit import Fit
 from pincal.identify.normal import accumulate
@@ -288,7 +290,7 @@ class _Nominal:
     def _shares(self, i: int, others: Iterable[int]) -> np.ndarray | None:
         """Return the coefficients by which ``others`` reproduce column i, scaled columns; None if they can't."""
         j = list(others)
-        if not j:
+        if not j or not self._may_share(i, j):
             return None
         values, vectors = np.linalg.eigh(self.G[np.ix_(j, j)])
         seen = values > _RANK * max(values[-1], 1e-300)
@@ -296,3 +298,10 @@ class _Nominal:
         share = (U / values[seen]) @ (U.T @ self.G[j, i])
         left = self.G[i, i] - share @ self.G[j, i]
         return np.asarray(share) if left < _SAME else None
+
+    def _may_share(self, i: int, others: list[int]) -> bool:
+        """Return whether ``others`` may reproduce column i; a quick sieve, which counts more of their directions."""
+        factor, pivots, rank, _ = dpstrf(self.G[np.ix_(others, others)], tol=_RANK, lower=1)
+        seen = np.array(others)[pivots[:rank] - 1]
+        along = solve_triangular(factor[:rank, :rank], self.G[seen, i], lower=True, check_finite=False)
+        return bool(self.G[i, i] - along @ along < 10.0 * _SAME)

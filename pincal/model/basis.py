@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -40,8 +41,9 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
     return dense
 
 
+@lru_cache(maxsize=32)
 def spline_roughness(lower: float, upper: float, size: int) -> np.ndarray:
-    """Return the integrals of products of second derivatives of these splines, shape (size, size)."""
+    """Return the integrals of products of second derivatives of these splines, shape (size, size), not to be written to."""
     from scipy.interpolate import BSpline
 
     knots = _knots(lower, upper, size)
@@ -50,7 +52,9 @@ def spline_roughness(lower: float, upper: float, size: int) -> np.ndarray:
     middle, aside = 0.5 * (places[:-1] + places[1:]), 0.5 * step / np.sqrt(3.0)
     x = np.concatenate([middle - aside, middle + aside])
     bend = BSpline(knots, np.eye(size), _DEGREE).derivative(2)(x)
-    return np.asarray(0.5 * step * bend.T @ bend)
+    found = np.asarray(0.5 * step * bend.T @ bend)
+    found.flags.writeable = False
+    return found
 
 
 def _knots(lower: float, upper: float, size: int) -> np.ndarray:
