@@ -64,14 +64,16 @@ def choose(fit: Fit, search: Search) -> Decision | None:
     return explanation(fit, search, test, table_of(fit, search, test, addable(fit, search)))
 
 
-def explanation(fit: Fit, search: Search, test: Test, names: CandidateTable) -> Decision | None:
-    """Return the same, given the table of all that may be added by name."""
+def explanation(
+    fit: Fit, search: Search, test: Test, names: CandidateTable, *, predicting: Effect | None = None
+) -> Decision | None:
+    """Return the same, given the table of all that may be added by name, and what is known to predict."""
 
     def contest_of(close: Sequence[Row]) -> CandidateTable:
         nameless = nameless_near(fit, close[0].effect.locus.joint if close else None, search)
         together = [*(row.effect for row in close), *nameless]
         costs = {id(row.effect): row.cost for row in close}
-        return table_of(fit, search, test, together, costs) if nameless else names
+        return table_of(fit, search, test, together, costs, predicting=predicting) if nameless else names
 
     decision = decide(names, contest_of, search.policy)
     if decision is None or not decision.effect.is_nameless:
@@ -116,7 +118,13 @@ def _with_neighbours(decision: Decision, fit: Fit, search: Search, test: Test) -
 
 
 def table_of(
-    fit: Fit, search: Search, test: Test, effects: Sequence[Effect], costs: Mapping[int, float] | None = None
+    fit: Fit,
+    search: Search,
+    test: Test,
+    effects: Sequence[Effect],
+    costs: Mapping[int, float] | None = None,
+    *,
+    predicting: Effect | None = None,
 ) -> CandidateTable:
     """Return the table of candidates, named and nameless ones; each kind shares the chance of a false name.
 
@@ -126,6 +134,7 @@ def table_of(
         test: tests candidates against the fit.
         effects: the candidates.
         costs: of candidates, by their identity, that are known already.
+        predicting: what is taken to predict rows left out, without being asked.
     """
     policy, costs = search.policy, costs or {}
     # Blocks of rows would take as many times the memory, so they wait for the few of which it is asked what they predict.
@@ -145,6 +154,8 @@ def table_of(
         rows.append(Row(effect, score, costs.get(id(effect), score.ebic + _surcharge(effect, policy)), limit))
 
     def predicts(i: int) -> bool:
+        if predicting is not None and effects[i].identity == predicting.identity:
+            return True
         left_out = test([effects[i]], search.groups)
         if standard_errors(left_out.gains_by_block([0])) <= enough_errors(effects[i]):
             return False

@@ -173,7 +173,7 @@ class FirstOrder:
 
     def columns_of(self, which: Sequence[int]) -> np.ndarray:
         """Return the columns of some candidates, counted from the first candidate column."""
-        return np.concatenate([self.columns[i] for i in which])
+        return np.concatenate([np.zeros(0, int), *(self.columns[i] for i in which)])
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together; sizes in doubt are the likeliest ones, with and without them."""

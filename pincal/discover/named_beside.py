@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from pincal.discover.candidate_tests import Search, addable, explanation, nameless_near, spare_compliances, table_of
-from pincal.discover.decisions import Decision
+from pincal.discover.decisions import CandidateTable, Decision
 from pincal.discover.information import Information
 from pincal.discover.nuisance import BesideNuisances
 from pincal.discover.score_tests import ScoreTests
@@ -37,17 +37,16 @@ def named_beside(fit: Fit, effects: Sequence[Effect], search: Search) -> Iterato
     pairs = zip(rests, tried, strict=True)
     spare = [effect for rest, some in pairs for effect in spare_compliances(rest, some, search.policy)]
     shared.test([*(effect for some in tried for effect in some), *spare])
-    others, likely = list[Effect](), list[Effect]()
+    tables, others = list[CandidateTable](), list[Effect]()
     for effect, rest, test, some in zip(effects, rests, tests, tried, strict=True):
-        # Most are themselves again; of the others that are asked for later each is tested as it comes.
-        names = table_of(rest, search, test, some)
-        likely += [names.rows[i].effect for i in names.passed()[:1]]
+        # Whether an effect predicts is asked before it goes, not when it is named.
+        names = table_of(rest, search, test, some, predicting=effect)
+        tables.append(names)
         others += [names.rows[i].effect for i in names.cheapest()[: search.policy.close]]
         others += nameless_near(rest, effect.locus.joint, search)
-    shared.test(likely, search.groups)
     shared.test([*others, *spare])
-    for rest, test, some in zip(rests, tests, tried, strict=True):
-        yield rest, explanation(rest, search, test, table_of(rest, search, test, some))
+    for effect, rest, test, names in zip(effects, rests, tests, tables, strict=True):
+        yield rest, explanation(rest, search, test, names, predicting=effect)
 
 
 @dataclass
@@ -57,30 +56,34 @@ class _Shared:
     Attributes:
         beside: tests against the fit.
         passes: what was tested at once, with blocks of rows or without, each candidate with its number.
-        rests: tests against the fit without one of its effects, by its identity as an object.
-        known: what these say of the model, by pass and effect.
+        known: what the rows say of the model without one of its effects, by what they say of all of it, and by the effect.
     """
 
     beside: BesideNuisances
     passes: list[tuple[bool, dict[object, int], ScoreTests]] = field(default_factory=list)
-    rests: dict[int, BesideNuisances] = field(default_factory=dict)
     known: dict[tuple[int, int], Information] = field(default_factory=dict)
 
     def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> None:
         """Test candidates at once, equal ones once."""
         once = {key_of(effect): effect for effect in effects}
-        if once:
-            number = {key: i for i, key in enumerate(once)}
-            tests = self.beside(tuple(once.values()), groups)
-            self.passes.append((groups is not None, number, tests))
+        number = {key: i for i, key in enumerate(once)}
+        self.passes.append((groups is not None, number, self.beside(tuple(once.values()), groups)))
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
         """Return the tests of candidates against the fit without one of its effects."""
-        for k, (has_blocks, number, tests) in enumerate(self.passes):
+        found = self._tested(effects, groups)
+        if found is None:
+            self.test(effects, groups)
+            found = self._tested(effects, groups)
+            assert found is not None
+        which, tests = found
+        rest = tests.among(which, self.beside.fit.names_of([gone]))
+        return replace(rest, shared=self.known.setdefault((id(tests.model), id(gone)), rest.model))
+
+    def _tested(self, effects: Sequence[Effect], groups: np.ndarray | None) -> tuple[list[int], ScoreTests] | None:
+        """Return a pass in which all of some candidates were tested, and their numbers there."""
+        for has_blocks, number, tests in self.passes:
             which = [number.get(key_of(effect), -1) for effect in effects]
-            if has_blocks == (groups is not None) and min(which) >= 0:
-                found = tests.among(which, self.beside.fit.names_of([gone]))
-                return replace(found, shared=self.known.setdefault((k, id(gone)), found.model))
-        if id(gone) not in self.rests:
-            self.rests[id(gone)] = BesideNuisances(without(self.beside.fit, gone))
-        return self.rests[id(gone)](effects, groups)
+            if has_blocks == (groups is not None) and min(which, default=0) >= 0:
+                return which, tests
+        return None
