@@ -55,7 +55,7 @@ def old_alone(both: Fit) -> Estimate:
     places, equations = joint_places(both, station), equations_alone(both, station)
     values, free, sizes = both.values[places], both.solution.free[places], both.priors.sizes[places]
     values[free] += equations.step(np.full(len(equations.g), np.inf))[0]
-    found = Estimate(station.parameters, values, free, equations.posterior().joint_covariance, sizes)
+    found = Estimate(station.parameters, values, free, equations.posterior.joint_covariance, sizes)
     return found.take(p.name for p, own in zip(station.parameters, station.is_own, strict=True) if not own)
 
 
@@ -69,15 +69,15 @@ def test_of_a_linear_model_it_gives_the_joint_fit(both: Fit) -> None:
     robots = both.problem.is_shared[both.solution.free]
     mine = ~new.is_own[both.solution.free[joint_places(both, new)]]
     step, expected = (each.step(np.full(len(each.values), np.inf))[0] for each in (alone, joint))
-    sigma = np.sqrt(np.diag(joint.posterior().covariance))
+    sigma = np.sqrt(np.diag(joint.posterior.covariance))
     np.testing.assert_allclose(step[mine] / sigma, expected[robots] / sigma, rtol=0.0, atol=1e-6)
-    found = alone.posterior()
-    covariances = found.covariance[np.ix_(mine, mine)], joint.posterior().covariance
+    found = alone.posterior
+    covariances = found.covariance[np.ix_(mine, mine)], joint.posterior.covariance
     np.testing.assert_allclose(*(C / np.outer(sigma, sigma) for C in covariances), rtol=0.0, atol=1e-6)
     # Parameters that the new rows pay for: the trace of their information times the covariance.
     places = joint_places(both, new)
     ((_, _, J),) = new.linearise(both.values[places], np.ones(len(places), bool))
-    whole = replace(both.estimate, covariance=joint.posterior().joint_covariance).dense_covariance()[np.ix_(places, places)]
+    whole = replace(both.estimate, covariance=joint.posterior.joint_covariance).dense_covariance()[np.ix_(places, places)]
     assert found.effective == pytest.approx(np.einsum("pmn,pq,qmn->", J, whole, J) / NOISE**2, rel=1e-4)
 
 

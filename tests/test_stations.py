@@ -193,7 +193,7 @@ def test_steps_and_covariance_equal_those_of_the_dense_matrix(two: Fit) -> None:
     assert not held.any()
     # Normal equations square the condition number of the dense matrix.
     np.testing.assert_allclose(step / sigma, dense.step / sigma, rtol=0.0, atol=1e-8)
-    covariance = found.posterior().joint_covariance.dense()
+    covariance = found.posterior.joint_covariance.dense()
     np.testing.assert_allclose(covariance / np.outer(sigma, sigma), dense.covariance / np.outer(sigma, sigma), atol=1e-6)
 
 
@@ -551,7 +551,7 @@ def test_small_stations_are_evaluated_together(machine: sim.TrueMachine, kuka: R
     np.testing.assert_allclose(found.diagonal, expected.diagonal, rtol=1e-12)
     steps = [each.step(np.full(int(free.sum()), np.inf))[0] * each.metric for each in (found, expected)]
     np.testing.assert_allclose(*steps, rtol=0.0, atol=1e-8)
-    posteriors = [each.posterior() for each in (found, expected)]
+    posteriors = [each.posterior for each in (found, expected)]
     assert len({each.visible_rank for each in posteriors}) == 1
     np.testing.assert_allclose(*(each.own_effective for each in posteriors), rtol=1e-9)
 

@@ -190,7 +190,7 @@ def spare_compliances(fit: Fit, effects: Sequence[Effect], policy: Policy) -> li
 
 def is_small_table(fit: Fit, policy: Policy) -> bool:
     """Return whether a table has so few rows for the parameters that they determine that priors decide."""
-    return len(fit.problem) < policy.rows_each * fit.solution.posterior.effective
+    return len(fit.problem) < policy.rows_each * fit.solution.effective
 
 
 def _surcharge(effect: Effect, policy: Policy) -> float:

@@ -230,7 +230,7 @@ def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
     for place, lever, columns in _candidates(fit, dict(zip(spots, motions, strict=True))):
         candidates.append(_Candidate(place, lever, np.pad(columns, ((0, 0), (0, len(beliefs)))), np.sum(columns**2, axis=1)))
         candidates[-1].project(Q)
-    return _Rest(fit, r - Q @ (Q.T @ r), candidates, fit.solution.posterior.effective)
+    return _Rest(fit, r - Q @ (Q.T @ r), candidates, fit.solution.effective)
 
 
 def _smoothness(fit: Fit, own: int) -> Iterator[np.ndarray]:

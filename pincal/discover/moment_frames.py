@@ -135,4 +135,4 @@ def is_brought(step: Step) -> bool:
 def fit_cost(fit: Fit) -> float:
     """Return the Bayesian information criterion of a fit."""
     readings = sum(len(s) * sum(block.size for block in s.sensor.blocks) for s in fit.problem.stations)
-    return misfit(fit) + fit.solution.posterior.effective * float(np.log(readings))
+    return misfit(fit) + fit.solution.effective * float(np.log(readings))

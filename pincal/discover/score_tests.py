@@ -213,7 +213,7 @@ def tests_beside(
         blocks_b=found.b,
         squares=tangent.squares,
         readings=int(counts @ problem.block_sizes),
-        spent=fit.solution.posterior.effective,
+        spent=fit.solution.effective,
         between=found.between,
         doubt=doubt,
         shared=shared,

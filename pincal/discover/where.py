@@ -92,7 +92,7 @@ def _excess(fit: Fit, sigma: np.ndarray) -> float:
     counted = [int(np.sum(solution.weights[rows] > 0.0)) for rows in fit.problem.rows]
     blocks = [len(station.sensor.blocks) for station in fit.problem.stations]
     readings = np.repeat(counted, blocks) * fit.problem.block_sizes
-    degrees = readings - solution.posterior.effective * (readings / readings.sum())
+    degrees = readings - solution.effective * (readings / readings.sum())
     return float(np.sum(degrees * ((solution.estimated / sigma) ** 2 - 1.0)))
 
 

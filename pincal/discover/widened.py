@@ -37,14 +37,14 @@ def widened(trail: History) -> Fit:
     rows = len(fit.problem) / max(len(few.problem), 1)
     noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
     beyond = (of_masses(few) + of_candidates(trail.last) + of_bearings(few)) * rows * noise
-    factor = 1.0 + beyond / max(fit.solution.posterior.effective, 1.0)
+    factor = 1.0 + beyond / max(fit.solution.effective, 1.0)
     solution = fit.solution
     wide = equations_of(fit.problem, replace(solution, sigma=solution.sigma * np.sqrt(factor)), fit.priors)
     # What the data identify stays as it is.
     known = solution.posterior
     unseen = known.directions[:, known.information == 0.0]
     posterior = replace(known, covariance=wide.covariance(unseen), own=wide.own)
-    return replace(fit, solution=replace(solution, posterior=posterior))
+    return replace(fit, solution=replace(solution, wide=posterior))
 
 
 def of_masses(fit: Fit) -> float:

@@ -168,9 +168,9 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
     # The expected data agree with the nominal geometry: nothing pulls away from it.
-    expected = replace(found, g=np.zeros_like(found.g), values=np.zeros_like(found.values)).posterior()
+    expected = replace(found, g=np.zeros_like(found.g), values=np.zeros_like(found.values))
     nothing = np.zeros(len(free), bool)
-    outlook = replace(fitted, values=nominal.values, posterior=expected, free=free, at_bound=nothing)
+    outlook = replace(fitted, values=nominal.values, equations=expected, free=free, at_bound=nothing)
     return replace(fit, solution=outlook)
 
 

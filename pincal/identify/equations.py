@@ -106,8 +106,9 @@ class Equations:
         """How much each parameter matters to readings and prior, shape (F,)."""
         return np.asarray(np.sqrt(self.diagonal + self.sizes**-2.0))
 
+    @cached_property
     def posterior(self) -> Posterior:
-        """Return what data and priors say together."""
+        """What data and priors say together."""
         at, sizes, diagonal = self.values[self.shared], self.sizes[self.shared], self.diagonal[self.shared]
         found = posterior(self.G, self.g, sizes, at, diagonal=diagonal)
         known = 0.0 if self.remembered is None else float(np.sum(found.covariance * self.remembered))
@@ -118,13 +119,13 @@ class Equations:
         sizes, diagonal = self.sizes[self.shared], self.diagonal[self.shared]
         return posterior_covariance(self.G, sizes, diagonal=diagonal, unseen=unseen)
 
+    @cached_property
     def spent(self) -> tuple[float, tuple[float, ...]]:
-        """Return how many parameters the data spend, priors counted: of those that are shared, and of each station's own."""
+        """How many parameters the data spend, priors counted: of those that are shared, and of each station's own."""
         shared = None if self.own else spent_parameters(self.G, self.sizes, self.remembered)
         if shared is not None:
             return shared, ()
-        found = self.posterior()
-        return found.shared_effective, found.own_effective
+        return self.posterior.shared_effective, self.posterior.own_effective
 
     @property
     def gain(self) -> float:

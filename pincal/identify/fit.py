@@ -114,7 +114,7 @@ class Fit:
             nominal, solution = (_part(of, places, blocks, rows) for of in (self.nominal, self.solution))
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
             noise = Noise(self.noise.declared[blocks])
-            solution = replace(solution, posterior=equations_of(problem, solution, priors).posterior())
+            solution = replace(solution, equations=equations_of(problem, solution, priors))
             yield Fit(problem, nominal, solution, priors, noise, self.stages, options)
 
     @property

@@ -32,7 +32,7 @@ def best_of(fits: Sequence[Fit]) -> MomentFrame:
 
     Conventions may have more parameters than others, which are counted by Akaike's criterion.
     """
-    misfits = [misfit(fit) + 2.0 * fit.solution.posterior.effective for fit in fits]
+    misfits = [misfit(fit) + 2.0 * fit.solution.effective for fit in fits]
     best = int(np.argmin(misfits))
     return fits[best if misfits[best] < misfits[0] - FRAME_BETTER else 0].problem.chain.moment_frame
 

@@ -9,7 +9,7 @@ from enum import Enum
 
 import numpy as np
 
-from pincal.identify.equations import Linearised
+from pincal.identify.equations import Equations, Linearised
 from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
 from pincal.identify.noise import Judge, Judgement, Loss, Noise
 from pincal.identify.posterior import Posterior
@@ -67,7 +67,7 @@ class Solution:
 
     Attributes:
         values: shape (P,).
-        posterior: what data and priors say about the free parameters at ``values``.
+        equations: what data and priors say about the free parameters at ``values``.
         sigma: shape (blocks,), standard deviations that the fit used, one station's blocks after the other's.
         estimated: shape (blocks,), those of its residuals.
         weights: shape (N,), robust weights: 0 for an outlier.
@@ -77,10 +77,11 @@ class Solution:
         exit: how it ended.
         at_bound: shape (P,), parameters held at their bound.
         free: shape (P,), parameters that were fitted.
+        wide: what is known of the parameters where more than the noise is in doubt; default: what the equations say.
     """
 
     values: np.ndarray
-    posterior: Posterior
+    equations: Equations
     sigma: np.ndarray
     estimated: np.ndarray
     weights: np.ndarray
@@ -90,6 +91,18 @@ class Solution:
     exit: Exit
     at_bound: np.ndarray
     free: np.ndarray
+    wide: Posterior | None = None
+
+    @property
+    def posterior(self) -> Posterior:
+        """What is known of the free parameters."""
+        return self.equations.posterior if self.wide is None else self.wide
+
+    @property
+    def effective(self) -> float:
+        """Number of parameters that the data spend, priors counted: :attr:`Posterior.effective` in a fifth of the time."""
+        shared, own = self.equations.spent
+        return shared + sum(own)
 
     @property
     def converged(self) -> bool:
@@ -296,7 +309,7 @@ class _Fit:
     def finish(self, state: _State, step: _Step, iterations: int, ended: Exit) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
         point, noise = state.point, self.judge.noise
-        spent = point.equations(self.judge.at(point, hard=True).sigma).spent()
+        spent = point.equations(self.judge.at(point, hard=True).sigma).spent
         degrees = self.judge.degrees(point.robust, *spent)
         estimated = np.maximum(np.sqrt(point.squares / degrees), rounding(self.problem))
         sigma = noise.resolved(estimated, degrees)
@@ -304,7 +317,7 @@ class _Fit:
         at_bound[self.free] = step.held
         return Solution(
             values=point.values,
-            posterior=point.equations(sigma).posterior(),
+            equations=point.equations(sigma),
             sigma=sigma,
             estimated=estimated,
             weights=point.robust,
