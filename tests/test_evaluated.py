@@ -91,29 +91,30 @@ def test_products_of_thin_and_dense_columns_are_those_of_the_whole_jacobian() ->
         np.testing.assert_allclose(g[s], A @ b, rtol=1e-12, atol=1e-12)
 
 
-def test_products_that_are_known_are_left_out_and_no_others() -> None:
-    """Of columns put beside those of a model, as far as they are asked for: a candidate's with the model's and its own."""
+def test_products_of_two_sets_of_columns_are_those_of_the_whole_jacobian() -> None:
+    """Of a model's columns with candidates', and of candidates' with each other as far as they are asked for."""
     rng = np.random.default_rng(5)
 
-    def drawn(places: list[int], curve: int) -> Jacobian:
-        basis = sparse_rows(rng.normal(size=(curve, 40)) * (rng.random((curve, 40)) < 0.3))
-        family = SharedColumns(np.arange(len(places), len(places) + curve), basis, rng.normal(size=(3, 40)))
+    def drawn(places: list[int], curve: int, *, thin: bool = True) -> Jacobian:
+        basis = rng.normal(size=(curve, 40)) * (rng.random((curve, 40)) < 0.3)
+        at = np.setdiff1d(np.arange(len(places) + curve), places)
+        family = SharedColumns(at, sparse_rows(basis) if thin else basis, rng.normal(size=(3, 40)))
         return Jacobian(len(places) + curve, np.array(places), rng.normal(size=(len(places), 3, 40)), (family,))
 
-    model, candidates = drawn([0, 1, 2], 4), drawn([0, 1], 5)
-    both, residuals, n = model.beside(candidates), rng.normal(size=(3, 40)), model.size
-    dense = both.along(np.eye(both.size)).reshape(both.size, -1)
-    group = np.repeat([-1, 0, 1], [n, 2, 5])
-    G, g = np.zeros((both.size, both.size)), np.zeros(both.size)
-    both.add_gram(residuals, G, g, group, known=n)
+    def whole(jacobian: Jacobian) -> np.ndarray:
+        return jacobian.along(np.eye(jacobian.size)).reshape(jacobian.size, -1)
 
-    expected = dense @ dense.T
-    np.testing.assert_array_equal(G[:n, :n], 0.0)
-    np.testing.assert_allclose(G[:n, n:], expected[:n, n:], rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(G[n:, :n], expected[n:, :n], rtol=1e-12, atol=1e-12)
-    for own in (slice(n, n + 2), slice(n + 2, None)):
-        np.testing.assert_allclose(G[own, own], expected[own, own], rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(g, dense @ residuals.ravel(), rtol=1e-12, atol=1e-12)
+    residuals = rng.normal(size=(3, 40))
+    for model in (drawn([0, 1, 5], 4), drawn([0, 1, 2], 4, thin=False)):
+        for candidates in (drawn([0, 1, 7], 5), drawn([0, 1, 7], 5, thin=False)):
+            S = np.ones((7, 8))
+            model.add_products(candidates, S)
+            np.testing.assert_allclose(S, 1.0 + whole(model) @ whole(candidates).T, rtol=1e-12, atol=1e-12)
+            dense, G, g = whole(candidates), np.zeros((8, 8)), np.zeros(8)
+            candidates.add_gram(residuals, G, g, np.repeat([0, 1, 2], [2, 4, 2]))
+            for own in (slice(0, 2), slice(2, 6), slice(6, 8)):
+                np.testing.assert_allclose(G[own, own], dense[own] @ dense[own].T, rtol=1e-12, atol=1e-12)
+            np.testing.assert_allclose(g, dense @ residuals.ravel(), rtol=1e-12, atol=1e-12)
 
 
 def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> None:
@@ -190,14 +191,17 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     ((_, residuals, jacobian),) = problem.station.linearise(values, free)
     A, r = (of.reshape(*of.shape[:-2], -1) / fit.solution.estimated[0] for of in (jacobian, residuals))
     scale = np.sqrt(np.diag(A @ A.T))
-    np.testing.assert_allclose(tests.S / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
-    np.testing.assert_allclose(tests.b / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
-    whole = tests.whole
-    assert np.count_nonzero(tests.blocks_S) < np.count_nonzero(whole.blocks_S)
+    cross, products = tests.products.cross, tests.products
+    S = np.block([[tests.model.S, cross], [cross.T, products.inner]])
+    np.testing.assert_allclose(S / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(np.append(tests.model.b, products.b) / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
+    whole = replace(tests, products=replace(products, blocks_inner=products.inner[None], is_partial=False))
+    assert np.count_nonzero(products.blocks_inner) < np.count_nonzero(products.inner)
     for which in ([7], [0, 6], [1, 5, 7]):
         assert tests.gain(which) == pytest.approx(whole.gain(which), rel=1e-8)
         np.testing.assert_allclose(
-            tests.within(which)[1], tests.projected[0][np.ix_(*[tests.columns_of(which)] * 2)], rtol=1e-6
+            tests.within(which)[1], tests.projected[0][np.ix_(*[products.places(which)] * 2)], rtol=1e-6
         )
     fewer = tests.among([5, 1, 7], fit.names_of([own[0]]))
-    np.testing.assert_allclose(fewer.S, whole.among([5, 1, 7], fit.names_of([own[0]])).S, rtol=1e-9, atol=1e-9)
+    told = whole.among([5, 1, 7], fit.names_of([own[0]]))
+    np.testing.assert_allclose(fewer.products.inner, told.products.inner, rtol=1e-9, atol=1e-9)

@@ -12,6 +12,8 @@ from selection_cases import bent_panda, waving_ur5
 
 from pincal import GEOMETRIC, Measurements, Options
 from pincal.discover.first_order import Doubt
+from pincal.discover.information import Information
+from pincal.discover.products import Products
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit
@@ -26,16 +28,15 @@ def linear(rng: np.random.Generator) -> tuple[ScoreTests, np.ndarray, np.ndarray
     A, r = rng.standard_normal((_BLOCKS, _ROWS, _MODEL + 2)), rng.standard_normal((_BLOCKS, _ROWS))
     sizes = rng.uniform(0.2, 2.0, _MODEL + 2)
     values = rng.standard_normal(_MODEL)
+    S, b = np.einsum("bni,bnj->bij", A, A), np.einsum("bni,bn->bi", A, r)
+    N, C, precision = slice(0, _MODEL), slice(_MODEL, None), sizes[:_MODEL] ** -2.0
     tests = ScoreTests(
         effects=(GearRatio("a"),),
-        columns=(np.arange(2),),
         names=tuple("abcde"),
         values=values,
         sizes=sizes,
-        known=np.diag(sizes[:_MODEL] ** -2.0),
-        pull=values * sizes[:_MODEL] ** -2.0,
-        blocks_S=np.einsum("bni,bnj->bij", A, A),
-        blocks_b=np.einsum("bni,bn->bi", A, r),
+        model=Information(S[:, N, N], b[:, N], np.diag(precision), values * precision),
+        products=Products((np.arange(2),), S[:, N, C], S[:, C, C], b[:, C]),
         squares=float(np.sum(r**2)),
         readings=r.size,
         spent=0.0,
@@ -79,7 +80,8 @@ def test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without(rng
     """T is the ratio of the largest densities of the readings, over the candidate's values and two sizes of parameters."""
     tests, A, r = linear(rng)
     doubt = Doubt(np.array([False, False, True, False, True]), (0.1, 3.0), (0.0, 4.0))
-    tests = replace(tests, doubt=doubt, values=tests.values * ~doubt.columns, pull=tests.pull * ~doubt.columns)
+    model = replace(tests.model, pull=tests.model.pull * ~doubt.columns)
+    tests = replace(tests, doubt=doubt, values=tests.values * ~doubt.columns, model=model)
     A, r = A.reshape(-1, _MODEL + 2), r.ravel()
     whole = r + A[:, :_MODEL] @ tests.values
 

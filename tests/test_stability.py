@@ -110,20 +110,26 @@ def test_hints_stand_apart_and_all_are_drawn(found: Discovery) -> None:
     assert not list(stability_drawings(msgspec.structs.replace(findings, effects=bare, only_in_halves=())))
 
 
+def told(tests: ScoreTests, of_model: np.ndarray, of_candidates: np.ndarray, squares: float) -> ScoreTests:
+    """Return tests of other residuals, given their products with the columns, at the minimum beside priors, and squares."""
+    model = replace(tests.model, blocks_b=(of_model + tests.model.pull)[None])
+    return replace(tests, model=model, products=replace(tests.products, blocks_b=of_candidates[None]), squares=squares)
+
+
 def test_a_bootstrap_of_noise_has_any_chance_alike(found: Discovery) -> None:
     """Of sixty tables of nothing but noise the p-values are uniform."""
     tests = score_test(found.trail.final, found.trail.last.effects[:12])
-    rng, root = np.random.default_rng(5), root_of(tests.S)
+    model, cross = tests.model, tests.products.cross
+    rng, root = np.random.default_rng(5), root_of(np.block([[model.S, cross], [cross.T, tests.products.inner]]))
     root, unseen = root[:, np.linalg.norm(root, axis=0) > 0.0], tests.readings
     chances = []
     for seed in range(60):
         noise = rng.standard_normal(root.shape[1])
         b, squares = root @ noise, float(noise @ noise + rng.chisquare(unseen - len(noise)))
         # Noise about a fit of the model, which takes its part of the squares.
-        N = slice(0, tests.n_model)
-        b[N] += tests.pull
-        squares -= float((b[N] - tests.pull) @ np.linalg.solve(tests.S[N, N] + tests.known, b[N] - tests.pull))
-        table = replace(tests, shared=None, blocks_S=tests.S[None], blocks_b=b[None], squares=squares)
+        of_model, of_candidates = np.split(b, [tests.n_model])
+        squares -= float(of_model @ np.linalg.solve(model.S + model.known, of_model))
+        table = told(tests, of_model, of_candidates, squares)
         chances.append(chance_of_best(table, 100, seed))
 
     assert kstest(chances, "uniform").pvalue > 1e-3
@@ -153,13 +159,12 @@ def test_standard_deviations_pay_for_what_is_not_in_the_model(found: Discovery) 
 def test_candidates_weigh_as_likely_as_they_are(found: Discovery) -> None:
     """One that should have been accepted counts whole, those that explain nothing not at all."""
     tests = score_test(found.trail.final, found.trail.last.effects[:25])
-    N, chosen = slice(0, tests.n_model), tests.columns[3][:1]
+    products, chosen = tests.products, tests.columns[3][0]
 
     def left(gain: float) -> ScoreTests:
         """Residuals that are the third candidate's, of so large a gain."""
-        b = tests.S[:, tests.n_model + chosen[0]] * np.sqrt(gain / tests.projected[0][chosen[0], chosen[0]])
-        b[N] += tests.pull
-        return replace(tests, shared=None, blocks_S=tests.S[None], blocks_b=b[None], squares=tests.dof + gain)
+        size = np.sqrt(gain / tests.projected[0][chosen, chosen])
+        return told(tests, size * products.cross[:, chosen], size * products.inner[:, chosen], tests.dof + gain)
 
     assert of_candidates(left(0.0)) == pytest.approx(0.0, abs=1e-9)
     assert of_candidates(left(3.0)) < 0.5

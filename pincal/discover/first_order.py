@@ -12,14 +12,13 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
 from pincal.discover.information import Information, scaled_factor
-from pincal.discover.products import Between
+from pincal.discover.products import Products
 from pincal.model.effects import Effect
 
 # Part of a column's square that must be left after projection for the data to see it.
@@ -37,7 +36,7 @@ class Doubt:
     """Parameters at zero that are believed to be small, though not how small.
 
     Attributes:
-        columns: shape (n_model,), whether each parameter of the model is one of them.
+        columns: shape (N,), whether each parameter of the model is one of them.
         factors: what their sizes may have to be multiplied by.
         costs: of believing in each factor, as an information criterion.
     """
@@ -55,61 +54,32 @@ class FirstOrder:
 
     Attributes:
         effects: the candidates.
-        columns: for each candidate, its columns, counted from the first column of all candidates.
-        names: the parameters of the columns before these, those of the model and of nuisance effects.
-        values: their values, shape (len(names),).
-        sizes: shape (P,), standard deviations of the priors.
-        known: shape (n_model, n_model), inverse covariance of what was known of the model's parameters before.
-        pull: shape (n_model,), slope of the sum of squares by it at the present values.
-        blocks_S, blocks_b: shape (B, P, P), (B, P), S and b by block of poses.
-        between: holds the products of one candidate's columns with another's, which are taken when they are asked for and
-            may be left out of ``blocks_S``; None if this has all.
+        names: the N parameters of the model and of nuisance effects.
+        values: shape (N,), of these.
+        sizes: shape (N + C,), standard deviations of the priors, those of the candidates' C parameters behind.
+        model: what rows and priors say of the N parameters, by block of poses.
+        products: of the candidates' columns.
         doubt: parameters whose sizes are in doubt; None if none are.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
-        shared: what other tests against the same model know of it already; None of nothing.
     """
 
     effects: tuple[Effect, ...]
-    columns: tuple[np.ndarray, ...]
     names: tuple[str, ...]
     values: np.ndarray
     sizes: np.ndarray
-    known: np.ndarray
-    pull: np.ndarray
-    blocks_S: np.ndarray
-    blocks_b: np.ndarray
+    model: Information
+    products: Products
     squares: float
     readings: int
     spent: float
-    between: Between | None = None
     doubt: Doubt | None = None
-    shared: Information | None = None
-
-    @cached_property
-    def S(self) -> np.ndarray:
-        """Gram matrix of all blocks, shape (P, P)."""
-        if self.between is None:
-            return self._known_S
-        whole, C = self._known_S.copy(), slice(self.n_model, None)
-        whole[C, C] = self.between.gram(range(len(self.effects)))
-        return whole
-
-    @cached_property
-    def _known_S(self) -> np.ndarray:
-        """The same, where products of one candidate with another may be left out."""
-        return self.blocks_S[0] if len(self.blocks_S) == 1 else np.asarray(self.blocks_S.sum(axis=0))
 
     @property
-    def whole(self) -> Self:
-        """The same tests with all products in ``blocks_S``."""
-        return self if self.between is None else replace(self, blocks_S=self.S[None], between=None)
-
-    @cached_property
-    def b(self) -> np.ndarray:
-        """Products with the residuals of all blocks, shape (P,)."""
-        return np.asarray(self.blocks_b.sum(axis=0))
+    def columns(self) -> tuple[np.ndarray, ...]:
+        """For each candidate, its columns, counted from the first column of all candidates."""
+        return self.products.columns
 
     @property
     def n_model(self) -> int:
@@ -118,27 +88,21 @@ class FirstOrder:
 
     @property
     def precision(self) -> np.ndarray:
-        """Inverse variances of the priors, shape (P,)."""
+        """Inverse variances of the priors, shape (N + C,)."""
         return np.asarray(self.sizes**-2.0)
-
-    @cached_property
-    def model(self) -> Information:
-        """What rows and priors say of the model's own parameters."""
-        N = slice(0, self.n_model)
-        return self.shared or Information(self.blocks_S[:, N, N], self.blocks_b[:, N], self.known, self.pull)
 
     @cached_property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """S' and b' of all candidate columns."""
-        C, (taken, b) = slice(self.n_model, None), self._projection
-        return self.S[C, C] - taken @ taken.T, b
+        taken, b = self._projection
+        return self.products.inner - taken @ taken.T, b
 
     @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:
-        """H, shape (C, n_model), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
-        N, C, (scale, L, slope) = slice(0, self.n_model), slice(self.n_model, None), self.model.factor
-        taken = solve_triangular(L, scale[:, None] * self._known_S[N, C], lower=True, check_finite=False).T
-        return taken, self.b[C] - taken @ slope
+        """H, shape (C, N), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
+        scale, L, slope = self.model.factor
+        taken = solve_triangular(L, scale[:, None] * self.products.cross, lower=True, check_finite=False).T
+        return taken, self.products.b - taken @ slope
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
@@ -147,8 +111,8 @@ class FirstOrder:
             return [(0.0, self)]
         found, own = [], self.doubt.columns
         for factor, cost in zip(self.doubt.factors, self.doubt.costs, strict=True):
-            known = self.known + np.diag(own * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
-            tests = replace(self, known=known, doubt=None, shared=self.model.believing(factor, known))
+            known = self.model.known + np.diag(own * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
+            tests = replace(self, doubt=None, model=self.model.believing(factor, known))
             scale, L, slope = tests.model.factor
             evidence = np.sum(np.log(np.diag(L) / scale)) + np.count_nonzero(own) * np.log(factor) - 0.5 * slope @ slope
             found.append((cost + 2.0 * float(evidence), tests))
@@ -164,16 +128,8 @@ class FirstOrder:
 
     def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and S' and b' of these, shape (J, J) and (J,)."""
-        j, (taken, b) = self.columns_of(which), self._projection
-        if self.between is None or len(which) == 1:
-            S = self._known_S[np.ix_(self.n_model + j, self.n_model + j)]
-        else:
-            S = self.between.gram(which)
-        return j, S - taken[j] @ taken[j].T, b[j]
-
-    def columns_of(self, which: Sequence[int]) -> np.ndarray:
-        """Return the columns of some candidates, counted from the first candidate column."""
-        return np.concatenate([np.zeros(0, int), *(self.columns[i] for i in which)])
+        j, (taken, b) = self.products.places(which), self._projection
+        return j, self.products.inner_of(which) - taken[j] @ taken[j].T, b[j]
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together; sizes in doubt are the likeliest ones, with and without them."""
@@ -190,15 +146,14 @@ class FirstOrder:
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray]:
         """T and rank of each of C candidates by itself, shape (C,); those of one size are worked out at once."""
-        (taken, b), diagonal = self._projection, np.diag(self._known_S)[self.n_model :]
+        (taken, b), diagonal = self._projection, self.products.squares
         sizes = np.array([len(j) for j in self.columns])
         gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
         for size in np.unique(sizes):
             some = np.flatnonzero(sizes == size)
             j = np.array([self.columns[i] for i in some])
             scale = 1.0 / np.sqrt(np.maximum(diagonal[j], 1e-300))
-            S = self._known_S[self.n_model + j[:, :, None], self.n_model + j[:, None]]
-            S = S - taken[j] @ taken[j].swapaxes(1, 2)
+            S = self.products.each_inner(j) - taken[j] @ taken[j].swapaxes(1, 2)
             values, vectors = np.linalg.eigh(S * scale[:, :, None] * scale[:, None])
             seen = self._seen(j, scale, values, vectors)
             along = np.einsum("gi,gik->gk", scale * b[j], vectors) ** 2
@@ -209,7 +164,7 @@ class FirstOrder:
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
         j, S, _ = self.within(which)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._known_S)[self.n_model + j], 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(self.products.squares[j], 1e-300))
         values, vectors = np.linalg.eigh(S * np.outer(scale, scale))
         seen = self._seen(j, scale, values, vectors)
         return j, scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
@@ -226,22 +181,26 @@ class FirstOrder:
         Both the model and the model with the candidates are refitted, to first order, without each block. Sizes in doubt
         are those that are likeliest with the candidates.
         """
-        j, tests = self.n_model + self.columns_of(which), self.likeliest(which)[1]
-        return np.array([tests._gain_left_out(k, j) for k in range(len(self.blocks_S))])
+        tests = self.likeliest(which)[1]
+        return np.array([tests._gain_left_out(k, which) for k in range(len(self.model.blocks_S))])
 
-    def _gain_left_out(self, k: int, j: np.ndarray) -> float:
-        """Return by how much the columns ``j``, fitted without block k, lower the squared error on it."""
-        S, b, N, own = self.blocks_S[k], self.blocks_b[k], slice(0, self.n_model), np.ix_(j, j)
+    def _gain_left_out(self, k: int, which: Sequence[int]) -> float:
+        """Return by how much some candidates, fitted without block k, lower the squared error on it."""
+        products, j = self.products, self.products.places(which)
+        model_S, model_b = self.model.blocks_S[k], self.model.blocks_b[k]
+        across, b = products.blocks_cross[k][:, j], products.blocks_b[k, j]
+        own = products.blocks_inner[k][np.ix_(j, j)]
         model_scale, model_factor, model_step = self.model.without_block[k]
-        cross = self._known_S[N, j] - S[N, j]
+        cross = products.cross[:, j] - across
         carried = model_scale[:, None] * cho_solve((model_factor, True), model_scale[:, None] * cross, check_finite=False)
-        scale, factor = scaled_factor(self._known_S[own] - S[own] - cross.T @ carried + np.diag(self.precision[j]))
-        slope = scale * (self.b[j] - b[j] - cross.T @ model_step)
+        precision = np.diag(self.precision[self.n_model + j])
+        scale, factor = scaled_factor(products.inner_of(which) - own - cross.T @ carried + precision)
+        slope = scale * (products.b[j] - b - cross.T @ model_step)
         step = scale * cho_solve((factor, True), slope, check_finite=False)
         change = -carried @ step
-        along = S[N, N] @ change + S[N, j] @ step
-        beside = S[j, N] @ change + S[own] @ step
-        left = b[N] - S[N, N] @ model_step, b[j] - S[j, N] @ model_step
+        along = model_S @ change + across @ step
+        beside = across.T @ change + own @ step
+        left = model_b - model_S @ model_step, b - across.T @ model_step
         return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
 
     def losses_by_block(self, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
@@ -255,45 +214,41 @@ class FirstOrder:
         """
         j = np.array([i for i, name in enumerate(self.names) if name in names or name in still], int)
         goes = np.array([self.names[i] in names for i in j], bool)
-        units, N, losses = np.eye(self.n_model)[:, j], slice(0, self.n_model), np.zeros(len(self.blocks_S))
+        units, losses = np.eye(self.n_model)[:, j], np.zeros(len(self.model.blocks_S))
         for k, (scale, factor, step) in enumerate(self.model.without_block if len(j) else ()):
             columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
             held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * self.values[j])
-            S, b = self.blocks_S[k, N, N], self.blocks_b[k, N]
+            S, b = self.model.blocks_S[k], self.model.blocks_b[k]
             losses[k] = held @ S @ held - step @ S @ step - 2.0 * b @ (held - step)
         return losses
 
     def holding(self, names: Collection[str]) -> Self:
         """Return the same tests against the model with some of its parameters held where they are."""
         held = np.array([name in names for name in self.names])
-        return replace(self, shared=None, known=self.known + np.diag(held * np.diag(self._known_S)[: self.n_model] * _HELD))
+        known = self.model.known + np.diag(held * np.diag(self.model.S) * _HELD)
+        return replace(self, model=Information(self.model.blocks_S, self.model.blocks_b, known, self.model.pull))
 
-    def among(self, which: Sequence[int], gone: Collection[str]) -> Self:
+    def among(self, which: Sequence[int], gone: Collection[str], model: Information | None = None) -> Self:
         """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
 
-        To first order nothing has to be evaluated again: without columns J of value v, r grows by J v, and b by S v.
+        Args:
+            which: the candidates.
+            gone: the parameters of the model that go.
+            model: what rows and priors say of those that stay; default: it follows, to first order, without evaluation.
         """
         stays = np.array([name not in gone for name in self.names], bool)
-        model, out = np.flatnonzero(stays), np.flatnonzero(~stays)
-        kept = np.concatenate([model, self.n_model + self.columns_of(which)])
-        v, S = self.values[out], self.blocks_S[:, :, out]
-        between = None if self.between is None else self.between.among(which)
-        ends = np.cumsum([0, *(len(self.columns[i]) for i in which)])
+        kept, out = np.flatnonzero(stays), np.flatnonzero(~stays)
+        values = self.values[out]
         return replace(
             self,
             effects=tuple(self.effects[i] for i in which),
-            columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
-            names=tuple(self.names[i] for i in model),
-            values=self.values[model],
-            sizes=self.sizes[kept],
-            known=self.known[np.ix_(model, model)],
-            doubt=None if self.doubt is None else replace(self.doubt, columns=self.doubt.columns[model]),
-            pull=self.pull[model],
-            shared=None,
-            blocks_S=self.blocks_S[:, kept[:, None], kept],
-            blocks_b=self.blocks_b[:, kept] + S[:, kept] @ v,
-            squares=self.squares + float(v @ (2.0 * self.b[out] + S[:, out].sum(axis=0) @ v)),
-            between=between,
+            names=tuple(self.names[i] for i in kept),
+            values=self.values[kept],
+            sizes=self.sizes[np.concatenate([kept, self.n_model + self.products.places(which)])],
+            model=self.model.without(kept, out, values) if model is None else model,
+            products=self.products.among(which, kept, out, values),
+            doubt=None if self.doubt is None else replace(self.doubt, columns=self.doubt.columns[kept]),
+            squares=self.squares + self.model.grown(out, values),
         )
 
     def estimate(self, which: Sequence[int]) -> np.ndarray:

@@ -18,7 +18,8 @@ class Information:
 
     Attributes:
         blocks_S, blocks_b: shape (B, N, N), (B, N), products of its columns with each other and with the residuals.
-        known, pull: as in :class:`FirstOrder`.
+        known: shape (N, N), inverse covariance of what was known of the parameters before.
+        pull: shape (N,), slope of the sum of squares by it at the present values.
         beliefs: the same by the factor of sizes in doubt.
     """
 
@@ -26,7 +27,7 @@ class Information:
     blocks_b: np.ndarray
     known: np.ndarray
     pull: np.ndarray
-    beliefs: dict[float, Information] = field(default_factory=dict, repr=False)
+    beliefs: dict[float, Information] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def S(self) -> np.ndarray:
@@ -47,6 +48,24 @@ class Information:
     def believing(self, factor: float, known: np.ndarray) -> Information:
         """Return the same where sizes in doubt are multiplied by a factor, which makes ``known`` of what was known."""
         return self.beliefs.setdefault(factor, Information(self.blocks_S, self.blocks_b, known, self.pull))
+
+    def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
+        """Return the same of the parameters that stay, the others at zero; to first order nothing is evaluated again.
+
+        Without columns J of value v the residuals r grow by J v, and b by S v.
+
+        Args:
+            model: shape (M,), which stay.
+            gone: shape (G,), which go.
+            values: shape (G,), of these.
+        """
+        kept = np.ix_(model, model)
+        b = self.blocks_b[:, model] + self.blocks_S[:, model[:, None], gone] @ values
+        return Information(self.blocks_S[:, model[:, None], model], b, self.known[kept], self.pull[model])
+
+    def grown(self, gone: np.ndarray, values: np.ndarray) -> float:
+        """Return by how much the squares of the residuals grow without columns of these values, shape (G,)."""
+        return float(values @ (2.0 * self.b[gone] + self.S[np.ix_(gone, gone)] @ values))
 
     @cached_property
     def without_block(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

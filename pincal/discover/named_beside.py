@@ -7,7 +7,7 @@ times their values, to the residuals. So all are named from the same tests of al
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -77,8 +77,10 @@ class _Shared:
             found = self._tested(effects, groups)
             assert found is not None
         which, tests = found
-        rest = tests.among(which, self.beside.fit.names_of([gone]))
-        return replace(rest, shared=self.known.setdefault((id(tests.model), id(gone)), rest.model))
+        key = id(tests.model), id(gone)
+        rest = tests.among(which, self.beside.fit.names_of([gone]), self.known.get(key))
+        self.known[key] = rest.model
+        return rest
 
     def _tested(self, effects: Sequence[Effect], groups: np.ndarray | None) -> tuple[list[int], ScoreTests] | None:
         """Return a pass in which all of some candidates were tested, and their numbers there."""

@@ -8,9 +8,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import fdtri, ncfdtr
 
 from pincal.discover.candidate_tests import sampled
+from pincal.discover.information import scaled_factor
 from pincal.discover.nuisance import score_test_beside_nuisances, situation_of
 from pincal.discover.policy import ALPHA, POLICY
 from pincal.discover.score_tests import ScoreTests, score_test
@@ -120,8 +122,7 @@ def _sizes(fit: Fit, found: ScoreTests, i: int, alpha: float, groups: int) -> It
         if not np.isfinite(detectable_noncentrality(test)):
             yield Detectable(effect, measure, shown, reason=_too_few(found))
             continue
-        at = found.columns[i][own]
-        whole = found.blocks_S[0][np.ix_(found.n_model + at, found.n_model + at)]
+        whole = found.products.inner_of([i])[np.ix_(own, own)]
         signal = scale.T @ found.within([i])[1][np.ix_(own, own)] @ scale
         size, best = _size_at(np.maximum(np.linalg.eigvalsh(signal), 0.0), test)
         absorbed = float(np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0))
@@ -222,40 +223,43 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
     few, _ = sampled(fit, POLICY)
     stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
 
-    def tests_at(poses: Iterable[Conditions]) -> tuple[ScoreTests, np.ndarray]:
+    def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
         problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        found = score_test(replace(few, problem=problem), [effect, rival])
-        S = found.S
-        S *= rows_each
-        return found, S
+        return score_test(replace(few, problem=problem), [effect, rival])
 
-    found, here = tests_at(station.conditions for station in stations)
+    here = tests_at(station.conditions for station in stations)
     designs = [_designs(few.problem.chain.robot, station.conditions) for station in stations]
     for words in (words for words in designs[0] if all(words in others for others in designs)):
         try:
-            _, there = tests_at(design[words] for design in designs)
+            there = tests_at(design[words] for design in designs)
         except (ValueError, KeyError):
             continue
-        there += here
-        told = _separation(found, there, value)
-        if told > TOLD_APART and told > _TELLING * _separation(found, 2.0 * here, value):
+        told = _separation([here, there], rows_each, value)
+        if told > TOLD_APART and told > _TELLING * _separation([here, here], rows_each, value):
             return words
-    many = TOLD_APART / max(_separation(found, here, value), 1e-9)
+    many = TOLD_APART / max(_separation([here], rows_each, value), 1e-9)
     if many < 50:
         return f"about {int(np.ceil(many)) * len(fit.problem)} poses of this kind"
     return "no further run of this kind tells them apart; look at the joint itself, or at its drive's own encoder"
 
 
-def _separation(found: ScoreTests, gram: np.ndarray, value: np.ndarray) -> float:
+def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) -> float:
     """Return the signal of the first effect that the second can't take over, squared, in units of the noise.
 
     Args:
-        found: the tests of both.
-        gram: shape (P, P), products of all columns at the poses that are measured.
+        runs: the tests of both at the poses of each run.
+        weight: of each row.
         value: the parameters of the first.
     """
-    S, _ = replace(found, shared=None, between=None, blocks_S=gram[None]).projected
-    c, g = found.columns
+    (c, g), products = runs[0].columns, [run.products for run in runs]
+    whole, cross, inner = (
+        np.asarray(weight * sum(of))
+        for of in ((run.model.S for run in runs), (of.cross for of in products), (of.inner for of in products))
+    )
+    whole += runs[0].model.known
+    scale, L = scaled_factor(whole)
+    taken = solve_triangular(L, scale[:, None] * cross, lower=True, check_finite=False)
+    S = inner - taken.T @ taken
     G = S[np.ix_(g, g)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
     taken = scale[:, None] * np.linalg.pinv(G * np.outer(scale, scale), rcond=1e-6, hermitian=True) * scale

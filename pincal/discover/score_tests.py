@@ -112,16 +112,15 @@ class ScoreTests(FirstOrder):
         Both are in the model first, priors included, and these parameters then lose what they are told to, to first order.
         """
         j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
-        N = slice(0, self.n_model)
         scale, factor, _ = self.model.factor
         units = np.eye(self.n_model)[:, j]
         columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
-        values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.b[N] - self.pull)
+        values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.model.b - self.model.pull)
         spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
         costs = []
         for c, S, b in (self.within([i]) for i in which):
             inverse = np.linalg.inv(S + np.diag(self.precision[self.n_model + c]))
-            cross = columns.T @ self._known_S[N, self.n_model + c]
+            cross = columns.T @ self.products.cross[:, c]
             left = values - cross @ inverse @ b
             loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
             costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
@@ -181,12 +180,10 @@ def tests_beside(
     beliefs: Sequence[tuple[float, float]] = (),
 ) -> ScoreTests:
     """Test candidates against a fit, given the columns of the model; see :func:`score_test`."""
-    fit, found = tangent.fit, tangent.products(candidates)
-    problem, known = found.problem, found.known
+    fit, found = tangent.fit, tangent.beside(candidates)
+    problem, model, known = found.problem, found.model, found.known
     # Of nuisance parameters the sizes are priors as they are, whatever they move.
-    sizes = np.array([parameter.size for parameter in problem.parameters])
-    n_model = len(tangent.b[0])
-    values, model = np.zeros(len(problem.parameters)), found.places[:n_model]
+    sizes, values = np.array([parameter.size for parameter in problem.parameters]), np.zeros(len(problem.parameters))
     sizes[known], values[known] = fit.priors.sizes, fit.values
     for effect in fit.problem.effects:
         sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
@@ -194,27 +191,23 @@ def tests_beside(
     own = priors_of(alone, fit.options).sizes
     for effect in candidates:
         sizes[problem.places_at(effect)] = own[alone.places_at(effect)]
-    beyond, slope = problem.beyond_priors(model, values, sizes)
+    if wider not in tangent.information:
+        beyond, slope = problem.beyond_priors(model, values, sizes)
+        beyond.flat[:: len(beyond) + 1] += sizes[model] ** -2.0
+        pull = values[model] * sizes[model] ** -2.0 - slope
+        tangent.information[wider] = Information(tangent.S, tangent.b, beyond, pull)
     unsure = [place for effect in doubtful for place in problem.places_at(effect)]
     doubt = Doubt(np.isin(model, unsure), *zip(*beliefs, strict=True)) if unsure else None
-    beyond.flat[:: len(beyond) + 1] += sizes[model] ** -2.0
-    pull = values[model] * sizes[model] ** -2.0 - slope
-    shared = tangent.information.setdefault(wider, Information(tangent.S, tangent.b, beyond, pull))
     counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
     return ScoreTests(
         effects=tuple(candidates),
-        columns=found.columns,
         names=tuple(problem.parameters[i].name for i in model),
         values=values[model],
-        sizes=sizes[found.places],
-        known=beyond,
-        pull=pull,
-        blocks_S=found.S,
-        blocks_b=found.b,
+        sizes=sizes[np.concatenate([model, found.tested])],
+        model=tangent.information[wider],
+        products=found.products,
         squares=tangent.squares,
         readings=int(counts @ problem.block_sizes),
         spent=fit.solution.effective,
-        between=found.between,
         doubt=doubt,
-        shared=shared,
     )

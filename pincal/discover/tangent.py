@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from pincal.discover.information import Information
-from pincal.discover.products import Between, Products
+from pincal.discover.products import Products, RowPart, Rows, Whitened
 from pincal.identify.fit import Fit
 from pincal.identify.jacobian import Jacobian
 from pincal.identify.normal import believed, block_rows
@@ -24,29 +25,44 @@ class _Piece:
     """Some rows of a station, sorted by their blocks, with the whitened Jacobian of the model.
 
     Attributes:
-        rows: the piece of the station.
+        rows: shape (n,), which of all rows of the fit they are.
         groups: shape (n,), the block of each row.
         whitening: shape (m, n).
         residuals: shape (m, n), whitened.
         jacobian: by the station's columns.
     """
 
-    rows: slice
+    rows: np.ndarray
     groups: np.ndarray
     whitening: np.ndarray
     residuals: np.ndarray
     jacobian: Jacobian
 
-    def add(
-        self, jacobian: Jacobian, S: np.ndarray, b: np.ndarray, *, candidate: np.ndarray | None = None, known: int = 0
-    ) -> None:
-        """Add the products of columns to S and b, by block."""
-        if len(S) == 1:
-            jacobian.add_gram(self.residuals, S[0], b[0], candidate, known=known)
+    def parts(self, n_blocks: int) -> Iterator[tuple[int, slice]]:
+        """Yield the blocks of rows that are here, and which of the rows they are."""
+        if n_blocks == 1:
+            yield 0, slice(0, len(self.groups))
             return
-        for k in np.unique(self.groups):
-            here = slice(*np.searchsorted(self.groups, [k, k + 1]))
-            jacobian.poses(here).add_gram(self.residuals[:, here], S[k], b[k], known=known)
+        for k in np.unique(self.groups).tolist():
+            yield k, slice(*np.searchsorted(self.groups, [k, k + 1]))
+
+
+class Beside(NamedTuple):
+    """Candidates beside a model.
+
+    Attributes:
+        problem: the model with all of them.
+        known: where the parameters of the fit stand in it.
+        model: shape (N,), where those of the model's columns do, what is projected out included.
+        tested: shape (C,), where those of the candidates do.
+        products: of the candidates' columns.
+    """
+
+    problem: Problem
+    known: np.ndarray
+    model: np.ndarray
+    tested: np.ndarray
+    products: Products
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,59 +121,62 @@ class Tangent:
             local_values, local_free = values[places], free[places]
             weights, sigma = fit.solution.weights[rows][order], fit.solution.estimated[problem.block_spans[i]]
             mine = column[places[local_free]]
-            own_S, own_b = _room(mine, S, b)
-            found = []
+            own_S, own_b, found = _room(S, mine, mine), np.zeros((n_blocks, len(mine))), list[_Piece]()
             for piece, residuals, jacobian in sorted_station.linearise_shared(local_values, local_free):
                 whitening = np.empty_like(residuals)
                 for readings, s in zip(block_rows(station), sigma, strict=True):
                     whitening[readings] = sorted_station.weights[piece] * weights[piece] / s
-                part = _Piece(piece, blocks[order][piece], whitening, residuals * whitening, jacobian.weighted(whitening))
-                part.add(part.jacobian, own_S, own_b)
+                here = np.arange(rows.start, rows.stop)[order][piece]
+                part = _Piece(here, blocks[order][piece], whitening, residuals * whitening, jacobian.weighted(whitening))
+                for k, some in part.parts(n_blocks):
+                    part.jacobian.poses(some).add_gram(part.residuals[:, some], own_S[k], own_b[k])
                 squares += float(np.sum(part.residuals**2))
                 found.append(part)
             facts = believed(sorted_station, local_values, local_free)
             if facts is not None:
                 own_S += facts[0] / n_blocks
                 own_b += facts[1] / n_blocks
-            _scatter(own_S, own_b, mine, S, b)
+            b[:, mine] += own_b
+            _scatter(own_S, mine, mine, S)
             orders.append(order)
             pieces.append(tuple(found))
         return cls(fit, tuple(nuisance), problem, values, free, known, tuple(orders), tuple(pieces), S, b, squares)
 
-    def products(self, candidates: Sequence[Effect]) -> Products:
-        """Return the products of these columns and of candidates'."""
+    def beside(self, candidates: Sequence[Effect]) -> Beside:
+        """Return the model with candidates, and the products of these columns and of candidates'."""
         problem, known = self.problem.extended(candidates)
-        tested = [problem.places_at(effect) for effect in candidates]
+        places = [problem.places_at(effect) for effect in candidates]
         values, free = np.zeros(len(problem.parameters)), np.zeros(len(problem.parameters), bool)
         values[known] = self.values
-        model = known[self.free]
-        kept = np.concatenate([model, *tested]).astype(int)
-        free[kept[len(model) :]] = True
-        ends = np.cumsum([0, *map(len, tested)])
-        columns, n_model, n_blocks = tuple(np.arange(a, b) for a, b in pairwise(ends)), len(model), len(self.S)
-        column = np.full(len(values), -1)
-        column[kept] = np.arange(len(kept))
-        candidate = np.repeat(np.arange(-1, len(tested)), [n_model, *np.diff(ends)])
-        S, b = np.zeros((n_blocks, len(kept), len(kept))), np.zeros((n_blocks, len(kept)))
-        parts: list[tuple[np.ndarray, Jacobian]] = []
+        model, tested = known[self.free], np.concatenate([np.zeros(0, int), *places])
+        free[tested] = True
+        n_model, n_blocks, n = len(model), len(self.S), len(tested)
+        of_model, of_tested = np.cumsum(self.free) - 1, np.zeros(len(values), int)
+        of_tested[tested] = np.arange(n)
+        ends = np.cumsum([0, *map(len, places)])
+        candidate = np.repeat(np.arange(len(places)), np.diff(ends)) if n_blocks == 1 else np.zeros(n, int)
+        cross, inner, b = np.zeros((n_blocks, n_model, n)), np.zeros((n_blocks, n, n)), np.zeros((n_blocks, n))
+        parts = list[RowPart]()
         for i, station in enumerate(problem.stations):
-            places = problem.places[i]
-            local_values, local_free = values[places], free[places]
-            of_model = column[known[self.problem.places[i]][self.free[self.problem.places[i]]]]
-            mine = np.concatenate([of_model, column[places[local_free]]])
-            own_S, own_b = _room(mine, S, b)
-            slot = np.full(len(kept), -1)
-            slot[mine] = np.arange(len(mine))
-            linearised = _sorted(station, self.orders[i]).linearise_shared(local_values, local_free)
-            for part, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
-                both = part.jacobian.beside(jacobian.weighted(part.whitening))
-                part.add(both, own_S, own_b, candidate=candidate[mine], known=len(of_model))
-                parts.append((slot, both))
-            _scatter(own_S, own_b, mine, S, b)
-        S[:, :n_model, :n_model], b[:, :n_model] = self.S, self.b
-        own = tuple(n_model + of_one for of_one in columns)
-        between = Between(own, tuple(parts)) if n_blocks == 1 and len(tested) > 1 else None
-        return Products(problem, known[self.known], kept, columns, S, b, between)
+            local, before = problem.places[i], self.problem.places[i]
+            mine, ours = of_model[before[self.free[before]]], of_tested[local[free[local]]]
+            own_cross, own_inner, own_b = _room(cross, mine, ours), _room(inner, ours, ours), np.zeros((n_blocks, len(ours)))
+            linearised = _sorted(station, self.orders[i]).linearise_shared(values[local], free[local])
+            for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
+                added = jacobian.weighted(piece.whitening)
+                for k, some in piece.parts(n_blocks):
+                    part = added.poses(some)
+                    part.add_gram(piece.residuals[:, some], own_inner[k], own_b[k], candidate[ours])
+                    piece.jacobian.poses(some).add_products(part, own_cross[k])
+                whitened = Whitened.of(piece.jacobian, mine, n_model), Whitened.of(added, ours, n)
+                parts.append(RowPart(piece.rows, piece.residuals, *whitened))
+            b[:, ours] += own_b
+            _scatter(own_cross, mine, ours, cross)
+            _scatter(own_inner, ours, ours, inner)
+        columns = tuple(np.arange(a, b) for a, b in pairwise(ends))
+        rows = Rows(tuple(parts), np.arange(n_model), columns, np.zeros(n_model))
+        products = Products(columns, cross, inner, b, rows, n_blocks == 1 and len(places) > 1)
+        return Beside(problem, known[self.known], model, tested, products)
 
 
 def _sorted(station: Station, order: np.ndarray | slice) -> Station:
@@ -168,19 +187,17 @@ def _sorted(station: Station, order: np.ndarray | slice) -> Station:
     return replace(station.select(order), conditions=conditions)
 
 
-def _room(mine: np.ndarray, S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where to add up the products of a station's columns: those of all, where it has all in their order."""
-    if np.array_equal(mine, np.arange(b.shape[1])):
-        return S, b
-    return np.zeros((len(S), len(mine), len(mine))), np.zeros((len(b), len(mine)))
+def _room(S: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return where to add up the products of a station: those of all, where it has all columns in their order."""
+    has_all = np.array_equal(rows, np.arange(S.shape[1])) and np.array_equal(columns, np.arange(S.shape[2]))
+    return S if has_all else np.zeros((len(S), len(rows), len(columns)))
 
 
-def _scatter(own_S: np.ndarray, own_b: np.ndarray, mine: np.ndarray, S: np.ndarray, b: np.ndarray) -> None:
+def _scatter(own: np.ndarray, rows: np.ndarray, columns: np.ndarray, S: np.ndarray) -> None:
     """Add the products of a station's columns to those of all, at their places, if they are not there."""
-    for here, rows in _runs(mine) if own_S is not S else ():
-        b[:, here] += own_b[:, rows]
-        for there, across in _runs(mine):
-            S[:, here, there] += own_S[:, rows, across]
+    for here, mine in _runs(rows) if own is not S else ():
+        for there, across in _runs(columns):
+            S[:, here, there] += own[:, mine, across]
 
 
 def _runs(places: np.ndarray) -> list[tuple[slice, slice]]:

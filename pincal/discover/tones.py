@@ -133,8 +133,8 @@ def _waves(orders: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def _sums(q: np.ndarray, u: np.ndarray, orders: np.ndarray) -> np.ndarray:
-    """Return F_u at some orders, shape (K,)."""
-    return np.asarray(np.exp(1j * np.outer(orders, q)) @ u)
+    """Return F_u at even steps of orders, shape (K,)."""
+    return np.asarray(_waves(orders, q) @ u)
 
 
 def _gains(sums: np.ndarray, whole: float) -> np.ndarray:

@@ -11,13 +11,12 @@ Scott 1981, first order).
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import cho_solve
 from scipy.special import chdtrc, fdtrc
 
-from pincal.discover.nuisance import nuisances
 from pincal.discover.scatter import visits
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit
-from pincal.identify.normal import block_rows
 
 # Part of a visit's own reading that an effect takes up, at most.
 _MOST_TAKEN = 0.9
@@ -50,33 +49,25 @@ def p_value_of_uneven_noise(fit: Fit, tests: ScoreTests) -> float:
 
 def _scores_by_visit(fit: Fit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
-    (effect,) = tests.effects
-    problem, known = fit.problem.extended([*nuisances(fit, [effect]), effect])
-    values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
-    values[known], free[known] = fit.values, fit.solution.free
-    place = {parameter.name: i for i, parameter in enumerate(problem.parameters)}
-    model, own = [place[name] for name in tests.names], problem.places_at(effect)
-    N, C = slice(0, tests.n_model), slice(tests.n_model, None)
+    products, (scale, factor, _) = tests.products, tests.model.factor
+    rows = products.rows
+    assert rows is not None
     # What a whitened unit of the effect moves beside what the model then takes up of it, and the step of both.
-    along, step = np.zeros((len(values), whitening.shape[1])), np.zeros(len(values))
-    information = tests.S[N, N] + tests.known
-    along[own], along[model] = whitening, -np.linalg.solve(information, tests.S[N, C] @ whitening)
-    step[model] = np.linalg.solve(information, tests.b[N] - tests.pull)
-    step += along @ (whitening.T @ tests.projected[1])
-    scores, taken = [], []
-    for places, rows, blocks, station in zip(
-        problem.places, problem.rows, problem.block_spans, problem.stations, strict=True
-    ):
-        visit, here = visits(station), places[free[places]]
-        sums, shares = np.zeros((2, int(visit.max()) + 1, whitening.shape[1]))
-        for piece, residuals, jacobian in station.linearise_shared(values[places], free[places]):
-            scale = np.empty_like(residuals)
-            for at, sigma in zip(block_rows(station), fit.solution.estimated[blocks], strict=True):
-                scale[at] = station.weights[piece] * fit.solution.weights[rows][piece] / sigma
-            moved = jacobian.along(along[here]) * scale
-            left = (residuals - jacobian.along(step[here, None])[0]) * scale
-            np.add.at(sums, visit[piece], np.einsum("rmn,mn->nr", moved, left))
-            np.add.at(shares, visit[piece], np.einsum("rmn,rmn->nr", moved, moved))
-        scores.append(sums)
-        taken.append(shares.sum(axis=1))
-    return np.concatenate(scores), np.concatenate(taken)
+    right = np.column_stack([products.cross @ whitening, tests.model.b - tests.model.pull])
+    taken = scale[:, None] * cho_solve((factor, True), scale[:, None] * right, check_finite=False)
+    step = whitening.T @ tests.projected[1]
+    of_model = np.column_stack([-taken[:, :-1], taken[:, -1] - taken[:, :-1] @ step])
+    visit = _visits(fit)
+    sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
+    for here, residuals, moved in rows.moved(of_model, 0, np.column_stack([whitening, whitening @ step])):
+        moved, left = moved[:-1], residuals - moved[-1]
+        np.add.at(sums, visit[here], np.einsum("rmn,mn->nr", moved, left))
+        np.add.at(shares, visit[here], np.einsum("rmn,rmn->nr", moved, moved))
+    return sums, shares.sum(axis=1)
+
+
+def _visits(fit: Fit) -> np.ndarray:
+    """Return the visit that each row belongs to, shape (N,), each of one station."""
+    each = [visits(station) for station in fit.problem.stations]
+    starts = np.cumsum([0, *(int(of.max()) + 1 for of in each)])
+    return np.concatenate([start + of for start, of in zip(starts, each, strict=False)])

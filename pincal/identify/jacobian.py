@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -48,15 +49,6 @@ class SharedColumns:
         if isinstance(self.basis, SparseBasis):
             return np.asarray(sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense))
         return np.asarray(self.basis @ np.einsum("mn,dmn->dn", self.column, dense).T)
-
-    def parted(self, chosen: np.ndarray) -> Iterator[SharedColumns]:
-        """Yield them, or those of some chosen columns, shape (F,), and then the others."""
-        here = chosen[self.places]
-        if here.all() or not here.any():
-            yield self
-            return
-        for at in (np.flatnonzero(here), np.flatnonzero(~here)):
-            yield SharedColumns(self.places[at], _functions(self.basis, at), self.column)
 
 
 @dataclass(frozen=True)
@@ -161,58 +153,54 @@ class Jacobian:
         r = r.transpose(1, 0, 2).reshape(len(counts), -1, 1)
         return A @ A.swapaxes(1, 2), (A @ r)[..., 0]
 
-    def add_gram(
-        self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None, *, known: int = 0
-    ) -> None:
+    def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None) -> None:
         """Add J J^T to G, shape (F, F), and J r to g, shape (F,).
 
         Args:
             residuals: shape (m, n).
             G: what J J^T is added to.
             g: what J r is added to.
-            groups: shape (F,), the group that each column belongs to, negative for all of them: the products of a column of
-                one group with one of another may be left out. Default: one group.
-            known: number of first columns whose products with each other are left out; families have all or none of them.
+            groups: shape (F,), the group that each column belongs to: the products of a column of one group with one of
+                another may be left out. Default: one group.
         """
-        families, apart, dense = self.families, self.places, np.ascontiguousarray(self.dense)
-        of_dense, meant, of_all = {0}, [{0}] * len(families), np.zeros(0, int)
-        if groups is not None:
-            common = groups < 0
-            families = tuple(part for family in families for part in family.parted(common))
-            meant = [set(groups[family.places].tolist()) for family in families]
-            of_dense, of_all = set(groups[apart].tolist()) - {-1}, np.flatnonzero(common[apart])
-        A, n_old = dense.reshape(len(dense), residuals.size), int(np.searchsorted(apart, known))
-        old, new = _span(apart[:n_old]), _span(apart[n_old:])
-        G[_block(new, new)] += A[n_old:] @ A[n_old:].T
-        if n_old:
-            cross = A[:n_old] @ A[n_old:].T
-            G[_block(old, new)] += cross
-            G[_block(new, old)] += cross.T
+        dense, apart = np.ascontiguousarray(self.dense), self.places
+        A, group = dense.reshape(len(dense), residuals.size), np.zeros(self.size, int) if groups is None else groups
+        for at in _stretches(group[apart]):
+            own = _span(apart[at])
+            G[_block(own, own)] += A[at] @ A[at].T
         g[_span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
-        spans = [_span(family.places) for family in families]
-        for i, (family, rows, own) in enumerate(zip(families, spans, meant, strict=True)):
+        spans = [_span(family.places) for family in self.families]
+        meant = [set(group[family.places].tolist()) for family in self.families]
+        for i, (family, rows, mine) in enumerate(zip(self.families, spans, meant, strict=True)):
             g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[:, 0]
-            every, is_old = -1 in own or not own.isdisjoint(of_dense), bool(np.all(family.places < known))
-            which = slice(n_old, None) if is_old else slice(None) if every else of_all
-            columns = _span(apart[which])
-            part = family.times_dense(dense[which])
+            near = slice(None) if groups is None else np.flatnonzero(np.isin(group[apart], list(mine)))
+            columns, part = _span(apart[near]), family.times_dense(dense[near])
             G[_block(rows, columns)] += part
             G[_block(columns, rows)] += part.T
-            for other, columns, others in zip(families[: i + 1], spans, meant, strict=False):
-                if is_old and np.all(other.places < known):
-                    continue
-                if -1 in own or -1 in others or not own.isdisjoint(others):
+            for other, columns, others in zip(self.families[: i + 1], spans, meant, strict=False):
+                if not mine.isdisjoint(others):
                     _add_products(G, family, rows, other, columns)
-        thin = [family.places for family in families if isinstance(family.basis, SparseBasis)]
+        thin = [family.places for family in self.families if isinstance(family.basis, SparseBasis)]
         if thin:
             mirror(G, np.sort(np.concatenate(thin)))
 
-    def beside(self, others: Jacobian) -> Jacobian:
-        """Return these columns, and others of the same readings behind them."""
-        families = tuple(replace(family, places=self.size + family.places) for family in others.families)
-        places = np.concatenate([self.places, self.size + others.places])
-        dense = np.concatenate([self.dense, others.dense])
-        return Jacobian(self.size + others.size, places, dense, (*self.families, *families))
+    def add_products(self, others: Jacobian, S: np.ndarray) -> None:
+        """Add J K^T to S, shape (F, F'), given K, other columns of the same readings."""
+        dense, theirs = (np.ascontiguousarray(of.dense) for of in (self, others))
+        mine, columns = _span(self.places), _span(others.places)
+        size = dense.shape[1] * dense.shape[2]
+        S[_block(mine, columns)] += dense.reshape(len(dense), size) @ theirs.reshape(len(theirs), size).T
+        for family in self.families:
+            S[_block(_span(family.places), columns)] += family.times_dense(theirs)
+        for other in others.families:
+            across = _span(other.places)
+            S[_block(mine, across)] += other.times_dense(dense).T
+            for family in self.families:
+                weights = np.sum(family.column * other.column, axis=0)
+                if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
+                    add_product(S, family.places, family.basis, weights, other.places, other.basis, False)
+                else:
+                    S[_block(_span(family.places), across)] += _product(family.basis, weights, other.basis)
 
     def only(self, columns: np.ndarray) -> Jacobian:
         """Return the part of some columns, in this order."""
@@ -232,6 +220,12 @@ def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
     at = np.arange(longest)
     rows = np.minimum((np.cumsum(counts) - counts)[:, None] + at, of_poses.shape[-1] - 1)
     return np.asarray(of_poses[..., rows] * (at < counts[:, None]))
+
+
+def _stretches(groups: np.ndarray) -> Iterator[slice]:
+    """Yield the stretches of columns that follow each other in one group."""
+    cuts = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(groups)]
+    yield from (slice(a, b) for a, b in pairwise(cuts) if a < b)
 
 
 def _span(places: np.ndarray) -> slice | np.ndarray:
@@ -265,7 +259,7 @@ def _add_products(
     """Add the products of two families, or of one, to G at their rows and columns; those of thin ones below its diagonal."""
     weights = np.sum(family.column * other.column, axis=0)
     if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
-        add_product(G, family.places, family.basis, weights, other.places, other.basis)
+        add_product(G, family.places, family.basis, weights, other.places, other.basis, True)
         return
     part = _product(family.basis, weights, other.basis)
     G[_block(rows, columns)] += part

@@ -145,16 +145,16 @@ def sparse_times_dense(basis, column, dense):
 
 
 @njit(**_COMPILE)
-def add_product(G, rows, left, weights, columns, right):
-    """Add left diag(weights) right^T of two thin bases at rows and columns of G, below its diagonal; of one basis once."""
-    is_same = rows[0] == columns[0]
+def add_product(G, rows, left, weights, columns, right, below):
+    """Add left diag(weights) right^T of two thin bases at rows and columns of G; or ``below`` its diagonal, of one once."""
+    is_same = below and rows[0] == columns[0]
     for i in range(len(weights)):
         first, end = right.starts[i], right.starts[i + 1]
         for a in range(left.starts[i], left.starts[i + 1]):
             scaled, row = left.value[a] * weights[i], rows[left.place[a]]
             for b in range(first, a + 1 if is_same else end):
                 column = columns[right.place[b]]
-                if column <= row:
+                if column <= row or not below:
                     G[row, column] += scaled * right.value[b]
                 else:
                     G[column, row] += scaled * right.value[b]
