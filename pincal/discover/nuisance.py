@@ -20,6 +20,7 @@ from pincal.model.conditions import MOMENT, Conditions, Situation
 from pincal.model.effect import Effect, Family, Locus, Term
 from pincal.model.effects import Compliance
 from pincal.model.kernels import Payload, Values
+from pincal.model.latest import Latest
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 
@@ -37,17 +38,16 @@ MASS_BELIEFS = ((0.4, 0.0), (2.0, 2.0 * log(30.0)))
 class MassError(Effect):
     """Mass and first moment of each link are off, seen through compliances as they are known so far.
 
-    The static moments are linear in mass and first moment of mass, so one evaluation a parameter gives the exact basis:
-    gamma_l += k_l d n_l / d parameter.
+    The static moments are linear in mass and first moment of mass, so one evaluation a parameter gives the basis:
+    gamma_l += k_l d n_l / d parameter. They are those of the nominal geometry: that of the fit changes them by far less than
+    masses are off, and nominal ones serve all fits of one table.
 
     Attributes:
         compliances: coordinates that bend, each with the moment that it follows and its k [rad/(N m)].
-        coordinates: the K coordinates of the rigid arm at q = 0.
         links: the joints that move the links whose masses a URDF tells; of the others they are parameters of the model.
     """
 
     compliances: tuple[tuple[int, int, float], ...]
-    coordinates: tuple[float, ...]
     links: tuple[int, ...]
     name: ClassVar[str] = "mass_error"
     meaning: ClassVar[str] = "masses and centres of mass of the links differ from the URDF"
@@ -65,7 +65,7 @@ class MassError(Effect):
                 own = values[span]
                 bent += [(t.coordinate, t.moment, float(own[t.parameter])) for t in terms if t.moment is not None]
         compliances = tuple(entry for entry in bent if entry[2])
-        return cls(compliances, tuple(model.rigid_coordinates(values).tolist()), links) if compliances and links else None
+        return cls(compliances, links) if compliances and links else None
 
     @property
     def locus(self) -> Locus:
@@ -82,36 +82,39 @@ class MassError(Effect):
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add each compliance times the change of its moment."""
-        values, terms = _values(chain, conditions, np.array(self.coordinates)), list[Term]()
+        known, terms = _MOMENTS.of(chain, conditions), list[Term]()
         for p, i in enumerate(self.links):
-            for c, change in enumerate(self._moments(chain, conditions, values, i)):
+            if i not in known:
+                known[i] = tuple(_moments_of_link(chain, conditions, i))
+            for c, change in enumerate(known[i]):
                 terms += [Term(4 * p + c, at, k * change[m]) for at, m, k in self.compliances if m // 3 <= i]
         return tuple(terms)
 
-    def _moments(self, chain: Chain, conditions: Conditions, values: Values, i: int) -> Iterator[np.ndarray]:
-        """Yield the static moments, shape (3 n, N), of one unit of each parameter of link i alone."""
-        robot = chain.robot
-        layout = chain.layout
-        masses, centres = np.zeros_like(robot.masses), np.zeros_like(robot.centres)
-        masses[i] = robot.masses[i]
-        no_load = Payload(np.zeros(len(conditions)), np.zeros(3))
 
-        def moments_at(centre: np.ndarray) -> np.ndarray:
-            centres[i] = centre
-            return np.asarray(kernels.static_moments(layout._replace(masses=masses, centres=centres), values, no_load))
-
-        straight = moments_at(np.zeros(3))
-        size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
-        along = [moments_at(size * axis) - straight for axis in np.eye(3)]
-        yield straight + sum(part * of for part, of in zip(robot.centres[i] / size, along, strict=True))
-        yield from along
+# By link, of the latest poses.
+_MOMENTS = Latest[tuple[np.ndarray, ...]](2)
 
 
-def _values(chain: Chain, conditions: Conditions, coordinates: np.ndarray) -> Values:
-    slot = np.full(len(coordinates), -1)
-    slot[chain.drives] = np.arange(len(chain.drives))
-    varying = np.ascontiguousarray((conditions.q + coordinates[chain.drives]).T)
-    return Values(coordinates.copy(), slot, varying)
+def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[np.ndarray]:
+    """Yield the static moments, shape (3 n, N), of one unit of each parameter of link i alone, on the nominal arm."""
+    robot, drives = chain.robot, chain.drives
+    slot = np.full(len(chain.nominal), -1)
+    slot[drives] = np.arange(len(drives))
+    values = Values(chain.nominal.copy(), slot, np.ascontiguousarray((conditions.q + chain.nominal[drives]).T))
+    masses, centres = np.zeros_like(robot.masses), np.zeros_like(robot.centres)
+    masses[i] = robot.masses[i]
+    no_load = Payload(np.zeros(len(conditions)), np.zeros(3))
+
+    def moments_at(centre: np.ndarray) -> np.ndarray:
+        centres[i] = centre
+        layout = chain.layout._replace(masses=masses, centres=centres)
+        return np.asarray(kernels.static_moments(layout, values, no_load))
+
+    straight = moments_at(np.zeros(3))
+    size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
+    along = [moments_at(size * axis) - straight for axis in np.eye(3)]
+    yield straight + sum(part * of for part, of in zip(robot.centres[i] / size, along, strict=True))
+    yield from along
 
 
 def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
