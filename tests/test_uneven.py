@@ -8,8 +8,9 @@ from test_scatter import NOISE, measured
 from pincal.discover.nuisance import score_test_beside_nuisances
 from pincal.discover.uneven import p_value_of_uneven_noise
 from pincal.identify.calibrate import calibrate
+from pincal.identify.fit import without
 from pincal.identify.options import Options
-from pincal.model.catalogue import GearRipple
+from pincal.model.catalogue import GearEccentricity, GearRipple
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
 
@@ -29,6 +30,20 @@ def test_even_noise_changes_nothing(seed: int, kuka: Robot) -> None:
     plain, held = p_values(kuka, 0.0, seed)
 
     assert held == pytest.approx(plain, rel=1e-9)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 2e-4])
+def test_an_effect_may_go_before_another_is_tested(scatter: float, kuka: Robot) -> None:
+    """From the rows of the fit with it follows what those of the fit without it say."""
+    gone = GearEccentricity("joint_2")
+    table = measured(kuka, scatter, seed=4, poses=70)
+    fit = calibrate(kuka, table, Options(effects=(*GEOMETRIC, gone), sigma=NOISE))
+    rest = without(fit, gone)
+    tests = score_test_beside_nuisances(fit, [RIPPLE, gone]).among([0], fit.names_of([gone]))
+    expected = score_test_beside_nuisances(rest, [RIPPLE])
+
+    assert tests.score([0], 1).p_value == pytest.approx(expected.score([0], 1).p_value, rel=1e-3)
+    assert p_value_of_uneven_noise(fit, tests) == pytest.approx(p_value_of_uneven_noise(rest, expected), rel=1e-3)
 
 
 @pytest.mark.long

@@ -190,14 +190,14 @@ class FirstOrder:
         model_S, model_b = self.model.blocks_S[k], self.model.blocks_b[k]
         across, b = products.blocks_cross[k][:, j], products.blocks_b[k, j]
         own = products.blocks_inner[k][np.ix_(j, j)]
-        model_scale, model_factor, model_step = self.model.without_block[k]
+        model_scale, L, model_step = self.model.without_block[k]
         cross = products.cross[:, j] - across
-        carried = model_scale[:, None] * cho_solve((model_factor, True), model_scale[:, None] * cross, check_finite=False)
+        taken = solve_triangular(L, model_scale[:, None] * cross, lower=True, check_finite=False)
         precision = np.diag(self.precision[self.n_model + j])
-        scale, factor = scaled_factor(products.inner_of(which) - own - cross.T @ carried + precision)
+        scale, factor = scaled_factor(products.inner_of(which) - own - taken.T @ taken + precision)
         slope = scale * (products.b[j] - b - cross.T @ model_step)
         step = scale * cho_solve((factor, True), slope, check_finite=False)
-        change = -carried @ step
+        change = -model_scale * solve_triangular(L, taken @ step, lower=True, trans="T", check_finite=False)
         along = model_S @ change + across @ step
         beside = across.T @ change + own @ step
         left = model_b - model_S @ model_step, b - across.T @ model_step

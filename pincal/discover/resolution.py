@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pincal.discover.nuisance import BesideNuisances, score_test_beside_nuisances, situation_of
+from pincal.discover.nuisance import BesideNuisances, situation_of
 from pincal.identify.fit import Fit
 from pincal.model.catalogue.curves import most_pieces
 from pincal.model.conditions import distinct_values
@@ -45,16 +45,20 @@ def curves_over(fit: Fit, curve: Curve, sizes: Sequence[int]) -> list[Curve]:
 def resolved(fit: Fit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.ndarray, np.ndarray]:
     """Return an effect in the resolution that predicts blocks of poses left out best; itself if it has none.
 
-    Its parameters and those of the effect as it was given are returned as well, to first order.
+    Every other resolution is tried first, then those on either side of the best. Its parameters and those of the effect as
+    it was given are returned as well, to first order.
     """
-    forms = _forms_of(fit, effect)
+    forms, test = _forms_of(fit, effect), BesideNuisances(fit)
     if not forms:
-        estimate = score_test_beside_nuisances(fit, [effect]).estimate([0])
+        estimate = test([effect]).estimate([0])
         return effect, estimate, estimate
-    forms = [*forms, effect]
-    estimates, gains = _tested(fit, forms, groups)
-    best = int(np.argmax(gains[:-1].sum(axis=1)))
-    return forms[best], estimates[best], estimates[-1]
+    tried = dict(zip(range(0, len(forms), 2), _tested(test, forms[::2], groups), strict=True))
+    best = max(tried, key=lambda k: tried[k][1])
+    beside = [k for k in (best - 1, best + 1) if 0 <= k < len(forms)]
+    *closer, (estimate, _) = _tested(test, [*(forms[k] for k in beside), effect], groups)
+    tried |= zip(beside, closer, strict=True)
+    best = max(tried, key=lambda k: tried[k][1])
+    return forms[best], tried[best][0], estimate
 
 
 def _forms_of(fit: Fit, effect: Effect) -> list[Effect]:
@@ -63,22 +67,18 @@ def _forms_of(fit: Fit, effect: Effect) -> list[Effect]:
     return list(curves_over(fit, effect, _SIZES)) if isinstance(effect, Curve) else []
 
 
-def _tested(fit: Fit, curves: Sequence[Effect], groups: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the parameters of curves, and by how much each lowers the squared error on each block left out.
+def _tested(test: BesideNuisances, curves: Sequence[Effect], groups: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    """Return, of each curve, its parameters to first order and by how much it lowers the squared error on blocks left out.
 
     They are tested a few at a time, as nothing is asked of two together and the memory grows with the square of all.
-
-    Returns:
-        The parameters of each curve, to first order; the gains, shape (curves, blocks).
     """
-    estimates, gains, test = list[np.ndarray](), list[np.ndarray](), BesideNuisances(fit)
-    for some in _few_at_once(fit, curves):
+    found = list[tuple[np.ndarray, float]]()
+    for some in _few_at_once(test.fit, curves):
         tests = test(some, groups)
-        estimates += [tests.estimate([i]) for i in range(len(some))]
-        gains += [tests.gains_by_block([i]) for i in range(len(some))]
+        found += [(tests.estimate([i]), float(tests.gains_by_block([i]).sum())) for i in range(len(some))]
         # Before the next tests are made, and not after it.
         del tests
-    return estimates, np.array(gains)
+    return found
 
 
 def _few_at_once(fit: Fit, curves: Sequence[Effect]) -> Iterator[list[Effect]]:
