@@ -81,19 +81,33 @@ def test_the_most_probable_curve_is_the_smoothing_spline(rng: np.random.Generato
     assert np.sqrt(variance) == pytest.approx(1.0, rel=0.35)
 
 
-def test_roughness_is_where_the_readings_are_likeliest(rng: np.random.Generator) -> None:
-    """Against the normal density of the readings, heights integrated out, at its largest over noise and roughness."""
-    sigma = 0.05
-    _, y, B = line(rng, 60, sigma)
-    R, size = spline_roughness(0.0, 2.0, len(B)), 10.0
+@pytest.mark.parametrize("gap", [0.0, 0.5])
+def test_roughness_is_where_the_readings_are_likeliest(rng: np.random.Generator, gap: float) -> None:
+    """Against the normal density of the readings, heights integrated out, at its largest over noise and roughness.
+
+    No reading tells of the heights in the middle of a gap; a level of all readings is known to 10, half of it by its prior.
+    """
+    sigma, size = 0.05, 10.0
+    x, y, B = line(rng, 60, sigma)
+    kept = np.abs(x - 1.0) >= 0.5 * gap
+    y, B, R = y[kept], B[:, kept], spline_roughness(0.0, 2.0, len(B))
+    assert np.any(np.all(B == 0.0, axis=1)) == (gap > 0.0)
+
+    def covariance(noise: float, w: float, level: float = size) -> tuple[np.ndarray, np.ndarray]:
+        across = np.linalg.solve(R / w**2 + np.eye(len(B)) / size**2, B)
+        return across, B.T @ across + level**2 + noise**2 * np.eye(len(y))
 
     def cost(logs: np.ndarray) -> float:
-        noise, w = np.exp(logs)
-        C = B.T @ np.linalg.solve(R / w**2 + np.eye(len(B)) / size**2, B) + noise**2 * np.eye(len(y))
-        return -float(multivariate_normal(cov=C).logpdf(y))
+        return -float(multivariate_normal(cov=covariance(*np.exp(logs))[1]).logpdf(y))
 
     best = np.exp(minimize(cost, np.log([sigma, 3.0]), method="Nelder-Mead").x)
-    (w,), *_ = quadratic(B, y, sigma, size=size).likeliest([np.arange(len(B))], [R])
+    every = quadratic(np.vstack([B, np.ones(len(y))]), y, sigma, size=size)
+    level = np.arange(len(B) + 1) == len(B)
+    every = replace(every, sizes=np.where(level, np.sqrt(2.0), 1.0) * size, believed=np.diag(0.5 * level / size**2))
+    (w,), step, variance = every.likeliest([np.arange(len(B))], [R])
+    # In the last step the prior of the level is 31 times as sure, what is believed beyond it is not.
+    across, C = covariance(sigma * np.sqrt(variance), w, level=size / 4.0)
+    np.testing.assert_allclose(step[:-1], across @ np.linalg.solve(C, y), atol=1e-6)
 
     assert w == pytest.approx(best[1], rel=0.1)
 

@@ -14,17 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigvalsh, lstsq
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from pincal.discover.nuisance import situation_of
 from pincal.identify.beliefs import priors_of
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import Fit, carried
 from pincal.model.effect import Curve
-from pincal.model.sparse_basis import mirror
 
 # Where the search for the roughness begins [rad^-0.5], how often it is moved at most, and the change that ends it.
 _ROUGHNESS, _MOVES, _SETTLED = 0.1, 15, 0.05
@@ -148,17 +148,17 @@ class Quadratic:
             columns: of each curve.
             bends: of each curve, R.
         """
-        w, noise = np.full(len(columns), _ROUGHNESS), 1.0
+        w, noise, parts = np.full(len(columns), _ROUGHNESS), 1.0, self._parts(columns, bends)
         alone = [eigvalsh(R * np.outer(self.sizes[at], self.sizes[at])) for at, R in zip(columns, bends, strict=True)]
         for _ in range(_MOVES):
-            step, C = self._posterior(columns, bends, w, noise)
-            spent = float(np.sum(C * self.G)) / noise
-            left = self.squares - 2.0 * float(self.g @ step) + float(step @ self.G @ step)
-            noise = max(left / max(self.readings - spent, 1.0), _LEAST_NOISE)
+            found = self._posterior(parts, w, noise)
+            step = found.step
+            left = self.squares - 2.0 * float(self.g @ step) + float(step[parts.kept] @ parts.G @ step[parts.kept])
+            noise = max(left / max(self.readings - found.spent, 1.0), _LEAST_NOISE)
             before = w.copy()
-            for j, (at, R, known) in enumerate(zip(columns, bends, alone, strict=True)):
+            for j, (at, R, known, trace) in enumerate(zip(columns, bends, alone, found.traces, strict=True)):
                 x = self.values[at] + step[at]
-                free = float(np.sum(known / (1.0 + known / w[j] ** 2)) - np.sum(C[np.ix_(at, at)] * R))
+                free = float(np.sum(known / (1.0 + known / w[j] ** 2))) - trace
                 factor = np.sqrt(float(x @ R @ x) / max(free, 1e-300))
                 w[j] = max(w[j] * np.clip(factor, 1.0 / _FARTHEST, _FARTHEST), _LEAST)
             if np.max(np.abs(np.log(w / before))) < _SETTLED:
@@ -167,27 +167,141 @@ class Quadratic:
         firm = np.full(len(self.sizes), 1.0 + _FIRM)
         firm[np.concatenate(columns)] = 1.0
         firmly = replace(self, sizes=self.sizes / np.sqrt(firm), values=self.values / firm)
-        return w, firmly._posterior(columns, bends, w, noise)[0], noise
+        return w, firmly._posterior(parts, w, noise).step, noise
 
-    def _posterior(
-        self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray], w: np.ndarray, noise: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the step to the most probable values, shape (F,), and their covariance, shape (F, F)."""
-        precision = self.sizes**-2.0
-        H, slope = self.G / noise + self.believed, self.g / noise + self.slope - precision * self.values
-        H.flat[:: len(H) + 1] += precision
-        for at, R, each in zip(columns, bends, w, strict=True):
-            more = R / each**2
-            H[np.ix_(at, at)] += more
-            slope[at] -= more @ self.values[at]
+    def _parts(self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray]) -> _Parts:
+        """Return the parameters that are solved for, and the curves by those of their heights."""
+        is_kept = np.ones(len(self.sizes), bool)
+        for at in columns:
+            is_kept[at] = np.any(self.G[at], axis=1) | np.any(self.believed[at], axis=1)
+        kept, rank = np.flatnonzero(is_kept), np.cumsum(is_kept) - 1
+        curves = [
+            _Heights(at[is_kept[at]], at[~is_kept[at]], rank[at[is_kept[at]]], *_quarters(R, is_kept[at]))
+            for at, R in zip(columns, bends, strict=True)
+        ]
+        beliefs = np.flatnonzero(np.any(self.believed[kept], axis=1))
+        believed = self.believed[np.ix_(kept[beliefs], kept[beliefs])]
+        return _Parts(kept, self.G[np.ix_(kept, kept)], beliefs, believed, curves)
+
+    def _posterior(self, parts: _Parts, w: np.ndarray, noise: float) -> _Found:
+        """Return what data and priors say together with curves of roughness w."""
+        kept, precision = parts.kept, self.sizes**-2.0
+        slope = self.g / noise + self.slope - precision * self.values
+        H, pull = parts.G / noise, slope[kept]
+        H[np.ix_(parts.beliefs, parts.beliefs)] += parts.believed
+        H.flat[:: len(H) + 1] += precision[kept]
+        ties = [heights.tied(self.values, precision, slope, each) for heights, each in zip(parts.curves, w, strict=True)]
+        for heights, tie in zip(parts.curves, ties, strict=True):
+            H[np.ix_(heights.rank, heights.rank)] += tie.information
+            pull[heights.rank] += tie.slope
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         H *= scale
         H *= scale[:, None]
         H.flat[:: len(H) + 1] += _ROUNDING
-        # Column-major, which spares LAPACK a copy.
+        # Column-major, which spares LAPACK copies. The covariance is the square of its root; only parts of it are asked for.
         factor, _ = dpotrf(H.T, lower=1, overwrite_a=1)
-        C, _ = dpotri(factor, lower=1, overwrite_c=1)
-        mirror(C, np.arange(len(C)))
-        C *= scale
-        C *= scale[:, None]
-        return C @ slope, C
+        root, _ = dtrtri(factor, lower=1, overwrite_c=1)
+        root *= scale
+        step = np.empty(len(slope))
+        step[kept] = root.T @ (root @ pull)
+        # What is known is known from the rows, but for what priors, beliefs and roughness say.
+        variance, inner = np.einsum("ij,ij->j", root, root), root[:, parts.beliefs]
+        spent = len(kept) - float(variance @ (precision[kept] + _ROUNDING / scale**2))
+        spent -= float(np.vdot(inner.T @ inner, parts.believed))
+        traces = []
+        for heights, tie in zip(parts.curves, ties, strict=True):
+            inner = root[:, heights.rank]
+            covariance = inner.T @ inner
+            spent -= float(np.vdot(covariance, tie.information))
+            traces.append(tie.alone + float(np.vdot(covariance, tie.roughness)))
+            step[heights.idle] = tie.idle - tie.carried @ step[heights.told]
+        return _Found(step, spent, traces)
+
+
+class _Found(NamedTuple):
+    """What data and priors say together.
+
+    Attributes:
+        step: shape (F,), to the most probable values.
+        spent: number of parameters that the data know.
+        traces: of each curve, the trace of R and the covariance of its heights.
+    """
+
+    step: np.ndarray
+    spent: float
+    traces: list[float]
+
+
+class _Parts(NamedTuple):
+    """The parameters that are solved for: all but heights of curves of which no row tells, which follow those beside them.
+
+    Attributes:
+        kept: shape (K,), these parameters.
+        G: shape (K, K), of them.
+        beliefs, believed: shape (B,) and (B, B), those of them of which more is believed than their priors, and this.
+        curves: the curves.
+    """
+
+    kept: np.ndarray
+    G: np.ndarray
+    beliefs: np.ndarray
+    believed: np.ndarray
+    curves: list[_Heights]
+
+
+class _Tied(NamedTuple):
+    """What the roughness of a curve says of its heights.
+
+    Attributes:
+        information, slope: shape (T, T) and (T,), of those of which rows tell, while the others follow.
+        carried: shape (I, T), how far a step of the former moves the others the other way.
+        idle: shape (I,), the step of the others while the former stay.
+        roughness: shape (T, T), its trace with the covariance of the former is that of R with the whole one, but for
+        alone: what the others add to it while the former stay.
+    """
+
+    information: np.ndarray
+    slope: np.ndarray
+    carried: np.ndarray
+    idle: np.ndarray
+    roughness: np.ndarray
+    alone: float
+
+
+class _Heights(NamedTuple):
+    """The heights of a curve.
+
+    Attributes:
+        told, idle: shape (T,) and (I,), those of which rows tell, and the others.
+        rank: shape (T,), where the former stand among the parameters that are solved for.
+        near, across, far: shape (T, T), (I, T) and (I, I), parts of R.
+    """
+
+    told: np.ndarray
+    idle: np.ndarray
+    rank: np.ndarray
+    near: np.ndarray
+    across: np.ndarray
+    far: np.ndarray
+
+    def tied(self, values: np.ndarray, precision: np.ndarray, slope: np.ndarray, w: float) -> _Tied:
+        """Return what roughness w says of them at some values, given the priors' precision and all else's slope."""
+        told, idle = values[self.told], values[self.idle]
+        inverse = np.linalg.inv(self.far / w**2 + np.diag(precision[self.idle]))
+        carried = inverse @ self.across / w**2
+        left = slope[self.idle] - (self.across @ told + self.far @ idle) / w**2
+        beside = self.across.T @ carried
+        return _Tied(
+            information=(self.near - beside) / w**2,
+            slope=-(self.near @ told + self.across.T @ idle) / w**2 - carried.T @ left,
+            carried=carried,
+            idle=inverse @ left,
+            roughness=self.near - beside - beside.T + carried.T @ self.far @ carried,
+            alone=float(np.vdot(inverse, self.far)),
+        )
+
+
+def _quarters(R: np.ndarray, is_told: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the parts of a symmetric matrix: of some, of the others with these, and of the others."""
+    told, idle = np.flatnonzero(is_told), np.flatnonzero(~is_told)
+    return R[np.ix_(told, told)], R[np.ix_(idle, told)], R[np.ix_(idle, idle)]
