@@ -111,7 +111,8 @@ class FirstOrder:
             return [(0.0, self)]
         found, own = [], self.doubt.columns
         for factor, cost in zip(self.doubt.factors, self.doubt.costs, strict=True):
-            known = self.model.known + np.diag(own * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
+            known = self.model.known.copy()
+            known.flat[:: len(known) + 1] += own * self.precision[: self.n_model] * (factor**-2.0 - 1.0)
             tests = replace(self, doubt=None, model=self.model.believing(factor, known))
             scale, L, slope = tests.model.factor
             evidence = np.sum(np.log(np.diag(L) / scale)) + np.count_nonzero(own) * np.log(factor) - 0.5 * slope @ slope

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import qr
 from scipy.special import chdtrc, fdtrc
 
 from pincal.discover.candidate_tests import some_rows
@@ -110,18 +111,31 @@ class _Candidate:
     Attributes:
         place: the place, its share and size not known yet.
         lever: root of the summed squares of all readings' motion with it.
-        columns: shape (k, m N + priors), curves times lever, whitened; what is taken up already projected out.
-        whole: shape (k,), the squares of the columns before projection.
+        columns: shape (k, m N), curves times lever, whitened.
+        gram: shape (k, k), their products once what is taken up is projected out.
+        whole: shape (k,), their squares before that.
     """
 
     place: Place
     lever: float
     columns: np.ndarray
+    gram: np.ndarray
     whole: np.ndarray
 
-    def project(self, Q: np.ndarray) -> None:
-        """Project out of its columns what orthonormal ones take up; in place, as all candidates take much memory."""
-        self.columns[:] -= (self.columns @ Q) @ Q.T
+    @classmethod
+    def of(cls, place: Place, lever: float, columns: np.ndarray) -> _Candidate:
+        """Return a place with nothing taken up."""
+        gram = columns @ columns.T
+        return cls(place, lever, columns, gram, np.diag(gram))
+
+    def along(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the products of its columns with vectors of all readings and priors, shape (m N + priors, ...)."""
+        return np.asarray(self.columns @ vectors[: self.columns.shape[1]])
+
+    def without(self, Q: np.ndarray) -> _Candidate:
+        """Return it once further orthonormal vectors are taken up."""
+        taken = self.along(Q)
+        return replace(self, gram=self.gram - taken @ taken.T)
 
 
 @dataclass(frozen=True)
@@ -131,12 +145,14 @@ class _Rest:
     Attributes:
         fit: the fit.
         left: shape (m N + priors,), the residuals, priors among them, projected.
+        taken: shape (m N + priors, p), orthonormal vectors of what is projected out.
         candidates: where it may come from.
         spent: parameters spent.
     """
 
     fit: Fit
     left: np.ndarray
+    taken: np.ndarray
     candidates: Sequence[_Candidate]
     spent: float
 
@@ -169,29 +185,38 @@ class _Rest:
 
     def _judged(self, candidate: _Candidate, squares: float) -> tuple[float, float]:
         """Return information criterion and p-value of a candidate."""
-        Z = candidate.columns
         scale = 1.0 / np.sqrt(np.maximum(candidate.whole, 1e-300))
-        values, vectors = np.linalg.eigh((Z @ Z.T) * np.outer(scale, scale))
+        values, vectors = np.linalg.eigh(candidate.gram * np.outer(scale, scale))
         seen = values > _SEEN
         rank = int(seen.sum())
         if rank == 0 or rank >= 0.5 * self.dof:
             return np.inf, 1.0
-        along = vectors[:, seen].T @ (scale * (Z @ self.left))
+        along = vectors[:, seen].T @ (scale * candidate.along(self.left))
         gain = min(float(np.sum(along**2 / values[seen])), 0.999999 * squares)
         rest = max(self.dof - rank, 1.0)
         p_value = float(fdtrc(rank, rest, gain / rank / ((squares - gain) / rest)))
         return self.readings * float(np.log1p(-gain / squares)) + rank * float(np.log(self.readings)), p_value
 
-    def without(self, taken: _Candidate) -> _Rest:
-        """Return what is left once a candidate is taken up as well; the candidates are the same, and projected."""
-        Q = _orthonormal(taken.columns.T)
-        for candidate in self.candidates:
-            candidate.project(Q)
-        return replace(self, left=self.left - Q @ (Q.T @ self.left), spent=self.spent + Q.shape[1])
+    def without(self, best: _Candidate) -> _Rest:
+        """Return what is left once a candidate is taken up as well."""
+        Q = _orthonormal(self.columns_of(best))
+        return _Rest(
+            self.fit,
+            self.left - Q @ (Q.T @ self.left),
+            np.hstack([self.taken, Q]),
+            [candidate.without(Q) for candidate in self.candidates],
+            self.spent + Q.shape[1],
+        )
+
+    def columns_of(self, candidate: _Candidate) -> np.ndarray:
+        """Return the columns of a candidate, projected, shape (m N + priors, k)."""
+        columns = np.asarray(-self.taken @ candidate.along(self.taken).T)
+        columns[: candidate.columns.shape[1]] += candidate.columns.T
+        return columns
 
     def described(self, candidate: _Candidate, excess: float) -> Place:
         """Return a candidate with its share of the whole excess, its size and the range in which it sits."""
-        place, columns = candidate.place, candidate.columns.T
+        place, columns = candidate.place, self.columns_of(candidate)
         height, _, rank, _ = np.linalg.lstsq(columns, self.left, rcond=np.sqrt(_SEEN))
         fitted = columns @ height
         gain = float(fitted @ fitted) - rank
@@ -226,11 +251,9 @@ def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
     motions = jacobian[own:].copy()
     # As large as all candidates together.
     del jacobian
-    candidates = []
-    for place, lever, columns in _candidates(fit, dict(zip(spots, motions, strict=True))):
-        candidates.append(_Candidate(place, lever, np.pad(columns, ((0, 0), (0, len(beliefs)))), np.sum(columns**2, axis=1)))
-        candidates[-1].project(Q)
-    return _Rest(fit, r - Q @ (Q.T @ r), candidates, fit.solution.effective)
+    moved = dict(zip(spots, motions, strict=True))
+    candidates = [_Candidate.of(*found).without(Q) for found in _candidates(fit, moved)]
+    return _Rest(fit, r - Q @ (Q.T @ r), Q, candidates, fit.solution.effective)
 
 
 def _smoothness(fit: Fit, own: int) -> Iterator[np.ndarray]:
@@ -245,7 +268,9 @@ def _smoothness(fit: Fit, own: int) -> Iterator[np.ndarray]:
 
 def _orthonormal(A: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis of what the columns of a matrix span."""
-    Q, R = np.linalg.qr(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300))
+    sizes = np.linalg.norm(A, axis=0)
+    # Pivoted: a column that adds nothing has to come last, or a direction that rounding makes up is kept from all after it.
+    Q, R, _ = qr(A / np.maximum(sizes, 1e-300), mode="economic", pivoting=True, check_finite=False, overwrite_a=True)
     return np.asarray(Q[:, np.abs(np.diag(R)) > 1e-7])
 
 
