@@ -14,11 +14,11 @@ from stability_study import by_class, study
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.discover.bootstrap import chance_of_best
 from pincal.discover.judge import findings_of
-from pincal.discover.nuisance import score_test_beside_nuisances
+from pincal.discover.nuisance import MassError, missing_features, score_test_beside_nuisances
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.discover.stability import Halves, _halves, begin_halves
-from pincal.discover.widened import of_bearings, of_candidates
+from pincal.discover.widened import of_bearings, of_candidates, of_masses
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
 from pincal.identify.split import row_groups
@@ -179,8 +179,22 @@ def test_bearings_may_give_way_in_directions_that_no_data_called_for(found: Disc
     refused = [e for e in bearing_features(fit.problem.chain, fit.options.effects) if e not in fit.options.effects]
     gains = [score_test_beside_nuisances(fit, [effect]).gain([0])[0] for effect in refused]
 
-    assert 0.0 < of_bearings(fit) < sum(gains)
-    assert of_bearings(refit(fit, GEOMETRIC)) == 0.0
+    assert 0.0 < of_bearings(score_test_beside_nuisances(fit, refused)) < sum(gains)
+    rigid = refit(fit, GEOMETRIC)
+    assert of_bearings(score_test_beside_nuisances(rigid, [])) == of_masses(rigid, score_test(rigid, [])) == 0.0
+
+
+def test_masses_add_what_the_data_leave_of_their_priors(found: Discovery) -> None:
+    """By the formula, with masses tested as any other effect."""
+    fit = found.trail.final
+    masses = MassError.of(*fit.arm)
+    assert masses is not None
+    S, b = score_test(fit, [masses]).projected
+    C = np.linalg.inv(S + np.diag([parameter.size**-2.0 for parameter in masses.parameters(fit.problem.chain)]))
+    expected = (C @ b) @ S @ (C @ b) + np.sum(S * C)
+
+    assert expected > 0.0
+    assert of_masses(fit, score_test_beside_nuisances(fit, missing_features(fit))) == pytest.approx(expected, rel=1e-6)
 
 
 def test_fewer_than_no_halves_are_refused(case: Case) -> None:

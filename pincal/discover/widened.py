@@ -22,11 +22,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from pincal.discover.candidate_tests import sampled
 from pincal.discover.history import History
 from pincal.discover.nuisance import MassError, missing_features, score_test_beside_nuisances
-from pincal.discover.score_tests import ScoreTests, score_test
+from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit, equations_of
 
 
@@ -36,7 +37,8 @@ def widened(trail: History) -> Fit:
     few, _ = sampled(fit, trail.policy)
     rows = len(fit.problem) / max(len(few.problem), 1)
     noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
-    beyond = (of_masses(few) + of_candidates(trail.last) + of_bearings(few)) * rows * noise
+    features = score_test_beside_nuisances(few, missing_features(few))
+    beyond = (of_masses(few, features) + of_candidates(trail.last) + of_bearings(features)) * rows * noise
     factor = 1.0 + beyond / max(fit.solution.effective, 1.0)
     solution = fit.solution
     wide = equations_of(fit.problem, replace(solution, sigma=solution.sigma * np.sqrt(factor)), fit.priors)
@@ -47,24 +49,32 @@ def widened(trail: History) -> Fit:
     return replace(fit, solution=replace(solution, wide=posterior))
 
 
-def of_masses(fit: Fit) -> float:
-    """Return what masses that are off add to the variance of the rows, summed over readings, in units of the noise."""
+def of_masses(fit: Fit, tests: ScoreTests) -> float:
+    """Return what masses that are off add to the variance of the rows, summed over readings, in units of the noise.
+
+    Args:
+        fit: the fit.
+        tests: those of what it does not have of its bearings, beside its masses alone.
+    """
     masses = MassError.of(*fit.arm)
     if masses is None:
         return 0.0
-    S, b = score_test(fit, [masses]).projected
-    sizes = np.array([parameter.size for parameter in masses.parameters(fit.problem.chain)])
-    S, b = S * np.outer(sizes, sizes), b * sizes
-    C = np.linalg.inv(S + np.eye(len(S)))
-    most_probable = C @ b
+    place = {name: i for i, name in enumerate(tests.names)}
+    parameters = masses.parameters(fit.problem.chain)
+    at, sizes = [place[p.name] for p in parameters], np.array([p.size for p in parameters])
+    # Beside the fit's parameters, what rows and priors say of them together.
+    scale, L, slope = tests.model.factor
+    units = np.zeros((len(L), len(at)))
+    units[at, range(len(at))] = scale[at] / sizes
+    half = solve_triangular(L, units, lower=True, check_finite=False)
+    C, most_probable = half.T @ half, half.T @ slope
+    S = np.linalg.inv(C) - np.eye(len(C))
     return float(most_probable @ S @ most_probable + np.sum(S * C))
 
 
-def of_bearings(fit: Fit) -> float:
+def of_bearings(tests: ScoreTests) -> float:
     """Return the same of directions and places of bearings that the data did not call for: each may be there by itself."""
-    refused = missing_features(fit)
-    tests = score_test_beside_nuisances(fit, refused) if refused else None
-    return sum(of_candidates(tests, [i]) for i in range(len(refused))) if tests else 0.0
+    return float(sum(of_candidates(tests, [i]) for i in range(len(tests.effects))))
 
 
 def of_candidates(tests: ScoreTests, which: Sequence[int] | None = None) -> float:
