@@ -28,9 +28,10 @@ def add_effects(state: State, search: Search) -> State:
     What the data call for of the bearings enters once no name explains more: before, it would take up what drives do.
     """
     for _ in range(search.policy.most_steps):
-        step, called = _next_step(state.fit, search), called_for(state.fit)
-        explains_more = step is None or called.gain > step.score.gain
-        if features := _that_predict(state.fit, called.effects, search) if explains_more else ():
+        step = _next_step(state.fit, search)
+        least = 0.0 if step is None else step.score.gain
+        called = called_for(state.fit, least)
+        if features := _that_predict(state.fit, called.effects, search) if called.gain > least else ():
             fit = refit(state.fit, [*state.fit.options.effects, *features], start={})
             log.info("bearings: %s", listed(features))
             state = state.changed(fit, state.steps, features, ())

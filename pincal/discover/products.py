@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -128,6 +128,7 @@ class Products:
     blocks_b: np.ndarray
     rows: Rows | None = None
     is_partial: bool = False
+    _asked: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def cross(self) -> np.ndarray:
@@ -160,7 +161,10 @@ class Products:
     def inner_of(self, which: Sequence[int]) -> np.ndarray:
         """Return those of some candidates' columns with each other, shape (J, J)."""
         if self.is_partial and self.rows is not None and len(which) > 1:
-            return self.rows.gram(which)
+            key = tuple(which)
+            if key not in self._asked:
+                self._asked[key] = self.rows.gram(which)
+            return self._asked[key]
         j = self.places(which)
         return np.asarray(self._inner[np.ix_(j, j)])
 

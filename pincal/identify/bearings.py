@@ -24,13 +24,17 @@ class Called(NamedTuple):
     gain: float
 
 
-def called_for(fit: Fit) -> Called:
+def called_for(fit: Fit, least: float = 0.0) -> Called:
     """Return the features of bearings that a fit does not have and that the data call for.
 
     A bearing sits where the URDF has the joint, and its stiff and soft directions are the axes of its frame, unless the data
     say otherwise. A place beside a compliance that hardly shows makes a ridge along which a fit wanders, and every parameter
     that is not needed is paid for in accuracy. So they enter one by one, each by what it takes off the squares to first
     order beside those before it.
+
+    Args:
+        fit: the fit.
+        least: what they have to take off the squares together; if they can't, none is called for.
     """
     effects = fit.options.effects
     asked = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
@@ -50,12 +54,14 @@ def called_for(fit: Fit) -> Called:
         kept[[places[effect] for effect in named]] = True
         return wide.of(kept[free]).gain
 
-    found: tuple[Effect, ...] = ()
-    settled = gain()
-    least = settled + _ENOUGH
-    while len(found) < len(asked) and gain(*asked) > least:
-        best = max((effect for effect in asked if effect not in found), key=lambda effect: gain(*found, effect))
-        if gain(*found, best) < least:
+    found, settled, most = tuple[Effect, ...](), gain(), gain(*asked)
+    if most - settled <= least:
+        return Called((), 0.0)
+    reached = settled
+    while len(found) < len(asked) and most > reached + _ENOUGH:
+        gains = {effect: gain(*found, effect) for effect in asked if effect not in found}
+        best = max(gains, key=lambda effect: gains[effect])
+        if gains[best] < reached + _ENOUGH:
             break
-        found, least = (*found, best), gain(*found, best) + _ENOUGH
-    return Called(found, least - _ENOUGH - settled)
+        found, reached = (*found, best), gains[best]
+    return Called(found, reached - settled)
