@@ -135,8 +135,8 @@ class FirstOrder:
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together; sizes in doubt are the likeliest ones, with and without them."""
         if self.doubt is not None:
-            cost, tests = self.likeliest(which)
-            gain, rank = tests.gain(which)
+            found = [(cost, *tests.gain(which)) for cost, tests in self._beliefs]
+            cost, gain, rank = min(found, key=lambda belief: belief[0] - belief[1])
             return gain - cost, rank
         if len(which) == 1:
             gains, ranks = self._alone

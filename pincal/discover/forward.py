@@ -19,6 +19,9 @@ from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Settling
 
+# Times that an effect with a time constant is linearised anew before the next one is looked for.
+_MOST_WHILE_SEARCHING = 3
+
 log = logging.getLogger(__name__)
 
 
@@ -95,7 +98,8 @@ def decided(fit: Fit, decision: Decision, search: Search) -> Step:
     effect, start, estimate = resolved(fit, tested, search.groups)
     after = refit(fit, [*fit.options.effects, effect], start={effect: start})
     if isinstance(effect, Settling):
-        after, effect = linearised_about_itself(after, effect)
+        # What is left of its time constant is found once nothing else is missing.
+        after, effect = linearised_about_itself(after, effect, most=_MOST_WHILE_SEARCHING)
     return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate)
 
 
