@@ -263,10 +263,7 @@ def _fit(
     rough: bool = False,
     executor: Executor | None = None,
 ) -> tuple[Solution, tuple[Stage, ...]]:
-    """Go through the stages; each begins where the one before ended. The last is enough after a solution that is near.
-
-    After such a one, whatever fit follows asks again what else the data call for.
-    """
+    """Go through the stages; each begins where the one before ended. The last is enough after a solution that is near."""
     released = released_of(problem, options)
     excited = released & excited_of(problem)
     stages: list[Stage] = []
@@ -277,8 +274,7 @@ def _fit(
         fitted = solve(problem, values, free, priors, noise, loss=loss, rough=True, label=name, executor=executor)
         values = fitted.values
         stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
-    last = ("final", "with what only the deviations excite")
-    for name in () if rough else last[: 2 if near is None else 1]:
+    for name in () if rough else ("final", "with what only the deviations excite"):
         missed, begun = _is_missed(problem, fitted, released, priors)
         if missed or name == "final":
             free, robust = released if missed else fitted.free, fitted.weights
