@@ -112,19 +112,24 @@ def run_each(files: list[str]) -> list[str]:
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from /proc")
 def test_hostile_files_are_refused_at_once(tmp_path: Path) -> None:
-    """Each in less than a second of processor time and with less than 200 MB."""
+    """Each in less than a second of processor time and with less than 200 MB.
+
+    On a slow processor in less than three times what the longest list takes that is read.
+    """
     for name, content in HOSTILE.items():
         (tmp_path / name).write_bytes(content())
     files = [str(tmp_path / name) for name in HOSTILE]
     lines = run_each(files)
 
     assert len(lines) == len(HOSTILE)
+    taken = {name: float(line.split(maxsplit=1)[0]) for name, line in zip(HOSTILE, lines, strict=True)}
+    most = max(1.0, 3.0 * taken["the longest list that is read"])
     for name, file, line in zip(HOSTILE, files, lines, strict=True):
         seconds, megabytes, words = line.split(maxsplit=2)
-        if float(seconds) >= 1.0:
+        if float(seconds) >= most:
             # Processor time, too, is longer beside others: the better of two.
             seconds = run_each([file])[0].split(maxsplit=1)[0]
-        assert float(seconds) < 1.0 and float(megabytes) < 200.0, line
+        assert float(seconds) < most and float(megabytes) < 200.0, line
         assert f"/{name}: " in words and len(words) < 1000
 
 
