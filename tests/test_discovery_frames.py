@@ -5,15 +5,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from discovery_cases import draw_case
+from discovery_cases import SIGMA, draw_case
 
-from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
+from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal.discover.candidate_tests import Search, is_small_table, variants
 from pincal.discover.history import State
-from pincal.discover.loop import add_effects, compare_frames
+from pincal.discover.loop import add_effects, compare_frames, discover_effects
 from pincal.discover.moment_frames import _still_to_gain
 from pincal.discover.policy import POLICY
 from pincal.discover.score_tests import score_test
+from pincal.identify.calibrate import refit
 from pincal.identify.split import row_groups
 from pincal.model.chain import MOMENT_FRAMES
 
@@ -49,7 +50,31 @@ def test_a_base_that_moves_with_time_is_nothing_for_another_frame_to_gain() -> N
     tests = score_test(fit, effects)
     sure = [e.name for i, e in enumerate(effects) if tests.score([i], len(effects)).p_value < 1e-12]
     assert "base_drift" in sure
-    assert not is_small_table(fit, POLICY) and _still_to_gain(fit, POLICY) == 0.0
+    search = Search(POLICY, (), fit, row_groups(table, split="blocked", seed=0) % 8)
+    assert not is_small_table(fit, POLICY) and _still_to_gain(fit, search) == 0.0
+
+
+def test_loads_have_something_to_gain_where_they_predict_rows_left_out() -> None:
+    """A base that gives way; in rows left out at random and in none but one block, which tells nothing of others."""
+    case = draw_case("base_elasticity", 9662, n=200, strength=200.0)
+    fit = calibrate(case.robot, case.rows, replace(case.options, effects=ELASTIC))
+    blocks, one = np.arange(len(case.rows)) % 8, np.zeros(len(case.rows), int)
+    searches = [Search(POLICY, (), fit, groups) for groups in (blocks, one)]
+
+    assert [_still_to_gain(fit, search) < 0.0 for search in searches] == [True, False]
+
+
+def test_what_a_discovery_ends_with_is_settled() -> None:
+    """Fits on the way end early: the last one, of few rows as of many, has nothing left to gain."""
+    case = draw_case("backlash", 3, n=160, strength=200.0)
+    first = calibrate(case.robot, case.rows, case.options)
+    trail = discover_effects(first, row_groups(case.rows, split="blocked", seed=0) % 8)
+    again = refit(trail.final, trail.final.options.effects, start={})
+    moved = [f.station.residuals(f.values) for f in (trail.final, again)]
+
+    assert trail.changes[-1].fit is trail.final
+    assert {id(step.after) for step in trail.steps} <= {id(change.fit) for change in trail.changes}
+    np.testing.assert_allclose(*moved, rtol=0.0, atol=2e-3 * SIGMA)
 
 
 def _names(state: State) -> list[tuple[str, str | None]]:

@@ -15,7 +15,7 @@ from pincal.discover.resolution import resolved
 from pincal.discover.score_tests import score_test
 from pincal.discover.settling import linearised_about_itself
 from pincal.identify.bearings import called_for
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import Until, refit
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Settling
 
@@ -35,7 +35,7 @@ def add_effects(state: State, search: Search) -> State:
         least = 0.0 if step is None else step.score.gain
         called = called_for(state.fit, least)
         if features := _that_predict(state.fit, called.effects, search) if called.gain > least else ():
-            fit = refit(state.fit, [*state.fit.options.effects, *features], start={})
+            fit = refit(state.fit, [*state.fit.options.effects, *features], start={}, until=Until.CLOSE)
             log.info("bearings: %s", listed(features))
             state = state.changed(fit, state.steps, features, ())
             continue
@@ -96,10 +96,10 @@ def decided(fit: Fit, decision: Decision, search: Search) -> Step:
     """Return the step that adds what was decided, a curve as fine as the data can tell."""
     tested = decision.effect
     effect, start, estimate = resolved(fit, tested, search.groups)
-    after = refit(fit, [*fit.options.effects, effect], start={effect: start})
+    after = refit(fit, [*fit.options.effects, effect], start={effect: start}, until=Until.CLOSE)
     if isinstance(effect, Settling):
         # What is left of its time constant is found once nothing else is missing.
-        after, effect = linearised_about_itself(after, effect, most=_MOST_WHILE_SEARCHING)
+        after, effect = linearised_about_itself(after, effect, most=_MOST_WHILE_SEARCHING, until=Until.CLOSE)
     return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate)
 
 

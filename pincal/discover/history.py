@@ -82,12 +82,15 @@ class State:
 
     def tuned(self, step: Step, by: Step) -> State:
         """Return the state with the wave of one step in another order, close by: told as if it had come in so."""
-        last = self.changes[-1]
         told = (replace(c, entered=tuple(by.effect if e is step.effect else e for e in c.entered)) for c in self.changes)
-        changes = tuple(replace(change, fit=by.after) if change.fit is last.fit else change for change in told)
         found = (replace(by, before=step.before, after=step.after) if other is step else other for other in self.steps)
-        steps = tuple(replace(other, after=by.after) if other.after is last.fit else other for other in found)
-        return State(by.after, steps, changes)
+        return State(self.fit, tuple(found), tuple(told)).fitted_again(by.after)
+
+    def fitted_again(self, fit: Fit) -> State:
+        """Return the state with another fit of the same model: told as if it had been the first."""
+        changes = tuple(replace(change, fit=fit) if change.fit is self.fit else change for change in self.changes)
+        steps = tuple(replace(step, after=fit) if step.after is self.fit else step for step in self.steps)
+        return State(fit, steps, changes)
 
     def without_step(self, step: Step) -> State:
         """Return the state without one of its steps."""

@@ -28,7 +28,7 @@ from pincal.discover.remainders import add_remainders, merge_parts, take_whole_c
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import settle
 from pincal.discover.smoothness import smoothed
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import Until, refit
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
 from pincal.identify.solve import Exit
@@ -88,8 +88,7 @@ def start_in_likeliest_frame(state: State, search: Search) -> State:
 
 def compare_frames(state: State, search: Search) -> State:
     """Go on in the convention of moments that fits what was found best, unless this one explains the data as well then."""
-    rough = len(state.fit.problem) < len(search.first.problem)
-    frame = best_frame(state, search.frames, search.policy, rough=rough)
+    frame = best_frame(state, search)
     if frame == state.fit.problem.chain.moment_frame:
         return state
     log.info("once more with --moment-frame %s", frame)
@@ -97,7 +96,7 @@ def compare_frames(state: State, search: Search) -> State:
     for step in state.steps:
         if not is_brought(step):
             start = {effect: state.fit.values[state.fit.problem.places_at(effect)] for effect in step.effects}
-            after = refit(told.fit, [*told.fit.options.effects, *step.effects], start=start)
+            after = refit(told.fit, [*told.fit.options.effects, *step.effects], start=start, until=Until.CLOSE)
             told = told.with_step(replace(step, before=told.fit, after=after))
     return min(state, add_effects(told, search), key=lambda found: _cost(found, search))
 
@@ -117,11 +116,11 @@ def fit_all_rows(state: State, search: Search) -> State:
     if is_thinned:
         whole = over_rows_of(fit, first)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
-        fit = refit(whole, _exchanged(fit.options.effects, wider), rough=True)
+        fit = refit(whole, _exchanged(fit.options.effects, wider), until=Until.ROUGH)
         state = _with_curves(state, wider, fit)
     curves = _curves_of(state)
     if not curves and not is_thinned:
-        return state
+        return state.fitted_again(refit(fit, fit.options.effects, start={})) if state.changes else state
     chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
     if curves and fit.solution.exit is not Exit.EXACT:
         chosen, fit = smoothed(fit, curves)

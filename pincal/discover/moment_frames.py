@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import has_compliance, is_small_table, variants
+from pincal.discover.candidate_tests import Search, has_compliance, is_small_table, variants
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
 from pincal.discover.policy import Policy
-from pincal.discover.score_tests import score_test
-from pincal.identify.calibrate import refit, with_bearings
+from pincal.discover.score_tests import enough_errors, score_test, standard_errors
+from pincal.identify.calibrate import Until, refit, with_bearings
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER, best_of, misfit
 from pincal.model.chain import MomentFrame
@@ -79,52 +79,51 @@ def single_compliance(
     return frame, replace(ways[frame], equivalent=each_heading_once(every, ways[frame].effects[0], policy))
 
 
-def best_frame(state: State, frames: Sequence[MomentFrame], policy: Policy, *, rough: bool) -> MomentFrame:
+def best_frame(state: State, search: Search) -> MomentFrame:
     """Return the convention in which it is best to go on from what was found; that of the fit unless another is better.
 
     Another has to fit what was found better, or as well without the effects that a wrong convention brings about, or with
     one of loads that a wrong convention takes for a compliance: a base that tilts is a bearing that tilts with the link
     before. Where nothing but elasticity was found, the likeliest stays unless that is worth what an effect must take off.
-
-    Args:
-        state: what was found.
-        frames: the conventions.
-        policy: what an effect must take off the squares.
-        rough: whether fits that are close to their end will do.
     """
+    frames, policy = search.frames, search.policy
     fit, effects, here = state.fit, state.fit.options.effects, state.fit.problem.chain.moment_frame
     others = [frame for frame in frames if frame != here]
     if not others or not any(effect.uses_moments for effect in effects):
         return here
     brought = [effect for step in state.steps if is_brought(step) for effect in step.effects]
     plain = [effect for effect in effects if effect not in brought]
-    cost = fit_cost(refit(fit, effects, rough=True) if rough else fit)
+    cost = fit_cost(fit)
     enough = policy.least_gain(fit.solution.degrees, declared=fit.is_declared)
     enough *= all(step.is_elastic for step in state.steps)
     costs = {}
     for frame in others:
-        other = refit(fit, effects, moment_frame=frame, rough=rough)
-        costs[frame] = fit_cost(other) + enough + _still_to_gain(other, policy)
+        other = refit(fit, effects, moment_frame=frame, until=Until.CLOSE)
+        costs[frame] = fit_cost(other) + enough + _still_to_gain(other, search)
         if brought:
-            costs[frame] = min(costs[frame], fit_cost(refit(fit, plain, moment_frame=frame, rough=rough)))
+            costs[frame] = min(costs[frame], fit_cost(refit(fit, plain, moment_frame=frame, until=Until.CLOSE)))
     best = min(others, key=lambda frame: costs[frame])
     return best if costs[best] < cost else here
 
 
-def _still_to_gain(fit: Fit, policy: Policy) -> float:
+def _still_to_gain(fit: Fit, search: Search) -> float:
     """Return what the best load on base or links would change of the information criterion; 0 where that may be chance.
 
-    Few rows leave bearings out, and what loads do elsewhere would stand for them.
+    As in a search it has to predict rows left out, too. Few rows leave bearings out, and what loads do elsewhere would stand
+    for them.
     """
-    if is_small_table(fit, policy):
+    if is_small_table(fit, search.policy):
         return 0.0
     # What else moves base or links, such as time, is for every convention to explain.
     others = (effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects)
     effects = [effect for effect in others if effect.is_of_loads]
-    tests = score_test(fit, effects)
+    tests, limit = score_test(fit, effects, (), search.groups), search.policy.false_name / max(len(effects), 1)
     scores = [tests.score([i], len(effects)) for i in range(len(effects))]
-    sure = [score.ebic for score in scores if score.p_value < policy.false_name / len(effects)]
-    return min(sure, default=0.0)
+    sure = (i for i, score in enumerate(scores) if score.p_value < limit)
+    for i in sorted(sure, key=lambda i: scores[i].ebic):
+        if standard_errors(tests.gains_by_block([i])) > enough_errors(effects[i]):
+            return scores[i].ebic
+    return 0.0
 
 
 def is_brought(step: Step) -> bool:

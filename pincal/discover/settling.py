@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.discover.candidate_tests import Search
 from pincal.discover.history import State
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import Until, refit
 from pincal.identify.fit import Fit
 from pincal.model.effect import Settling
 
@@ -16,8 +16,17 @@ from pincal.model.effect import Settling
 _MOST_EXPANSIONS = 8
 
 
-def linearised_about_itself(fit: Fit, effect: Settling, most: int = _MOST_EXPANSIONS) -> tuple[Fit, Settling]:
-    """Return a fit in which an effect stands linearised about its own parameters, and the effect; at most so many fits."""
+def linearised_about_itself(
+    fit: Fit, effect: Settling, *, most: int = _MOST_EXPANSIONS, until: Until = Until.SETTLED
+) -> tuple[Fit, Settling]:
+    """Return a fit in which an effect stands linearised about its own parameters, and the effect.
+
+    Args:
+        fit: the fit.
+        effect: the effect.
+        most: fits at most.
+        until: how far each goes.
+    """
     for _ in range(most):
         values = fit.values[fit.problem.places_at(effect)]
         about = effect.about(values)
@@ -26,7 +35,7 @@ def linearised_about_itself(fit: Fit, effect: Settling, most: int = _MOST_EXPANS
         others = [other for other in fit.options.effects if other != effect]
         start = np.zeros(len(about.parameters(fit.problem.chain)))
         start[0] = values[0]
-        fit, effect = refit(fit, [*others, about], start={about: start}), about
+        fit, effect = refit(fit, [*others, about], start={about: start}, until=until), about
     return fit, effect
 
 
@@ -39,7 +48,7 @@ def settle(state: State, search: Search) -> State:
     for step in state.steps:
         for effect in step.effects:
             if isinstance(effect, Settling):
-                fit, about = linearised_about_itself(state.fit, effect, most)
+                fit, about = linearised_about_itself(state.fit, effect, most=most)
                 steps = tuple(replace(s, effects=(about,)) if s is step else s for s in state.steps)
                 state = state if about == effect else state.changed(fit, steps, (), ())
     return state

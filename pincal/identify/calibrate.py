@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from enum import Enum
 
 import numpy as np
 from scipy.special import chdtri
@@ -23,7 +24,7 @@ from pincal.identify.moment_frames import best_of, some_rows_of
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors, Solution, solve
+from pincal.identify.solve import SETTLED, Priors, Solution, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensor import KnownParameters
 from pincal.measure.stations import stations_of
@@ -49,6 +50,25 @@ PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
     "2 link geometry and axis distortion": ("link_geometry", "axis_distortion"),
     "3 elasticity": ("joint_elasticity", "bearing_elasticity", "oblique_bearing", "bearing_place"),
+}
+
+# A step that moves predictions by less than this part of the noise changes nothing that a test notices.
+_CLOSE = 5e-3
+
+
+class Until(Enum):
+    """How far a fit goes."""
+
+    ROUGH = "close to the end, outliers only weighed down"
+    CLOSE = "to within what a test notices, nothing else asked for"
+    SETTLED = "to the end, with what only the deviations excite if the data call for it"
+
+
+# The stages after those of a plan; the second one only where it is called for.
+_LAST_STAGES = {
+    Until.ROUGH: (),
+    Until.CLOSE: ("final",),
+    Until.SETTLED: ("final", "with what only the deviations excite"),
 }
 
 
@@ -197,7 +217,7 @@ def refit(
     *,
     moment_frame: MomentFrame | None = None,
     start: Mapping[Effect, np.ndarray] | None = None,
-    rough: bool = False,
+    until: Until = Until.SETTLED,
 ) -> Fit:
     """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
 
@@ -206,7 +226,7 @@ def refit(
         effects: what may deviate, beside base and tool; parameters known to ``fit`` by name start at its values.
         moment_frame: where moments are taken and bend the arm; default: as in ``fit``.
         start: values of new effects close to the end, so that the last stage is all that is needed; default: zero.
-        rough: whether to stop before the last stage, close to the end, outliers only weighed down.
+        until: how far to go; a fit that others follow need not be settled.
     """
     frame = moment_frame or fit.problem.chain.moment_frame
     effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
@@ -216,9 +236,8 @@ def refit(
     near = carried(fit.solution, fit.problem, problem)
     for effect, values in (start or {}).items():
         near.values[problem.places_at(effect)] = values
-    fitted, stages = _fit(
-        problem, near.values, priors, fit.noise, options, near=None if start is None else near, rough=rough
-    )
+    known = None if start is None else near
+    fitted, stages = _fit(problem, near.values, priors, fit.noise, options, near=known, until=until)
     return Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
 
 
@@ -260,10 +279,10 @@ def _fit(
     options: Options,
     *,
     near: Solution | None = None,
-    rough: bool = False,
+    until: Until = Until.SETTLED,
     executor: Executor | None = None,
 ) -> tuple[Solution, tuple[Stage, ...]]:
-    """Go through the stages; each begins where the one before ended. The last is enough after a solution that is near."""
+    """Go through the stages; each begins where the one before ended. The last are enough after a solution that is near."""
     released = released_of(problem, options)
     excited = released & excited_of(problem)
     stages: list[Stage] = []
@@ -274,7 +293,7 @@ def _fit(
         fitted = solve(problem, values, free, priors, noise, loss=loss, rough=True, label=name, executor=executor)
         values = fitted.values
         stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
-    for name in () if rough else ("final", "with what only the deviations excite"):
+    for name in _LAST_STAGES[until]:
         missed, begun = _is_missed(problem, fitted, released, priors)
         if missed or name == "final":
             free, robust = released if missed else fitted.free, fitted.weights
@@ -288,6 +307,7 @@ def _fit(
                 robust=robust,
                 label=name,
                 begun=begun,
+                short=_CLOSE if until is Until.CLOSE else SETTLED,
                 executor=executor,
             )
             stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 MAX_ITERATIONS = 40
 # A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still. So
 # does one that had to be halved down to this: along a bent ridge there is nothing left to gain.
-_STEP = 1e-3
+SETTLED = 1e-3
 _ROUGH = 0.1
 # The same where the noise is at its floor: steps there are rounding.
 _ROUNDED = 0.03
@@ -127,6 +127,7 @@ def solve(
     label: str = "",
     robust: np.ndarray | None = None,
     begun: Linearised | None = None,
+    short: float = SETTLED,
     executor: Executor | None = None,
 ) -> Solution:
     """Find the most probable values of the free parameters.
@@ -143,12 +144,13 @@ def solve(
         label: what this fit is called in the log; it is not logged without a name.
         robust: shape (N,), robust weights of an earlier fit to begin with; its outliers are then known.
         begun: the problem at ``start`` with these robust weights, and perhaps more free parameters; default: nobody knows.
+        short: how far a step that ends the fit may move predictions, root mean square, in units of the noise.
         executor: computes what stations contribute, where there are several; default: one after the other, here.
 
     Returns:
         The fit; ``exit`` tells how it ended.
     """
-    fit = _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough, executor, begun)
+    fit = _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough, executor, begun, short)
     return fit.finish(*fit.run(start, robust, label))
 
 
@@ -216,6 +218,7 @@ class _Fit:
     rough: bool = False
     executor: Executor | None = None
     begun: Linearised | None = None
+    short: float = SETTLED
 
     def run(self, start: np.ndarray, robust: np.ndarray | None = None, label: str = "") -> tuple[_State, _Step, int, Exit]:
         """Return the last point, the step to it, the number of steps and how they ended; arguments as of :func:`solve`."""
@@ -257,7 +260,7 @@ class _Fit:
         refused = longer is not step and not np.array_equal(point.values[free], values[free] + longer)
         if refused or np.max(np.abs(judged.sigma / state.judged.sigma - 1.0)) > _STEADY:
             memory.forget()
-        shortest = _STEP if np.any(judged.sigma > rounding(self.problem)) else _ROUNDED
+        shortest = self.short if np.any(judged.sigma > rounding(self.problem)) else _ROUNDED
         is_short = wanted < shortest
         if not is_short:
             taken = point.equations(judged.sigma).square(point.values[free] - values[free])
