@@ -13,6 +13,7 @@ from pincal.discover.candidate_tests import Search, addable, over_rows_of, sampl
 from pincal.discover.decisions import each_heading_once, is_own_curve
 from pincal.discover.forward import add_effects, add_hidden_waves, bent
 from pincal.discover.history import History, State
+from pincal.discover.joint_noise import joint_noise, weighed
 from pincal.discover.moment_frames import (
     best_frame,
     elastic_ways,
@@ -110,16 +111,20 @@ def _cost(state: State, search: Search) -> float:
 
 
 def fit_all_rows(state: State, search: Search) -> State:
-    """Fit all rows of the first fit, and every curve that was found as fine and as smooth as they say that it is."""
+    """Fit all rows of the first fit, and every curve that was found as fine and as smooth as they say that it is.
+
+    At the end rows are weighed by the noise that is left, which may come by way of the joints. How smooth curves are is told
+    before: what is left of them passes for such noise.
+    """
     fit, first = state.fit, search.first
-    is_thinned = len(fit.problem) < len(first.problem)
+    is_thinned, noise = len(fit.problem) < len(first.problem), joint_noise(fit)
     if is_thinned:
         whole = over_rows_of(fit, first)
         wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), until=Until.ROUGH)
         state = _with_curves(state, wider, fit)
     curves = _curves_of(state)
-    if not curves and not is_thinned:
+    if not curves and not is_thinned and noise is None:
         return state.fitted_again(refit(fit, fit.options.effects, start={})) if state.changes else state
     chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
     if curves and fit.solution.exit is not Exit.EXACT:
@@ -129,6 +134,7 @@ def fit_all_rows(state: State, search: Search) -> State:
         log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, other.resolution)
     start: dict[Effect, np.ndarray] = {other: heights for other, heights in chosen.values()}
     effects = _exchanged(fit.options.effects, finer)
+    fit = fit if noise is None else weighed(fit, noise)
     state = _with_curves(state, finer, refit(fit, effects, start=start))
     return state.changed(state.fit, state.steps, (), ())
 

@@ -20,6 +20,7 @@ from pincal.calibration.rows import LeftOut, Validation
 from pincal.calibration.run import Calibration, run_calibration
 from pincal.discover.bootstrap import bootstrap_last
 from pincal.discover.history import History
+from pincal.discover.joint_noise import note_on_joints
 from pincal.discover.judge import findings_of, repeated
 from pincal.discover.loop import discover_effects
 from pincal.discover.policy import POLICY, Policy
@@ -178,6 +179,8 @@ def _search(
     was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
     if frame != was:
         notes.append(f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}")
+    if of_joints := note_on_joints(trail.final):
+        notes.append(of_joints)
     return trail, tuple(notes)
 
 

@@ -16,7 +16,7 @@ from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
 from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
-from pincal.model.effect import Effect, Family
+from pincal.model.effect import Curve, Effect, Family
 from pincal.model.effects import Compliance
 from pincal.model.places import drive_unit
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
@@ -63,7 +63,10 @@ def _words(change: Change) -> str:
     entered, left = (", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left))
     if entered and left:
         return f"{entered} instead of {left}"
-    return f"+ {entered}" if entered else f"- {left}" if left else "all fitted again, curves as smooth as the rows tell"
+    if entered or left:
+        return f"+ {entered}" if entered else f"- {left}"
+    has_curves = any(isinstance(effect, Curve) for effect in change.fit.problem.effects)
+    return "all fitted again, curves as smooth as the rows tell" if has_curves else "all fitted again"
 
 
 @dataclass(frozen=True)

@@ -126,6 +126,7 @@ def _together(stations: Sequence[Station]) -> Station:
         conditions=replace(parts[0], **joined, setup=setup),
         sensor=first.sensor.joined([station.sensor for station in stations[1:]]),
         weights=np.concatenate([station.weights for station in stations]),
+        whitening=None if first.whitening is None else np.concatenate([s.whitening for s in stations], axis=2),
     )
 
 
@@ -162,6 +163,7 @@ def _shape(station: Station) -> tuple[object, ...]:
     absent = [getattr(station.sensor, name) is None for name in station.sensor.per_row]
     return (
         type(station.sensor),
+        station.whitening is None,
         *absent,
         *(getattr(station.conditions, f.name) is None for f in fields(station.conditions)),
     )

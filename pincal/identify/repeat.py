@@ -162,7 +162,7 @@ def _refit_simulated(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
     for station, places, span in zip(problem.stations, problem.places, problem.block_spans, strict=True):
         sigma = np.repeat(fit.solution.sigma[span], problem.block_sizes[span])
         noise = rng.normal(size=(len(sigma), len(station))) * sigma[:, None] / station.weights
-        sensor = station.sensor.shifted(noise - station.residuals(fit.values[places]))
+        sensor = station.sensor.shifted(station.coloured(noise) - station.residuals(fit.values[places]))
         stations.append(replace(station, sensor=sensor))
     return _refit(fit, replace(problem, stations=tuple(stations))).values
 

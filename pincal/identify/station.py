@@ -10,6 +10,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
+from pincal.identify.whitening import whitened
 from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
 from pincal.measure.sensing import sensor_of
@@ -35,6 +36,8 @@ class Station:
         conditions: the poses.
         sensor: the readings.
         weights: shape (N,), each row's inverse standard deviation relative to the others (mean about 1).
+        whitening: shape (m, m, N), lower triangular, of each row what makes the noise of its readings independent and even;
+            default: it is.
         name: tells it from the other stations of a problem; "" where there is no other.
     """
 
@@ -43,6 +46,7 @@ class Station:
     sensor: Sensor
     weights: np.ndarray
     name: str = ""
+    whitening: np.ndarray | None = None
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
@@ -69,6 +73,7 @@ class Station:
             conditions=self.conditions.select(rows),
             sensor=self.sensor.select(rows),
             weights=self.weights[rows],
+            whitening=None if self.whitening is None else np.ascontiguousarray(self.whitening[..., rows]),
         )
 
     def sample(self, most: int) -> Station:
@@ -88,6 +93,18 @@ class Station:
             part = self._part(piece)
             out[:, piece] = part.sensor.residuals(part.model.predict(of_model, part.conditions), own)
         return out
+
+    def whitened(self, residuals: np.ndarray) -> np.ndarray:
+        """Return residuals of all rows, shape (m, N), as a fit weighs them: their noise independent and even."""
+        if self.whitening is None:
+            return residuals
+        return np.asarray(whitened(self.whitening, np.ascontiguousarray(residuals[None]))[0])
+
+    def coloured(self, noise: np.ndarray) -> np.ndarray:
+        """Return noise of all rows, shape (m, N), that is independent and even, as readings have it."""
+        if self.whitening is None:
+            return noise
+        return np.asarray(np.linalg.solve(np.moveaxis(self.whitening, 2, 0), noise.T[:, :, None])[:, :, 0].T)
 
     def displacements(self, values: np.ndarray) -> np.ndarray:
         """Return which way and how far each row's target is off, as far as its reading tells, shape (N, 3) [m]."""
@@ -120,7 +137,7 @@ class Station:
             yield piece, part.sensor.residuals(poses, own), jacobian
 
     def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
-        """Yield what :meth:`linearise` does, with the structure of curves kept, for Gram matrices."""
+        """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices."""
         # Nothing of a piece is held here while it is worked on.
         for piece in self._pieces():
             yield piece, *self._shared(self._part(piece), values, free)
@@ -136,7 +153,9 @@ class Station:
         for group in shared:
             for parameters, _ in group.families:
                 apart[parameters] = False
-        columns = part.sensor.jacobian(poses, motion, own)
+        columns, residuals = part.sensor.jacobian(poses, motion, own), part.sensor.residuals(poses, own)
+        if part.whitening is not None:
+            columns = whitened(part.whitening, np.ascontiguousarray(columns))
         n_apart = int(self.split(apart)[0].sum())
         of_sensor = columns[len(motion) :][own_free]
         plain = not shared and not len(of_sensor)
@@ -148,7 +167,7 @@ class Station:
             for parameters, basis in group.families
         )
         jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
-        return part.sensor.residuals(poses, own), jacobian
+        return part.whitened(residuals), jacobian
 
     def _pieces(self) -> Iterator[slice]:
         size = max(len(self), 1) if self.sensor.is_whole else PIECE
@@ -159,7 +178,8 @@ class Station:
         if piece == slice(0, len(self)):
             return self
         conditions = part_of(self.conditions, piece, (piece.start, piece.stop))
-        return replace(self, conditions=conditions, sensor=self.sensor.select(piece))
+        whitening = None if self.whitening is None else np.ascontiguousarray(self.whitening[..., piece])
+        return replace(self, conditions=conditions, sensor=self.sensor.select(piece), whitening=whitening)
 
 
 def station_of(

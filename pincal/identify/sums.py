@@ -34,7 +34,7 @@ class Squares:
 
 def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray) -> Squares:
     """Return the squares of stations' residuals; arguments as in :func:`pincal.identify.normal.accumulate_each`."""
-    residuals = station.residuals(values)
+    residuals = station.whitened(station.residuals(values))
     parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in block_rows(station)]
     rows = np.array(parts) * station.weights**2
     each = np.split(rows, ends[1:-1], axis=1)

@@ -66,7 +66,8 @@ def step_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.nd
     found = None
     for most in (_FEW, _MOST):
         taken = order[some_rows(len(order), most)]
-        found = _step(station.select(taken), values, free, lines[taken])
+        # Which way rows moved is a matter of the readings as they are.
+        found = _step(replace(station.select(taken), whitening=None), values, free, lines[taken])
         if found is None or len(taken) == len(order):
             break
     return found
