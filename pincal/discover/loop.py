@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,14 +27,14 @@ from pincal.discover.nuisance import missing_compliances
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.remainders import add_remainders, merge_parts, take_whole_curves
 from pincal.discover.resolution import curves_over
-from pincal.discover.settling import settle
+from pincal.discover.settling import about_itself, settle
 from pincal.discover.smoothness import smoothed
 from pincal.identify.calibrate import Until, refit
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
 from pincal.identify.solve import Exit
 from pincal.model.chain import MomentFrame
-from pincal.model.effect import Curve, Effect
+from pincal.model.effect import Curve, Effect, Settling
 
 log = logging.getLogger(__name__)
 
@@ -120,22 +120,24 @@ def fit_all_rows(state: State, search: Search) -> State:
     is_thinned, noise = len(fit.problem) < len(first.problem), joint_noise(fit)
     if is_thinned:
         whole = over_rows_of(fit, first)
-        wider = {curve: curves_over(whole, curve, [curve.resolution])[0] for curve in _curves_of(state)}
+        wider: dict[Effect, Effect] = {e: curves_over(whole, e, [e.resolution])[0] for e in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), until=Until.ROUGH)
-        state = _with_curves(state, wider, fit)
+        state = _with_others(state, wider, fit)
     curves = _curves_of(state)
     if not curves and not is_thinned and noise is None:
         return state.fitted_again(refit(fit, fit.options.effects, start={})) if state.changes else state
     chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
     if curves and fit.solution.exit is not Exit.EXACT:
         chosen, fit = smoothed(fit, curves)
-    finer = {curve: other for curve, (other, _) in chosen.items()}
-    for curve, other in finer.items():
-        log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, other.resolution)
-    start: dict[Effect, np.ndarray] = {other: heights for other, heights in chosen.values()}
-    effects = _exchanged(fit.options.effects, finer)
+    for curve, (finer, _) in chosen.items():
+        log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, finer.resolution)
+    settling = [e for step in state.steps for e in step.effects if isinstance(e, Settling)] if is_thinned else []
+    by, start = dict[Effect, Effect](), dict[Effect, np.ndarray]()
+    for effect, (other, values) in (*chosen.items(), *((e, about_itself(fit, e)) for e in settling)):
+        by[effect], start[other] = other, values
+    effects = _exchanged(fit.options.effects, by)
     fit = fit if noise is None else weighed(fit, noise)
-    state = _with_curves(state, finer, refit(fit, effects, start=start))
+    state = _with_others(state, by, refit(fit, effects, start=start))
     return state.changed(state.fit, state.steps, (), ())
 
 
@@ -144,11 +146,11 @@ def _curves_of(state: State) -> list[Curve]:
     return [effect for step in state.steps for effect in step.effects if isinstance(effect, Curve)]
 
 
-def _exchanged(effects: Iterable[Effect], by: dict[Curve, Curve]) -> tuple[Effect, ...]:
-    return tuple(by.get(effect, effect) if isinstance(effect, Curve) else effect for effect in effects)
+def _exchanged(effects: Iterable[Effect], by: Mapping[Effect, Effect]) -> tuple[Effect, ...]:
+    return tuple(by.get(effect, effect) if isinstance(effect, Curve | Settling) else effect for effect in effects)
 
 
-def _with_curves(state: State, by: dict[Curve, Curve], fit: Fit) -> State:
+def _with_others(state: State, by: Mapping[Effect, Effect], fit: Fit) -> State:
     steps = tuple(replace(step, effects=_exchanged(step.effects, by)) for step in state.steps)
     return replace(state, fit=fit, steps=steps)
 
