@@ -22,10 +22,12 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MomentFrame
 from pincal.model.conditions import Conditions, Situation
-from pincal.model.effect import Candidate, Effect, Family, Tone
+from pincal.model.effect import Candidate, Effect, Family, Settling, Tone
 from pincal.model.effects import Compliance
 from pincal.model.latest import Latest
 
+# Times that an effect with a time constant is linearised anew to be tested.
+_MOST_EXPANSIONS = 4
 # Some of the rows of tables: their conditions by the table's.
 _SAMPLES = Latest[Conditions](16)
 
@@ -60,8 +62,25 @@ class Test(Protocol):
 
 def choose(fit: Fit, search: Search) -> Decision | None:
     """Return the best explanation of what a fit leaves, if it is more than chance."""
-    test = BesideNuisances(fit)
-    return explanation(fit, search, test, table_of(fit, search, test, addable(fit, search)))
+    test, every = BesideNuisances(fit), addable(fit, search)
+    names = table_of(fit, search, test, every)
+    best = next((names.rows[i].effect for i in names.passed()), None)
+    if isinstance(best, Settling) and (about := _about_itself(best, test)) != best:
+        names = table_of(fit, search, test, [*every, about])
+    return explanation(fit, search, test, names)
+
+
+def _about_itself(effect: Settling, test: Test) -> Settling:
+    """Return an effect with a time constant linearised about what it is estimated to be.
+
+    About another constant it leaves what a curve of the time describes, which would pass for better where many rows tell.
+    """
+    for _ in range(_MOST_EXPANSIONS):
+        about = effect.about(test([effect]).estimate([0]))
+        if about == effect:
+            break
+        effect = about
+    return effect
 
 
 def explanation(

@@ -18,7 +18,7 @@ from pincal.discover.information import Information
 from pincal.discover.nuisance import BesideNuisances
 from pincal.discover.score_tests import ScoreTests
 from pincal.identify.fit import Fit, without
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Settling
 from pincal.model.evaluated import key_of
 
 
@@ -33,7 +33,9 @@ def named_beside(fit: Fit, effects: Sequence[Effect], search: Search) -> Iterato
     shared = _Shared(BesideNuisances(fit))
     rests = [without(fit, effect) for effect in effects]
     tests = [partial(shared.without, effect) for effect in effects]
-    tried = [addable(rest, search) for rest in rests]
+    # Others have the time constants of the catalogue, this one its own.
+    own = ([effect] if isinstance(effect, Settling) else [] for effect in effects)
+    tried = [[*addable(rest, search), *mine] for rest, mine in zip(rests, own, strict=True)]
     pairs = zip(rests, tried, strict=True)
     spare = [effect for rest, some in pairs for effect in spare_compliances(rest, some, search.policy)]
     shared.test([*(effect for some in tried for effect in some), *spare])
