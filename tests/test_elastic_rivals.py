@@ -16,7 +16,7 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_f
 from pincal.discover.elastic_rivals import instead_of, without_compliance
 from pincal.discover.score_tests import score_test
 from pincal.discover.where import sure_compliances
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import Until, refit
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import misfit
 from pincal.model.catalogue import BaseElasticity, LinkBending
@@ -64,7 +64,7 @@ def test_a_fit_without_a_bearing_leaves_the_noise_of_one_of_everything_else(tmp_
     fit = fit_of(tmp_path, sim.BaseElasticity(size=5e-7))
     effect, _ = bearing_of(fit, "axis_1")
     rest = without_compliance(fit, effect)
-    again = refit(fit, rest.options.effects, rough=True)
+    again = refit(fit, rest.options.effects, until=Until.ROUGH)
 
     assert {p.name for p in effect.parameters(fit.problem.chain)}.isdisjoint(rest.problem.index)
     assert again.problem.index == rest.problem.index
@@ -113,7 +113,7 @@ def test_two_compliances_of_which_one_gives_way_are_told_for_each_other() -> Non
 
     # What is lost without both is not the sum of what each loses beside the other.
     rest = without_compliance(fit, drive.effect, bearing.effect)
-    again = refit(fit, rest.options.effects, rough=True)
+    again = refit(fit, rest.options.effects, until=Until.ROUGH)
     assert again.problem.index == rest.problem.index
     assert again.solution.estimated[0] > 1.2 * fit.solution.estimated[0]
     assert rest.solution.estimated == pytest.approx(again.solution.estimated, rel=0.1)

@@ -19,7 +19,7 @@ from pincal.discover.moment_frames import elastic_ways, single_compliance
 from pincal.discover.nuisance import missing_compliances
 from pincal.discover.policy import POLICY
 from pincal.discover.where import sure_compliances
-from pincal.identify.calibrate import refit, with_bearings
+from pincal.identify.calibrate import Until, refit, with_bearings
 from pincal.identify.fit import Fit
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import ELASTIC, BearingElasticity, JointElasticity
@@ -85,7 +85,7 @@ def test_none_of_a_rigid_arm_is_named_alone(tmp_path: Path) -> None:
 def test_a_wrist_alone_may_be_as_soft_as_its_load_lets_it(tmp_path: Path) -> None:
     """Beside all others, a drive that carries little is taken for one that carries a tenth of the largest moment."""
     fit = fit_of(tmp_path)
-    alone, together = (refit(fit, [*GEOMETRIC, JointElasticity(j)], rough=True) for j in (("axis_6",), None))
+    alone, together = (refit(fit, [*GEOMETRIC, JointElasticity(j)], until=Until.ROUGH) for j in (("axis_6",), None))
     sizes = [of.priors.sizes[of.estimate.names.index("axis_6.k_z")] for of in (alone, together)]
 
     assert sizes[0] > 3.0 * sizes[1]
