@@ -89,14 +89,15 @@ def weighed(fit: Fit, noise: JointNoise) -> Fit:
 
 def note_on_joints(fit: Fit) -> str | None:
     """Return what to say of a fit whose readings are weighed by this noise; None of any other."""
-    if all(station.whitening is None for station in fit.problem.stations) or (noise := joint_noise(fit)) is None:
+    if all(station.whitening is None for station in fit.problem.stations):
         return None
-    robot = fit.problem.chain.robot
-    triples = zip(robot.joint_names, noise.joints.tolist(), robot.joint_units, strict=True)
+    noise, robot = joint_noise(fit), fit.problem.chain.robot
+    joints = np.zeros(robot.n_joints) if noise is None else noise.joints
+    triples = zip(robot.joint_names, joints.tolist(), robot.joint_units, strict=True)
     sizes = ", ".join(f"{joint} {format_small(sigma, unit)}" for joint, sigma, unit in triples if sigma > 0.0)
     return (
-        f"what the model leaves moves the readings as unsteady joints would ({sizes} from row to row), and the last fit "
-        "weighs the readings of each row by that"
+        f"what the model leaves moves the readings as unsteady joints would ({sizes or 'hardly'} from row to row), and the "
+        "last fit weighs the readings of each row by that"
     )
 
 
