@@ -7,15 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave
+from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave, is_small_table
 from pincal.discover.decisions import Decision
 from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
+from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances
 from pincal.discover.resolution import resolved
-from pincal.discover.score_tests import score_test
+from pincal.discover.score_tests import score_test, standard_errors
 from pincal.discover.settling import linearised_about_itself
 from pincal.identify.bearings import called_for
-from pincal.identify.calibrate import Until, refit
+from pincal.identify.calibrate import Until, refit, weighed_by_order
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Settling
 
@@ -44,7 +45,27 @@ def add_effects(state: State, search: Search) -> State:
         residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (step.before, step.after))
         log.info("found %s: residual %.4f -> %.4f mm", listed(step.effects), *residuals)
         state = state.with_step(step)
+        if any(station.serial is not None for station in state.fit.problem.stations):
+            state = state.fitted_again(weighed_by_order(state.fit, Until.CLOSE))
     return state
+
+
+def hold_up_elasticity(state: State, search: Search) -> State:
+    """Let in, on few rows, the elasticity that has no name, unless blocks of poses left out speak against it.
+
+    Few rows can't show that an arm bends, and every arm does: what is known beforehand of how much predicts better than that
+    it does not, and intervals without it would be those of a rigid arm.
+    """
+    fit = state.fit
+    missing = () if has_compliance(search.first.problem.effects) else missing_compliances(fit)
+    if not missing or not is_small_table(fit, search.policy):
+        return state
+    tests = score_test_beside_nuisances(fit, missing, search.groups, wider=1.0)
+    if standard_errors(tests.gains_by_block(range(len(missing)))) < -1.0:
+        return state
+    log.info("few rows: held by what is known beforehand, %s", listed(missing))
+    after = refit(fit, [*fit.options.effects, *missing], start={}, until=Until.CLOSE)
+    return state.changed(after, state.steps, missing, ())
 
 
 def _that_predict(fit: Fit, features: Sequence[Effect], search: Search) -> tuple[Effect, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.discover.backward import drop_needless, name_again
 from pincal.discover.candidate_tests import Search, addable, over_rows_of, sampled, variants
 from pincal.discover.decisions import each_heading_once, is_own_curve
-from pincal.discover.forward import add_effects, add_hidden_waves, bent
+from pincal.discover.forward import add_effects, add_hidden_waves, bent, hold_up_elasticity
 from pincal.discover.history import History, State
 from pincal.discover.joint_noise import joint_noise, weighed
 from pincal.discover.moment_frames import (
@@ -30,6 +30,7 @@ from pincal.discover.resolution import curves_over
 from pincal.discover.settling import about_itself, settle
 from pincal.discover.smoothness import smoothed
 from pincal.identify.calibrate import Until, refit
+from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
 from pincal.identify.solve import Exit
@@ -59,13 +60,29 @@ def discover_effects(
         policy: thresholds and limits.
         nameless: identities of the dependences without a name that take part; default: all.
     """
-    few, rows = sampled(fit, policy)
-    search = Search(policy, tuple(extra), fit, groups[rows], tuple(frames), nameless)
-    state = State(few)
-    for step_on in PASSES:
-        state = step_on(state, search)
-    first = in_frame(fit, state.fit.problem.chain.moment_frame)
-    return History(first, state.steps, state.fit, state.changes, search.extra, policy)
+
+    def searched(first: Fit) -> History:
+        few, rows = sampled(first, policy)
+        search = Search(policy, tuple(extra), first, groups[rows], tuple(frames), nameless)
+        state = State(few)
+        for step_on in PASSES:
+            state = step_on(state, search)
+        first = in_frame(first, state.fit.problem.chain.moment_frame)
+        return History(first, state.steps, state.fit, state.changes, search.extra, policy)
+
+    found = searched(fit)
+    if not is_dependent(found.final):
+        return found
+    # Names that leave what depends on the order of the rows may be made of it: once more, with rows weighed by it. What it
+    # is is told by the model without them, or, if they hide it, with them.
+    named = {e.identity for step in found.steps if not step.is_elastic for e in step.effects}
+    plain = refit(found.final, [e for e in found.final.options.effects if e.identity not in named], until=Until.CLOSE)
+    noise = next((of for of in map(serial_noise, (plain, found.final)) if any(of)), None)
+    if noise is None:
+        return found
+    weighed = with_serial(fit, noise)
+    log.info("what is left depends on the order of the rows: once more, rows weighed by it")
+    return searched(refit(weighed, fit.options.effects, start={}))
 
 
 def start_in_likeliest_frame(state: State, search: Search) -> State:
@@ -180,6 +197,7 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     drop_needless,
     take_whole_curves,
     add_remainders,
+    hold_up_elasticity,
     settle,
     fit_all_rows,
     settle,

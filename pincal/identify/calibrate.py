@@ -14,6 +14,7 @@ from scipy.special import chdtri
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.bearings import called_for
 from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, released_of, sensors_own
+from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
@@ -100,7 +101,8 @@ def calibrate(
     options = _completed(robot, options, tables)
     fit = with_bearings(_weighed_anew(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit.problem, fit.solution, fit.noise)
-    return _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
+    fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
+    return weighed_by_order(fit) if options.serial and is_dependent(fit) else fit
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:
@@ -246,6 +248,14 @@ def refit(
     known = None if start is None else near
     fitted, stages = _fit(problem, near.values, priors, fit.noise, options, near=known, until=until)
     return Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
+
+
+def weighed_by_order(fit: Fit, until: Until = Until.SETTLED) -> Fit:
+    """Return a fit whose rows are weighed by the noise along their order that the fit leaves; perhaps by none."""
+    found = serial_noise(fit)
+    if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
+        return fit
+    return refit(with_serial(fit, found), fit.options.effects, start={}, until=until)
 
 
 def with_bearings(fit: Fit) -> Fit:
