@@ -42,6 +42,7 @@ class Station:
         name: tells it from the other stations of a problem; "" where there is no other.
         position: shape (N,), where each row stands in the order of measurement, in rows; None where there is none.
         serial: how the noise is correlated along that order; default: it is not.
+        trusted: shape (N,), rows that are not to be taken for outliers; default: none.
     """
 
     model: Model
@@ -52,6 +53,7 @@ class Station:
     whitening: np.ndarray | None = None
     position: np.ndarray | None = None
     serial: Serial | None = None
+    trusted: np.ndarray | None = None
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
@@ -81,6 +83,7 @@ class Station:
             whitening=None if self.whitening is None else np.ascontiguousarray(self.whitening[..., rows]),
             position=None if self.position is None else self.position[rows],
             serial=None if self.serial is None else self.serial.select(rows),
+            trusted=None if self.trusted is None else self.trusted[rows],
         )
 
     def sample(self, most: int) -> Station:
