@@ -183,7 +183,7 @@ def identify(robot: pincal.Robot, folder: Path, *, truth: dict[str, float]) -> p
     for model, what in (("nominal", "only places and pinhole fitted"), ("calibrated", "robot and distortion, too")):
         error = result.error[model]["test"]
         print(f"held out, {model:15s} mean {error['mean_mm']:.4f} mm, {error['mean_px']:.4f} px ({what})")
-    print("".join(f"note: {warning}\n" for warning in result.warnings), end="")
+    print("".join(f"{warning.severity}: {warning}\n" for warning in result.warnings), end="")
     return calibration
 
 

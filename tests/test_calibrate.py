@@ -314,7 +314,7 @@ def test_the_convention_of_moments_that_fits_best_is_taken_and_named(shared_data
     robot = Robot.from_urdf(shared_data / folder / "robot.urdf")
     train = read_measurements(shared_data / folder / "train.csv", robot.joint_names)
     found = run_calibration(robot, train, Options(moment_frame="auto"))
-    named = [note for note in found.result.warnings if "--moment-frame" in note]
+    named = [note.text for note in found.result.warnings if "--moment-frame" in note.text]
 
     assert found.fit.options.moment_frame == found.fit.model.chain.moment_frame == frame
     assert named == (
@@ -450,7 +450,8 @@ def test_held_out_rows_that_are_far_off_are_told(kuka):
         run_calibration(kuka, table, OPTIONS, holdout=rows).result for rows in (held, held.with_readings(position=wrong))
     )
 
-    assert not any("held-out rows are off" in note for note in sound.warnings)
-    (note,) = [note for note in found.warnings if "held-out rows are off" in note]
-    assert note.startswith("2 of 60 held-out rows are off by up to 6.9")
-    assert note.endswith(f"see lines {held.rows[7]}, {held.rows[31]}")
+    assert not any("held-out rows are off" in note.text for note in sound.warnings)
+    (far,) = [note for note in found.warnings if "held-out rows are off" in note.text]
+    assert far.is_doubt and far.rows == (held.rows[7], held.rows[31])
+    assert far.text.startswith("2 of 60 held-out rows are off by up to 6.9")
+    assert far.text.endswith(f"see lines {held.rows[7]}, {held.rows[31]}")

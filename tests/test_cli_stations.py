@@ -167,7 +167,7 @@ def test_check_looks_at_all_stations(tmp_path: Path, tables: dict[str, Columns],
     assert (found["rows"], found["kind"]) == (118, "position and socket")
     status = {row["name"]: row["status"] for row in found["parameters"]}
     assert status["joint_2.theta"] == "identified" and "tracker/base.x" in status
-    assert not any("contacts" in warning for warning in found["warnings"])
+    assert not any("contacts" in warning["text"] for warning in found["warnings"])
     sizes = {e["effect"]: e["size"] for e in found["detectable"]["effects"] if e["joint"] == "joint_2"}
     assert 0.0 < sizes["gear_eccentricity"] < 1e-3
 

@@ -223,7 +223,7 @@ def test_one_wrong_reading_is_no_change(same: tuple[CalibratedModel, Measurement
     found = pincal.diagnose(model, table)
 
     assert not found.changed
-    assert "contradict" in found.found.notes[0]
+    assert "contradict" in found.found.warnings[0].text
 
 
 @pytest.mark.parametrize(("case", "code"), [("null25_heavy_6r", 0), ("offset15_heavy_6r", 6)])

@@ -20,6 +20,7 @@ LAYERS = (
     "plugins",
     "spread",
     "units",
+    "notes",
     "tables",
     "parameters",
     "robot",

@@ -272,7 +272,7 @@ def test_the_moments_that_are_identified_are_those_of_the_machine(found: Calibra
 def test_what_is_known_of_masses_is_said(found: Calibration) -> None:
     """The page has the moments, a note says what masses were found, and no mass is called indistinguishable."""
     section = moments_section(Subject(found, {}, ()))
-    (note,) = [note for note in found.result.warnings if "masses" in note]
+    (note,) = [note.text for note in found.result.warnings if "masses" in note.text]
     rows = [row for row in found.result.parameters if row.effect == LinkMass.name]
 
     assert section is not None and "of 6 links" in note and "no prediction depends" in note

@@ -43,9 +43,10 @@ def test_what_repeated_positions_can_not_tell_is_said(kuka: Robot, rows: Measure
     report = precheck(kuka, rows, options)
     step = 2.0 * np.degrees(np.ptp(rows.q[:, 1])) / 4.0
 
-    said = [note for note in report.warnings if "distinct positions" in note]
-    assert [note.split()[0] for note in said] == ["joint_2", "joint_3"]
-    assert f"takes 5 distinct positions in {ROWS} rows" in said[0] and f"a wave shorter than {step:.3g} deg" in said[0]
+    said = [note for note in report.warnings if "distinct positions" in note.text]
+    texts = [note.text for note in said]
+    assert [text.split()[0] for text in texts] == ["joint_2", "joint_3"]
+    assert f"takes 5 distinct positions in {ROWS} rows" in texts[0] and f"a wave shorter than {step:.3g} deg" in texts[0]
     assert [joint.distinct for joint in report.joints[1:3]] == [5, 12]
     assert set(said) <= set(run_discovery(kuka, rows, options, test_fraction=0.0).calibration.result.warnings)
 

@@ -274,7 +274,7 @@ def test_a_missing_effect_is_told_without_any_declared_noise(kuka, soft):
     """Geometry alone does not fit a robot that bends; with elasticity it does, and RP is the same."""
     lacking = soft.result
     assert lacking.lack_of_fit.p_value < 1e-6 and verdict_of(lacking).judgement == "not adequate"
-    assert any("lack of fit" in words for words in lacking.warnings)
+    assert any("lack of fit" in words.text for words in lacking.warnings)
     whole = run_calibration(kuka, visited(50, 3, 0, compliance=3e-7), Options(effects=ELASTIC)).result
     assert whole.lack_of_fit.p_value > 1e-3 and verdict_of(whole).judgement == "adequate"
     assert whole.lack_of_fit.pure_error["sigma_m"] == pytest.approx(5e-5, rel=0.15)
@@ -289,7 +289,7 @@ def test_a_robot_that_repeats_badly_is_not_a_wrong_model(kuka):
     rows = visited(40, 4, 1, scatter=1e-4)
     result = run_calibration(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5)).result
     assert result.chi2_p_value < 1e-3 < result.lack_of_fit.p_value
-    assert any("repeats poorly" in words for words in result.warnings)
+    assert any("repeats poorly" in words.text for words in result.warnings)
 
 
 def test_the_report_has_a_section_on_visits(soft, monkeypatch):

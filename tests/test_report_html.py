@@ -184,7 +184,7 @@ def test_verdicts(run: Calibration, found: Discovery) -> None:
     assert verdict_of(result).judgement == "adequate"
     assert verdict_of(replace(result, chi2_p_value=None)).judgement == "not judged"
     assert verdict_of(replace(result, chi2_p_value=1e-9)).judgement == "not adequate"
-    assert verdict_of(replace(result, converged=False)).judgement == "not converged"
+    assert verdict_of(replace(result, converged=False)).judgement == "not adequate"
     assert verdict_of(found.calibration.result, found).judgement == found.report["verdict"]
 
 

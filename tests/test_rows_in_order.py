@@ -116,7 +116,7 @@ def test_play_is_found_by_the_order_of_rows(machine: sim.TrueMachine, tmp_path: 
     discovery = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA))
     (found,) = discovery.findings.effects
     assert discovery.report["approach_from"] == "the sign of the move from the row before"
-    assert any("rows.csv: the side from which joints arrived" in text for text in discovery.calibration.result.warnings)
+    assert any("rows.csv: the side from which joints arrived" in note.text for note in discovery.calibration.result.warnings)
     (half,) = found.parameters.values()
 
     assert (found.effect, found.joint) == ("backlash", "joint_2")

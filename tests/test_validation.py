@@ -57,13 +57,13 @@ def test_rows_that_were_fitted_are_not_called_held_out(
     """They tell how well the model was fitted: said as diagnose says it, with the number of such rows."""
     fitted, new = measured(machine, kuka, poses=100), measured(machine, kuka, seed=5)
     found = validate_rows([model], fitted)
-    assert found.fitted_rows == 100 and any("fitted to 100 of these 100 rows" in note for note in found.notes)
+    assert found.fitted_rows == 100 and any("fitted to 100 of these 100 rows" in note.text for note in found.notes)
     assert validate_rows([model], new).fitted_rows == 0
 
     model.save(tmp_path / "model.json")
     assert run("validate", tmp_path / "model.json", written(tmp_path / "fitted.csv", fitted)) == 0
     told = capsys.readouterr()
-    assert "held out" not in told.out and "fitted to 100 of these 100 rows" in " ".join(told.err.split())
+    assert "held out" not in told.out and "fitted to 100 of these 100 rows" in " ".join(told.out.split())
 
 
 @pytest.mark.parametrize("way", [2e-4, 5.0])
@@ -83,7 +83,7 @@ def test_many_changes_at_once_may_be_another_robot(machine: sim.TrueMachine, kuk
     found = diagnose(model, measured(drawn(5), kuka, poses=40)).found
 
     assert found.changed and len(found.changes) >= 4
-    assert any("of this very robot" in note for note in found.notes)
+    assert any("of this very robot" in note.text for note in found.warnings)
 
 
 def altered(table: Measurements, change: str) -> Measurements:
@@ -182,7 +182,7 @@ def test_the_nearest_station_is_taken(machine: sim.TrueMachine, kuka: Robot) -> 
 
     assert found.placed == "as calibrated" and found.model is models["tuesday"]
     forced = validate_rows([models["monday"]], rows, refit=False)
-    assert forced.placed == "as calibrated" and "fit another place" in forced.notes[0] and forced.doubt == ""
+    assert forced.placed == "as calibrated" and "fit another place" in forced.notes[0].text and forced.doubt == ""
 
 
 ENDS = (("monday", FIRST), ("tuesday", AWAY))

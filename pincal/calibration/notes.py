@@ -9,20 +9,26 @@ from typing import Any
 
 import numpy as np
 
+from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.fit import Fit
 from pincal.identify.moments import found_moments
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.notes import Note, Severity
 from pincal.validate.accuracy import pose_errors
 from pincal.validate.agreement import implausible
+from pincal.validate.gathered import Gathering, gathering_of
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.misfit import MISFIT
 from pincal.validate.rows_apart import in_common, step_in
+from pincal.validate.verdict import tells
 
 # A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
 _FAR = 10.0
 # Lines that a note lists.
 _LISTED = 8
+# Rank correlation of a joint's positions with the order of the rows from which it moved steadily along them; rows for that.
+_STEADY, _ROWS = 0.95, 20
 # Part of the rows from which on outliers are no exceptions; of real tables some percent are left out.
 _MANY = 0.25
 
@@ -31,9 +37,15 @@ class Kind(Enum):
     """What is noteworthy; the values are how it is said, with its figures in braces."""
 
     FEW_READINGS = (
-        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters: the result is "
-        "dominated by the prior; measure more poses"
+        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
+        "they determine: too few for residuals of twice the noise to be noticed, and the result is dominated by the prior; "
+        "measure more poses"
     )
+    SPARE_READINGS = (
+        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters: the result leans on "
+        "the prior; measure more poses"
+    )
+    CONTRADICTED = "{what}"
     NOT_CONVERGED = "the fit did not converge ({how}); check the noise, and look for rows that do not belong to this robot"
     NOISE_EXCEEDED = (
         "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is incomplete or the declared "
@@ -56,6 +68,18 @@ class Kind(Enum):
         "from line {line} on readings are shifted by {size:.3g} mm: was the instrument or the target touched? "
         "If so, make the rows before and after two stations (column station)"
     )
+    DEPENDENT_ROWS = (
+        "what is left depends on the order of the rows: {what}; look for what changed while they were measured: the "
+        "instrument's set-up, temperature, the clamping of robot and target"
+    )
+    SORTED = (
+        "{joint} moved steadily along the rows, so that what drifts with time can't be told from what follows this joint; "
+        "measure the poses in random order, or some of them again at the end"
+    )
+    GATHERED = (
+        "{count} of the {rows} rows left out as outliers gather {where}: the robot does something there that the model does "
+        "not describe, or the instrument read wrong; lines {lines}"
+    )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
     NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
@@ -70,70 +94,133 @@ class Kind(Enum):
     )
 
 
-DOUBTS = (Kind.IMPLAUSIBLE, Kind.MANY_OUTLIERS)
+UNUSABLE = frozenset({Kind.IMPLAUSIBLE, Kind.MANY_OUTLIERS})
 """What makes a calibration none, though it converged."""
+
+DOUBTS = UNUSABLE | {
+    Kind.FEW_READINGS,
+    Kind.NOT_CONVERGED,
+    Kind.NOISE_EXCEEDED,
+    Kind.CONTRADICTED,
+    Kind.STEP,
+    Kind.DEPENDENT_ROWS,
+    Kind.SORTED,
+    Kind.GATHERED,
+    Kind.FAR_OFF,
+    Kind.LACK_OF_FIT,
+}
+"""What keeps the verdict from being "adequate"."""
 
 
 @dataclass(frozen=True)
-class Note:
-    """One finding; ``str()`` gives it in words.
+class Finding:
+    """One thing that was found; ``str()`` gives it in words.
 
     Attributes:
         kind: what was found.
         figures: its particulars, by the names in the text of the kind.
         station: name of the station that it is about; "" for all of them.
+        rows: lines of the rows that it is about, where it is about some.
     """
 
     kind: Kind
     figures: Mapping[str, Any] = field(default_factory=dict)
     station: str = ""
+    rows: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         words = self.kind.value.format(**self.figures)
         return f"{self.station}: {words}" if self.station else words
 
+    @property
+    def note(self) -> Note:
+        """What is said of it."""
+        return Note(Severity.DOUBT if self.kind in DOUBTS else Severity.NOTE, str(self), self.rows)
 
-def notes_on_data(fit: Fit) -> list[Note]:
-    """Return whether the readings are few for the parameters; however much is read of a pose, it has six coordinates."""
-    readings, n_poses = 0, 0
-    for station, places, _ in fit.stations:
-        poses = len(np.unique(station.conditions.q, axis=0))
-        own = int(station.split(fit.solution.free[places])[1].sum())
-        readings += min(len(station) * sum(block.size for block in station.sensor.blocks), 6 * poses + own)
-        n_poses += poses
+
+@dataclass(frozen=True)
+class Readings:
+    """How much a fit rests on.
+
+    Attributes:
+        poses: number of distinct poses of the fitted rows.
+        readings: what was read of them; a pose that was measured again counts once, and has six coordinates however much
+            was read of it.
+        degrees: readings beyond the parameters that they determine.
+    """
+
+    poses: int
+    readings: int
+    degrees: float
+
+    @classmethod
+    def of(cls, fit: Fit, replicates: Iterable[np.ndarray]) -> Readings:
+        """Count those of a calibration; ``replicates`` are, for each station, the numbers of the fitted rows' poses."""
+        readings, n_poses = 0, 0
+        for (station, places, _), numbers in zip(fit.stations, replicates, strict=True):
+            distinct = len(np.unique(numbers))
+            poses = min(len(np.unique(station.conditions.q, axis=0)), distinct)
+            own = int(station.split(fit.solution.free[places])[1].sum())
+            readings += min(distinct * sum(block.size for block in station.sensor.blocks), 6 * poses + own)
+            n_poses += poses
+        return cls(n_poses, readings, readings - float(fit.solution.effective))
+
+
+def findings_on_data(fit: Fit, read: Readings) -> list[Finding]:
+    """Return whether the readings are few for the parameters, and whether they contradict what was given."""
+    found = [Finding(Kind.CONTRADICTED, {"what": what}) for what in doubts_of_known(fit)]
     released = int(fit.solution.free.sum())
-    if readings >= 2 * released:
-        return []
-    figures = {"rows": len(fit.problem), "poses": n_poses, "readings": readings, "parameters": released}
-    return [Note(Kind.FEW_READINGS, figures)]
+    figures = {"rows": len(fit.problem), "poses": read.poses, "readings": read.readings, "parameters": released}
+    if not tells(read.degrees):
+        return [Finding(Kind.FEW_READINGS, figures | {"left": max(read.degrees, 0.0)}), *found]
+    return [Finding(Kind.SPARE_READINGS, figures), *found] if read.readings < 2 * released else found
 
 
-def notes_on_fit(fit: Fit, p_value: float | None) -> list[Note]:
+def findings_on_fit(fit: Fit, p_value: float | None) -> list[Finding]:
     """Return what the fit itself says.
 
     Args:
         fit: the calibration.
         p_value: of its chi-square against the declared noise; None if none was declared.
     """
-    found = [] if fit.solution.converged else [Note(Kind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
+    found = [] if fit.solution.converged else [Finding(Kind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
     if p_value is not None and p_value < MISFIT:
-        found.append(Note(Kind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
+        found.append(Finding(Kind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
     if p_value is not None and p_value > 1.0 - MISFIT:
-        found.append(Note(Kind.NOISE_OVERSTATED))
+        found.append(Finding(Kind.NOISE_OVERSTATED))
     if (moments := found_moments(fit)) is not None:
         percent = 100.0 * moments.factor_sigma
-        found.append(Note(Kind.MASSES_FOUND, {"links": len(moments.links), "mass": moments.mass, "percent": percent}))
+        found.append(Finding(Kind.MASSES_FOUND, {"links": len(moments.links), "mass": moments.mass, "percent": percent}))
     return found
 
 
-def notes_on_plausibility(fit: Fit, tables: Iterable[Measurements]) -> list[Note]:
+def findings_on_order(station: Station) -> list[Finding]:
+    """Return whether the noise of a station's rows depends on their order, and whether that order is a joint's, too."""
+    found, serial, n = [], station.serial, len(station)
+    if serial is not None:
+        share = float(np.max(serial.share))
+        rows = 1.0 / (1.0 - float(np.max(serial.phi)))
+        lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
+        what = f"{100 * share:.0f} % of its variance is an error that lasts {lasts}, by which rows were weighed"
+        found.append(Finding(Kind.DEPENDENT_ROWS, {"what": what}, station.name))
+    if station.position is not None and n >= _ROWS:
+        names = station.model.chain.robot.joint_names
+        rank = np.argsort(np.argsort([*station.conditions.q.T, station.position], axis=1), axis=1)
+        moves = np.ptp(station.conditions.q, axis=0) > 0.0
+        steady = np.where(moves, np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1]), 0.0)
+        if steady.max() > _STEADY:
+            found.append(Finding(Kind.SORTED, {"joint": names[int(np.argmax(steady))]}, station.name))
+    return found
+
+
+def findings_on_plausibility(fit: Fit, tables: Iterable[Measurements]) -> list[Finding]:
     """Return at which stations, with these fitted rows, the fit leaves what no real arm does."""
-    return [Note(Kind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)]
+    return [Finding(Kind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)]
 
 
-def notes_on_outliers(
+def findings_on_outliers(
     station: Station, values: np.ndarray, free: np.ndarray, *, table: Measurements, rejected: np.ndarray
-) -> list[Note]:
+) -> list[Finding]:
     """Return which rows of a station were rejected, by their lines, and where the instrument was moved between rows.
 
     Args:
@@ -145,16 +232,31 @@ def notes_on_outliers(
     """
     lines = table.rows[rejected].tolist()
     figures = {"count": len(lines), "rows": len(table), "lines": _listed(lines)}
-    found = [Note(Kind.OUTLIERS, figures, station.name)] if lines else []
+    found = [Finding(Kind.OUTLIERS, figures, station.name, tuple(lines))] if lines else []
     if rejected.mean() >= _MANY:
         common = in_common(station, values, table, rejected) or "they have nothing in common that could be found"
-        found = [Note(Kind.MANY_OUTLIERS, figures | {"common": common}, station.name)]
+        found = [Finding(Kind.MANY_OUTLIERS, figures | {"common": common}, station.name, tuple(lines))]
+    elif (gathered := gathering_of(station, rejected)) is not None:
+        where = _words_of(station, gathered)
+        here = table.rows[gathered.rows].tolist()
+        figures = {"count": len(here), "rows": len(lines), "where": where, "lines": _listed(here)}
+        found.append(Finding(Kind.GATHERED, figures, station.name, tuple(here)))
     if step := step_in(station, values, free, table.rows):
-        found.append(Note(Kind.STEP, {"line": step.line, "size": 1e3 * step.size}, station.name))
+        found.append(Finding(Kind.STEP, {"line": step.line, "size": 1e3 * step.size}, station.name, (step.line,)))
     return found
 
 
-def notes_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Note]:
+def _words_of(station: Station, gathered: Gathering) -> str:
+    """Return where outliers gather."""
+    robot = station.model.chain.robot
+    if gathered.variable not in robot.joint_names:
+        return "in one stretch of the table"
+    unit = robot.joint_units[robot.joint_names.index(gathered.variable)]
+    low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
+    return f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
+
+
+def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Finding]:
     """Return whether some held-out rows of a station are far off all others: a few of them dominate a mean."""
     if test is None:
         return []
@@ -162,17 +264,18 @@ def notes_on_held_out(test: Station | None, values: np.ndarray, table: Measureme
     far = errors > _FAR * np.median(errors)
     if not far.any():
         return []
+    lines = table.rows[far].tolist()
     figures = {
         "count": int(far.sum()),
         "rows": len(errors),
         "largest": float(errors.max()),
         "mean": float(errors[~far].mean()),
-        "lines": _listed(table.rows[far].tolist()),
+        "lines": _listed(lines),
     }
-    return [Note(Kind.FAR_OFF, figures, test.name)]
+    return [Finding(Kind.FAR_OFF, figures, test.name, tuple(lines))]
 
 
-def notes_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Note]:
+def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Finding]:
     """Return what replicates say of model and noise.
 
     Args:
@@ -182,9 +285,9 @@ def notes_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[N
     if lack is None:
         return []
     if lack.is_significant:
-        return [Note(Kind.LACK_OF_FIT, {"test": lack})]
+        return [Finding(Kind.LACK_OF_FIT, {"test": lack})]
     if p_value is not None and p_value < MISFIT:
-        return [Note(Kind.NOISY_REPLICATES, {"test": lack})]
+        return [Finding(Kind.NOISY_REPLICATES, {"test": lack})]
     return []
 
 

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, cast
 
 import numpy as np
-from msgspec import UNSET
+from msgspec import UNSET, to_builtins
 from scipy.special import chdtrc
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.moves import Move, moves_of, spent_at
 from pincal.calibration.notes import (
-    DOUBTS,
+    UNUSABLE,
+    Finding,
     Kind,
-    Note,
-    notes_on_fit,
-    notes_on_held_out,
-    notes_on_outliers,
-    notes_on_plausibility,
-    notes_on_replicates,
+    Readings,
+    findings_on_data,
+    findings_on_fit,
+    findings_on_held_out,
+    findings_on_order,
+    findings_on_outliers,
+    findings_on_plausibility,
+    findings_on_replicates,
 )
 from pincal.calibration.parameters import ParameterRow, parameter_rows
 from pincal.calibration.placing import moved
@@ -29,9 +33,11 @@ from pincal.identify.fit import Fit
 from pincal.identify.station import Station
 from pincal.io.result_file import Correlation, Errors, MovedParameter, NoiseRecord, Outcome, StationRecord
 from pincal.measure.poses import SCATTER, replicate_groups
+from pincal.notes import Note, doubts_first, doubts_of
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.replicates import Replicates, iso9283
+from pincal.validate.verdict import Beside, Verdict, judge, tells
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
 _CORRELATED = 0.9
@@ -46,6 +52,33 @@ class Result(Outcome):
     parameters: tuple[ParameterRow, ...]
     doubt: str = ""
     """Why this is no calibration though the fit converged; empty if it is one."""
+    shift: str = ""
+    """Where rows shift from some line on, so that they are of two set-ups and not of one; empty if they do not."""
+
+    @property
+    def doubts(self) -> tuple[Note, ...]:
+        """What makes it doubtful."""
+        return doubts_of(self.warnings)
+
+    @property
+    def beside(self) -> Beside | None:
+        """The residuals beside a noise that is known without the model; None if there is none.
+
+        Where repeated poses tell the noise it is theirs, which holds what the robot itself does not repeat.
+        """
+        lacks = [self.lack_of_fit] if self.stations is UNSET else [record.get("lack_of_fit") for record in self.stations]
+        known = [lack for lack in lacks if lack is not None and tells(lack.degrees.misfit, lack.degrees.pure_error)]
+        if known and len(known) == len(lacks):
+            worst = min(known, key=lambda lack: lack.p_value)
+            return Beside("the scatter between repeated measurements of a pose", worst.F**0.5, worst.p_value)
+        if self.chi2_p_value is None:
+            return None
+        return Beside("the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value)
+
+    def verdict_of(self, *, left: bool = False) -> Verdict:
+        """Return whether the model explains the data; ``left`` says that a search saw that it does not."""
+        unusable = bool(self.doubt) or not self.converged
+        return judge(self.beside, self.doubts, unusable=unusable, left=left, few=not tells(self.degrees))
 
     @property
     def left_out_mm(self) -> tuple[float, float] | None:
@@ -61,8 +94,9 @@ class Result(Outcome):
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
         absent = {name for name in ("iso9283", "lack_of_fit", "stations") if getattr(self, name) in (None, UNSET)}
-        contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt"}}
-        return contents | {"parameters": [row.to_dict() for row in self.parameters]}
+        contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
+        contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
+        return contents | {"verdict": self.verdict_of().value}
 
 
 def result_of(
@@ -70,7 +104,7 @@ def result_of(
     rows: Sequence[StationRows],
     *,
     seconds: float,
-    notes: tuple[str, ...] = (),
+    notes: Sequence[Note] = (),
     left_out: Sequence[LeftOut] = (),
 ) -> Result:
     """Put a calibration's result together.
@@ -79,7 +113,7 @@ def result_of(
         fit: the calibration.
         rows: the rows of each station, fitted and held out.
         seconds: how long it took.
-        notes: notes on robot and data, which come first.
+        notes: on robot and data, which come before others of their severity.
         left_out: each station predicted by the model of the others, if that was asked; these are the held-out errors then.
     """
     solution = fit.solution
@@ -88,11 +122,18 @@ def result_of(
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
     again = [_replicates(fit, k, part) for k, part in enumerate(seen)]
     iso, lack = again[0] if len(seen) == 1 else (None, None)
-    on_replicates = (
-        n for part, (_, lack) in zip(seen, again, strict=True) for n in _notes_on_replicates(part, lack, p_value)
-    )
-    doubtful = notes_on_plausibility(fit, [part.train for part in rows])
-    found = [*doubtful, *notes_on_fit(fit, p_value), *_notes_on_rows(seen, left_out), *on_replicates]
+    on_replicates = [n for part, (_, lack) in zip(seen, again, strict=True) for n in _on_replicates(part, lack, p_value)]
+    read = Readings.of(fit, [part.poses[0] for part in seen])
+    found = [
+        *findings_on_plausibility(fit, [part.train for part in rows]),
+        *findings_on_fit(fit, p_value),
+        *findings_on_data(fit, read),
+        *_on_rows(seen, left_out),
+        *on_replicates,
+    ]
+    if len(on_replicates) == len(seen) and all(n.kind is Kind.NOISY_REPLICATES for n in on_replicates):
+        # What exceeds the declared noise is the scatter between replicates, which is told.
+        found = [n for n in found if n.kind is not Kind.NOISE_EXCEEDED]
     fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
     error = _errors(seen)
     alone = [one for one in left_out if one.sizes]
@@ -116,8 +157,10 @@ def result_of(
         correlations=_correlations(fit, parameters),
         stages=fit.stages,
         error=error,
-        warnings=(*notes, *map(str, found)),
-        doubt=next((str(note) for note in found if note.kind in DOUBTS), ""),
+        warnings=doubts_first([*notes, *(n.note for n in found)]),
+        degrees=read.degrees,
+        doubt=next((str(n) for n in found if n.kind in UNUSABLE), ""),
+        shift=next((str(n) for n in found if n.kind is Kind.STEP), ""),
         iso9283=iso,
         lack_of_fit=lack,
         stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
@@ -154,6 +197,11 @@ class _Seen:
         free = fit.solution.free[problem.places[k]]
         return cls(rows, problem.stations[k], rows.held(fit), values, problem.block_spans[k], weights, free)
 
+    @cached_property
+    def poses(self) -> list[np.ndarray]:
+        """Numbers of the poses of the fitted rows, and of the held-out ones."""
+        return replicate_groups(self.rows.measured, within=SCATTER)
+
     @property
     def parts(self) -> dict[str, Station]:
         """Fitted rows, and held-out ones if there are any."""
@@ -165,10 +213,11 @@ class _Seen:
         return [int(line) for line in self.rows.measured[0].rows[self.rows.by_row(self.weights) == 0.0]]
 
     @property
-    def notes(self) -> list[Note]:
+    def findings(self) -> list[Finding]:
         """What to say of them."""
         values, rejected = self.values["calibrated"], self.weights == 0.0
-        return notes_on_outliers(self.train, values, self.free, table=self.rows.train, rejected=rejected)
+        found = findings_on_outliers(self.train, values, self.free, table=self.rows.train, rejected=rejected)
+        return [*found, *findings_on_order(self.train)]
 
 
 def _errors(seen: Sequence[_Seen]) -> Errors:
@@ -220,23 +269,22 @@ def _moved(move: Move) -> MovedParameter:
     return {"name": at.name, "unit": at.unit, "change": move.change, "sigma": move.sigma, "moved": move.moved}
 
 
-def _notes_on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Note]:
-    """Yield notes on the rows of each station: the fitted ones, then those that judge."""
+def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Finding]:
+    """Yield what was found of the rows of each station: the fitted ones, then those that judge."""
     for part in seen:
-        yield from part.notes
+        yield from part.findings
     if not left_out and not any(part.test for part in seen):
-        yield Note(Kind.NOT_HELD_OUT)
+        yield Finding(Kind.NOT_HELD_OUT)
     for one in left_out:
         if one.obstacle:
-            yield Note(Kind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
+            yield Finding(Kind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
     for part in seen:
-        yield from notes_on_held_out(part.test, part.values["calibrated"], part.rows.test)
+        yield from findings_on_held_out(part.test, part.values["calibrated"], part.rows.test)
 
 
 def _replicates(fit: Fit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where a station measured poses again."""
-    train, test = seen.rows.measured
-    train_poses, test_poses = replicate_groups([train, test], within=SCATTER)
+    (train, test), (train_poses, test_poses) = seen.rows.measured, seen.poses
     if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
         return None, None
     at = fit.problem.stations[k].name
@@ -250,9 +298,9 @@ def _replicates(fit: Fit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, L
     return iso9283(found, seen.values), lack
 
 
-def _notes_on_replicates(seen: _Seen, lack: LackOfFit | None, p_value: float | None) -> Iterator[Note]:
+def _on_replicates(seen: _Seen, lack: LackOfFit | None, p_value: float | None) -> Iterator[Finding]:
     """Yield what the replicates of a station say; of the only one nothing tells which it is."""
-    yield from (replace(note, station=seen.rows.name) for note in notes_on_replicates(lack, p_value))
+    yield from (replace(found, station=seen.rows.name) for found in findings_on_replicates(lack, p_value))
 
 
 def _noise(fit: Fit, blocks: slice = slice(None)) -> NoiseRecord:

@@ -12,17 +12,17 @@ import numpy as np
 
 from pincal.calibration.fit import Fit, calibrate
 from pincal.calibration.left_out import leave_out_stations, require_several
-from pincal.calibration.notes import notes_on_data
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.rows import StationRows, Validation, split_rows, with_holdout
 from pincal.calibration.tables import error_table
 from pincal.errors import BadInputError
-from pincal.identify.calibrate import Tables, doubts_of_known, tables_of
+from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.admit import admit, noted, unobservable_notes
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
+from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.validate.agreement import check_agreement
 
@@ -45,7 +45,7 @@ class Calibration:
     stations: tuple[StationRows, ...]
     fit: Fit
     result: Result
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     def __repr__(self) -> str:
         rows, errors = self.result.rows, self.result.error["calibrated"]
@@ -54,7 +54,9 @@ class Calibration:
         return f"Calibration({self.robot.name!r}: {counts}, mean error {mean:.4g} mm)"
 
     def _repr_html_(self) -> str:
-        return f"<p>{html.escape(repr(self))}</p>{error_table(self.result.error).to_html()}{self.fit.parameters.to_html()}"
+        doubts = "".join(f"<p><b>doubt: {html.escape(note.text)}</b></p>" for note in self.result.doubts)
+        errors, parameters = error_table(self.result.error).to_html(), self.fit.parameters.to_html()
+        return f"{doubts}<p>{html.escape(repr(self))}</p>{errors}{parameters}"
 
     @property
     def station(self) -> StationRows:
@@ -148,11 +150,11 @@ def run_calibration(
     # What one station's sensor can't see another's may.
     unseen = [list(unobservable_notes(train, setup_of(name))) for name, (train, _) in parts.items()]
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
-    notes += [*map(str, notes_on_data(fit)), *doubts_of_known(fit)]
     chosen, first = fit.options.moment_frame, options.first_frame
     if chosen != first:
         notes.append(f"moments bend the arm as with --moment-frame {chosen}: it fits better than {first}")
     log.info("judging the fit")
     left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
-    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=tuple(notes), left_out=tuple(left_out))
-    return Calibration(robot, rows, fit, result, tuple(notes))
+    told = doubts_first(notes)
+    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=told, left_out=tuple(left_out))
+    return Calibration(robot, rows, fit, result, told)

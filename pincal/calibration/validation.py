@@ -18,10 +18,13 @@ from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
+from pincal.measure.poses import replicate_groups
+from pincal.notes import Note, Severity
 from pincal.validate.accuracy import error_table, pose_errors
 from pincal.validate.agreement import is_anothers, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
 from pincal.validate.misfit import Misfit, has_moved, misfit
+from pincal.validate.verdict import Beside, Verdict, judge, tells
 
 Placement = Literal["as calibrated", "refitted"]
 # Residuals over what is expected of them from which on that is worth a note; UR10 tables of one series have up to 1.1.
@@ -61,8 +64,8 @@ class Validation:
     fitted: str = ""
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What the user should know beside the errors."""
+    def notes(self) -> tuple[Note, ...]:
+        """What the user should know beside the errors; all doubts, as such rows do not speak for the model."""
         rest = (
             f"{self.table.source}: off by {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
         )
@@ -73,8 +76,21 @@ class Validation:
             f"{self.table.source}: the model was fitted to {self.fitted_rows} of these {len(self.table)} rows, so they tell "
             "how well it was fitted, not how well it predicts; validate on rows measured apart"
         )
-        told = ((self.note, bool(self.note)), (rest, is_noted), (fitted, self.fitted_rows > 0))
-        return tuple(note for note, is_told in told if is_told)
+        told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
+        return tuple(Note(Severity.DOUBT, text) for text in filter(None, told))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the model explains these rows down to their noise."""
+        _, lack = self.replicate_statistics()
+        beside = None
+        if lack is not None and tells(lack.degrees.misfit, lack.degrees.pure_error):
+            beside = Beside("the scatter between repeated measurements of a pose", lack.F**0.5, lack.p_value)
+        elif self.model.is_noise_declared or self.table.sigma is not None:
+            beside = Beside("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
+        distinct = len(np.unique(replicate_groups([self.table])[0])) / len(self.table)
+        few = not tells(distinct * self.misfit.degrees - self.misfit.found)
+        return judge(beside, self.notes, unusable=bool(self.doubt), few=few)
 
     @cached_property
     def fitted_rows(self) -> int:

@@ -12,13 +12,14 @@ from rich.console import Console
 
 from pincal.calibration.run import Calibration
 from pincal.calibration.tables import moved_words
-from pincal.cli.tables import held_out_words, print_left_out
+from pincal.cli.tables import held_out_words, print_doubts, print_left_out
 from pincal.discover.precheck import DataReport
 from pincal.discover.run import Discovery
 from pincal.io.discovery_file import FoundEffect
 from pincal.measure.registry import blocks_of
 from pincal.model.effect import Family
 from pincal.model.registry import EFFECTS
+from pincal.notes import Note, doubts_first
 from pincal.report.tables import show_chance
 from pincal.report.verdict import next_steps, verdict_of
 from pincal.report.words import effect_words, noise_words
@@ -37,6 +38,7 @@ def print_brief(
 ) -> None:
     """Print what a calibration, or a discovery, comes to; ``notes`` are on the files in the folder."""
     result = calibration.result
+    print_doubts(result.warnings, out)
     print_left_out(result, out)
     rows = f"{result.rows['train']} rows fitted, {held_out_words(result)}"
     _line(out, "robot", f"{_arm(calibration.robot)}; {rows}")
@@ -56,6 +58,7 @@ def print_brief(
 
 def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command: str) -> None:
     """Print what a table can tell of a robot."""
+    print_doubts(found.warnings, out)
     _line(out, "robot", _arm(robot))
     _line(out, "rows", f"{found.rows} of kind {found.kind}")
     _line(out, "before", f"mean {found.nominal['mean_mm']:.4f} mm, max {found.nominal['max_mm']:.4f} mm: nominal robot, "
@@ -77,8 +80,9 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     _line(out, "more", "--verbose: coverage, what to expect of each parameter, smallest effects that would be found")
 
 
-def print_first_notes(notes: Sequence[str], out: Console) -> None:
-    """Print the first of what the user should know, and how much more there is."""
+def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
+    """Print the first of what is good to know, and how much more there is; doubts stand before the result, in full."""
+    notes = [note for note in doubts_first(told) if not note.is_doubt]
     more = len(notes) - _NOTES
     plural = "s" if more > 1 else ""
     for i, note in enumerate(notes[:_NOTES], 1):

@@ -181,7 +181,7 @@ def _tell(runs: dict[str, Calibration]) -> None:
     screen.print("\n(standard DH: base and tool fitted; DH,s: geometry and axis distortions; DH,s,e: with elasticity)\n")
     screen.print(parameter_table(result.parameters))
     for note in result.warnings:
-        screen.print(f"note: {note}")
+        screen.print(f"{note.severity}: {note}")
 
 
 def _tell_hidden(found: Discovery) -> None:

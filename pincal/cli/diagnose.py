@@ -10,7 +10,7 @@ import click
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, model_argument
-from pincal.cli.outputs import print_json, print_notes, provenance
+from pincal.cli.outputs import print_doubts, print_json, print_notes, provenance
 from pincal.errors import Exit
 from pincal.io.result_folder import output_folder
 
@@ -62,10 +62,11 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
     if arguments.general.as_json:
         print_json(found.report)
     else:
+        print_doubts(found.found.warnings)
         for line in lines(found.found):
             click.echo(line)
         click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
-    print_notes(found.found.notes, quiet=arguments.general.quiet)
+    print_notes(found.found.warnings, quiet=arguments.general.quiet)
     return Exit.CHANGED if found.changed else Exit.DONE
 
 

@@ -47,6 +47,9 @@ class FitArguments:
     view: bool = option(f"Also write {VIEW}: the robot and its errors in 3D.", False)
     chosen: CalibrationOptions = group("Model")
     split: SplitOptions = group("Validation")
+    accept_shift: bool = option(
+        "Exit with 0 though readings shift from some row on, as if instrument or target had been touched.", False
+    )
     dask: str | None = dask_option()
     general: GeneralOptions = group("General")
 
@@ -55,7 +58,8 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     """Run a calibration or a discovery on the files of the command line, write what it returns and print it.
 
     Raises:
-        IdentificationError: if the fit did not converge; the files are written all the same.
+        IdentificationError: if the fit did not converge, or instrument or target was touched between two rows; the files
+            are written all the same.
         AccuracyGateError: if the error exceeds the limit; likewise.
     """
     from pincal.calibration.run import Calibration
@@ -81,14 +85,13 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     else:
         from pincal.cli.brief import print_brief
         from pincal.cli.progress import console
-        from pincal.cli.tables import print_discovery, print_left_out, print_notes, print_result
+        from pincal.cli.tables import print_discovery, print_notes, print_result
 
         if not arguments.verbose:
             print_brief(calibration, discovery, console(), folder=arguments.out, notes=notes)
         elif discovery is None:
             print_result(result, console())
         else:
-            print_left_out(result, console())
             print_discovery(discovery, console())
             print_notes(result.warnings, console())
         for note in notes if arguments.verbose else ():
@@ -98,6 +101,8 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
         raise IdentificationError("the fit did not converge; the files hold its last state")
     if result.doubt:
         raise IdentificationError(f"not to be used: {result.doubt}")
+    if result.shift and not arguments.accept_shift:
+        raise IdentificationError(f"{result.shift}. The files are written; --accept-shift takes them as they are")
     part = "test" if "test" in result.error["calibrated"] else "train"
     rows = {"test": "held-out", "train": "fitted"}[part]
     require_accuracy(result.error["calibrated"][part]["mean_mm"], arguments.max_error, rows=rows)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from pincal.calibration.calibrated import CalibratedModel
     from pincal.model.effects import Conditions
+    from pincal.notes import Note
 
 # Rows outside the calibrated range that are listed one by one.
 _SHOWN = 5
@@ -28,10 +29,21 @@ def print_json(contents: Mapping[str, Any]) -> None:
     click.echo(json.dumps(contents, indent=2, allow_nan=False))
 
 
-def print_notes(notes: Iterable[str], *, quiet: bool) -> None:
-    """Print notes on stderr unless they are not wanted."""
-    for note in notes if not quiet else ():
-        click.echo(f"pincal: note: {note}", err=True)
+def print_doubts(notes: Iterable[Note]) -> None:
+    """Print what makes a result doubtful, before anything else of it and whatever else is wanted."""
+    from pincal.cli.progress import console
+    from pincal.cli.tables import print_doubts as print_on
+
+    print_on(notes, console())
+
+
+def print_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
+    """Print notes on stderr unless they are not wanted; doubts stand before the result."""
+    from pincal.notes import doubts_first
+
+    for note in doubts_first(notes) if not quiet else ():
+        if not note.is_doubt:
+            click.echo(f"pincal: note: {note}", err=True)
 
 
 def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, Any]:

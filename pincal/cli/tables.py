@@ -17,6 +17,7 @@ from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.power import TOLD_APART
 from pincal.discover.precheck import DataReport, DetectabilityTable
 from pincal.discover.run import Discovery
+from pincal.notes import Note, doubts_first, doubts_of
 from pincal.report.tables import (
     by_reason,
     coverage_table,
@@ -40,7 +41,8 @@ _SHOWN = ("O1", "O2")
 
 
 def print_result(result: Result, out: Console) -> None:
-    """Print errors before and after, the parameters, and what the user should know."""
+    """Print errors before and after, the parameters, and what the user should know, doubts first."""
+    print_doubts(result.warnings, out)
     print_left_out(result, out)
     out.print(_summary(result))
     if result.stations is not UNSET:
@@ -60,10 +62,17 @@ def print_left_out(result: Result, out: Console) -> None:
         out.print(f"On a set-up that it never saw: mean {means[0]:.4f} mm; geometry alone {means[1]:.4f} mm")
 
 
-def print_notes(notes: Iterable[str], out: Console) -> None:
-    """Print what the user should know."""
-    for note in notes:
-        out.print(hanging("note:", note), style="yellow")
+def print_doubts(notes: Iterable[Note], out: Console) -> None:
+    """Print what makes a result doubtful: before all else of it, in every mode, in full."""
+    for doubt in doubts_of(notes):
+        out.print(hanging("doubt:", doubt.text), style="bold red")
+
+
+def print_notes(notes: Iterable[Note | str], out: Console) -> None:
+    """Print what is good to know; doubts stand before the result."""
+    for note in doubts_first(notes):
+        if not note.is_doubt:
+            out.print(hanging("note:", note.text), style="yellow")
 
 
 def _summary(result: Result) -> str:
@@ -94,6 +103,7 @@ def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out:
 
 def print_precheck(precheck: DataReport, out: Console) -> None:
     """Print what can be identified from a table."""
+    print_doubts(precheck.warnings, out)
     out.print(f"{precheck.rows} rows of kind {precheck.kind}; nominal robot, base and tool fitted: mean "
               f"{precheck.nominal['mean_mm']:.3f} mm, max {precheck.nominal['max_mm']:.3f} mm")  # fmt: skip
     out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
@@ -132,6 +142,8 @@ def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: 
 def print_discovery(found: Discovery, out: Console) -> None:
     """Print where model and data disagreed, what made them, and how the error fell to the noise."""
     findings = found.findings
+    print_doubts(found.calibration.result.warnings, out)
+    print_left_out(found.calibration.result, out)
     out.print(hanging("Verdict:", f"{findings.verdict}. {verdict_of(found.calibration.result, found).reason}"))
     if findings.where:
         out.print(location_table(findings.where))

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from pincal.cli.arguments import argument, group, verb
 from pincal.cli.common import GeneralOptions, TableArguments, max_error_option, model_argument, station_option
-from pincal.cli.outputs import extrapolation, print_json, print_notes, require_accuracy
+from pincal.cli.outputs import extrapolation, print_doubts, print_json, print_notes, require_accuracy
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.calibration.validation import Validation
+    from pincal.notes import Note
 
 _EXAMPLES = """
 Examples:
@@ -63,8 +64,9 @@ def validate(arguments: ValidateArguments) -> Exit:
     if arguments.general.as_json:
         print_json(result)
     else:
+        print_doubts(notes)
         _print(found, result)
-    print_notes([*(note for each in found for note in each.notes), *notes], quiet=arguments.general.quiet)
+    print_notes(notes, quiet=arguments.general.quiet)
     doubts = [each.doubt for each in found if each.doubt]
     if doubts:
         tell_doubt("; ".join(doubts), arguments.model)
@@ -73,9 +75,13 @@ def validate(arguments: ValidateArguments) -> Exit:
     return Exit.DONE
 
 
-def _result(found: list[Validation]) -> tuple[dict[str, Any], list[str]]:
-    """Return the outcome for programs, and notes on rows beyond the calibrated range."""
+def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
+    """Return the outcome for programs, and what the user should know: of the rows, and of those beyond the range."""
+    from msgspec import to_builtins
+
+    from pincal.notes import doubts_first
     from pincal.validate.accuracy import error_statistics, pose_error_sizes
+    from pincal.validate.verdict import worst
 
     error = error_statistics(pose_error_sizes(each.station, each.values) for each in found)
     stations = list(map(_station, found))
@@ -86,13 +92,16 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], list[str]]:
     }
     # Of a single station what it says stands at the top as well.
     alone = {key: stations[0][key] for key in ("iso9283", "lack_of_fit") if len(found) == 1 and key in stations[0]}
+    notes = doubts_first([*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)])
     contents = {
+        "verdict": worst(each.verdict for each in found),
+        "warnings": to_builtins(notes),
         "rows": {"test": sum(len(each.table) for each in found)},
         "mean_mm": error["mean_mm"],
         "stations": stations,
         "error": {"calibrated": {"test": error}},
     }
-    return contents | alone | beyond, [note for _, notes in ranges for note in notes]
+    return contents | alone | beyond, notes
 
 
 def _station(found: Validation) -> dict[str, Any]:
@@ -102,6 +111,7 @@ def _station(found: Validation) -> dict[str, Any]:
     contents |= found.moved.to_dict() | {"error": found.error}
     contents |= {"fitted_rows": found.fitted_rows}
     contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
+    contents |= {"verdict": found.verdict}
     contents |= {} if iso is None else {"iso9283": iso}
     return contents | ({} if lack is None else {"lack_of_fit": asdict(lack)})
 
@@ -115,7 +125,7 @@ def _print(found: list[Validation], result: dict[str, Any]) -> None:
 
     out = console()
     for each in found:
-        out.print(hanging(f"{each.name}:", _place_words(each)))
+        out.print(hanging(f"{each.name}:", f"{_place_words(each)}; {each.verdict}"))
     parts = {part["name"]: part["error"] for part in result["stations"]}
     if len(found) == 1 and found[0].fitted_rows:
         parts = {"train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[0].error}

@@ -23,6 +23,7 @@ from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile, ExcludedEntry, MovedEntry
 from pincal.measure.checks import check_table
 from pincal.measure.measurements import Measurements
+from pincal.notes import Note, Severity, doubts_first
 from pincal.validate.accuracy import error_table
 
 # Chance of a false alarm.
@@ -136,7 +137,7 @@ def diagnose(
         gap={"before": error_table(placed.station, placed.values), "after": after},
         station=_moved(calibrated, mended),
         rows=len(measurements),
-        notes=tuple(_notes(verdict, measurements)),
+        warnings=doubts_first(_notes(verdict, measurements)),
     )
     return Diagnosis(found, mended)
 
@@ -235,7 +236,7 @@ def _moved(calibrated: Calibrated | CalibratedStations, after: CalibratedModel) 
     return MovedEntry(**min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument).to_dict())
 
 
-def _notes(verdict: Verdict, measurements: Measurements) -> Iterator[str]:
+def _notes(verdict: Verdict, measurements: Measurements) -> Iterator[Note | str]:
     for i in verdict.beside:
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
@@ -244,9 +245,10 @@ def _notes(verdict: Verdict, measurements: Measurements) -> Iterator[str]:
             "model left it, so that it is no change; discover finds what a model misses"
         )
     if len(verdict.steps) >= _MANY:
-        yield (
+        yield Note(
+            Severity.DOUBT,
             f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this very robot, not of another "
-            "one of its type; if they are, calibrate it anew"
+            "one of its type; if they are, calibrate it anew",
         )
     if verdict.wrong_rows:
         lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)

@@ -27,14 +27,12 @@ from pincal.io.discovery_file import (
     Stability,
     Stage,
     Untestable,
-    Verdict,
 )
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect
 from pincal.parameters import Estimate
-
-# Chance of residuals as large as these, if there were only the declared noise, below which something is missing.
-_MISFIT = 1e-3
+from pincal.validate.misfit import MISFIT
+from pincal.validate.verdict import judge
 
 
 def findings_of(
@@ -59,7 +57,7 @@ def findings_of(
     scatter = None if excess is None else excess.scattering
     floor, left = _errors_of(final)
     # Residuals that are larger than the declared noise allows.
-    is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < _MISFIT
+    is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
     effects = tuple(found for step in trail.steps for found in _found(fit, trail, step, gaps=gaps, periods=periods))
     return Findings(
@@ -70,7 +68,7 @@ def findings_of(
         effects=effects,
         scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
-        verdict=Verdict.NOT_ADEQUATE if is_misfit or excess else Verdict.ADEQUATE,
+        verdict=judge(None, left=is_misfit or excess is not None),
         unexplained_mm=left,
         approach_from=approach_from,
     )

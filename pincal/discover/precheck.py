@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import to_builtins
 
 from pincal.discover.policy import ALPHA
 from pincal.discover.power import FEWEST, POWER, Detectable, minimum_detectable
@@ -21,6 +22,7 @@ from pincal.model.catalogue import candidates, untestable
 from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.conditions import distinct_values
 from pincal.model.effects import ELASTIC
+from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.agreement import check_agreement
@@ -86,7 +88,7 @@ class DataReport:
         condition: of the determined directions.
         parameters: what to expect of each.
         detectable: how large each effect beyond the model would have to be to be found.
-        warnings: in words.
+        warnings: what else is to be said, doubts first.
     """
 
     kind: str
@@ -99,13 +101,14 @@ class DataReport:
     condition: float
     parameters: tuple[Expectation, ...]
     detectable: DetectabilityTable
-    warnings: tuple[str, ...]
+    warnings: tuple[Note, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the precheck as plain data."""
         return vars(self) | {
             "joints": [vars(joint) for joint in self.joints],
             "parameters": [vars(p) | {"reason": str(p.reason)} for p in self.parameters],
+            "warnings": to_builtins(self.warnings),
             "detectable": vars(self.detectable) | {"effects": [found.to_dict() for found in self.detectable.effects]},
         }
 
@@ -143,7 +146,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         condition=posterior.condition,
         parameters=tuple(_expectations(fit)),
         detectable=_outlook(robot, fit),
-        warnings=tuple(dict.fromkeys([*robot.notes, *notes])),
+        warnings=doubts_first([*robot.notes, *notes]),
     )
 
 

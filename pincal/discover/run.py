@@ -38,8 +38,10 @@ from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC
+from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.spread import wake
+from pincal.validate.verdict import Verdict
 
 # Blocks of poses that are left out in turn: enough that seven eighths determine the model nearly as well as all.
 _CV_BLOCKS = 8
@@ -69,7 +71,7 @@ class Discovery:
         return f"Discovery({robot!r}: {named or 'no effect'}; {self.findings.verdict})"
 
     def _repr_html_(self) -> str:
-        return f"<p>{html.escape(repr(self))}</p>{self.calibration._repr_html_()}"
+        return f"{self.calibration._repr_html_()}<p>{html.escape(repr(self))}</p>"
 
     @property
     def report(self) -> dict[str, Any]:
@@ -163,25 +165,32 @@ def run_discovery(
     seconds = time.perf_counter() - begun
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
+    # The search says what speaks against the model; whether anything speaks for it, the rule for all verbs.
+    verdict = result.verdict_of(left=findings.verdict is Verdict.NOT_ADEQUATE)
+    findings = msgspec.structs.replace(findings, verdict=verdict, warnings=result.warnings)
     return Discovery(final, trail, findings, gaps, traces)
 
 
 def _search(
     first: Calibration, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
-) -> tuple[History, tuple[str, ...]]:
+) -> tuple[History, tuple[Note, ...]]:
     """Return what was found from a calibration on, and notes."""
     blocks = np.concatenate(_regions(first)) % _CV_BLOCKS
     trail = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
     problem = trail.final.problem
     tables = (rows.train for rows in first.stations)
     sides = (note_on_sides(table.source, table.approach_from) for table in tables)
-    notes = [*first.notes, *dict.fromkeys(filter(None, sides)), *notes_on_repeats(problem.chain.robot, problem.conditions.q)]
+    notes: list[Note | str] = [
+        *first.notes,
+        *dict.fromkeys(filter(None, sides)),
+        *notes_on_repeats(problem.chain.robot, problem.conditions.q),
+    ]
     was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
     if frame != was:
         notes.append(f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}")
     if of_joints := note_on_joints(trail.final):
         notes.append(of_joints)
-    return trail, tuple(notes)
+    return trail, doubts_first(notes)
 
 
 def _regions(first: Calibration) -> list[np.ndarray]:
@@ -190,7 +199,7 @@ def _regions(first: Calibration) -> list[np.ndarray]:
 
 
 def _discovered(
-    search: Callable[[Calibration], tuple[History, tuple[str, ...]]],
+    search: Callable[[Calibration], tuple[History, tuple[Note, ...]]],
     robot: Robot,
     tables: dict[str, Measurements],
     options: Options,

@@ -6,6 +6,8 @@ from typing import Literal
 
 import msgspec
 
+from pincal.notes import Note
+
 
 class ChangeName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What changed.
@@ -94,7 +96,7 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
         gap: errors at the new poses by the model as it was, only placed again, and by the mended one [mm].
         station: how far instrument and target moved.
         rows: number of new rows.
-        notes: what else is to be said.
+        warnings: what else is to be said, doubts first.
     """
 
     changed: bool
@@ -105,4 +107,4 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
     gap: dict[Literal["before", "after"], dict[str, float]]
     station: MovedEntry
     rows: int
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Note, ...] = ()

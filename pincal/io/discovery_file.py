@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Any, Literal, Self
 
 import msgspec
 
 from pincal.model.effect import Effect
+from pincal.notes import Note
+from pincal.validate.verdict import Verdict
 
 # Part of the halves of the poses in which a name has to come up to be more than a hint.
 SURE = 0.6
-
-
-class Verdict(StrEnum):
-    """Whether the model, with all that was found, explains the data."""
-
-    ADEQUATE = "adequate"
-    NOT_ADEQUATE = "not adequate"
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -250,13 +244,14 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         effects: what was found, in the order in which it entered the model.
         scatter: the joint that scatters in the end, if one does.
         not_testable: what these data can't show.
-        verdict: whether the model explains the data in the end.
+        verdict: whether the model explains the data in the end, down to a noise that is known without it.
         unexplained_mm: what is left beyond the noise.
         hints: which of the effects come up in less than 60 % of the halves of the poses.
         only_in_halves: names that come up in at least 60 % of the halves, but not in all poses.
         poses_in_a_half: how many poses each half has; None where nobody looked.
         bootstrap: whether the effect that was accepted last may be chance; None where nobody looked, or none was.
         approach_from: where the side from which joints arrived comes from; None where a table doesn't tell any.
+        warnings: what else is to be said, doubts first, as in ``result.json``.
     """
 
     noise_floor_mm: float
@@ -273,3 +268,4 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     poses_in_a_half: int | None = None
     bootstrap: Bootstrap | None = None
     approach_from: str | None = None
+    warnings: tuple[Note, ...] = ()

@@ -9,7 +9,9 @@ from msgspec import UNSET, UnsetType
 
 from pincal.identify.fit import Stage
 from pincal.identify.reasons import Status
+from pincal.notes import Note
 from pincal.validate.lack_of_fit import LackOfFit
+from pincal.validate.verdict import Verdict
 
 
 class NoiseRecord(TypedDict):
@@ -133,7 +135,8 @@ class Outcome:
         stages: what was fitted one after the other.
         error: by model ("nominal": base and tool fitted alone; "calibrated") and rows ("train", "test"): statistics
             with their units, such as ``mean_mm``, ``rms_mm``, ``p95_mm``, ``max_mm``, ``mean_mrad``.
-        warnings: what else is to be said, in words.
+        warnings: what else is to be said, doubts first; texts alone in files of version 0.1.0.
+        degrees: readings of distinct poses beyond the parameters that they determine; not in files of version 0.1.0.
         iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
         lack_of_fit: test of the residuals against the scatter between repeated measurements.
         stations: what is to be said of each station.
@@ -152,7 +155,8 @@ class Outcome:
     correlations: tuple[Correlation, ...]
     stages: tuple[Stage, ...]
     error: Errors
-    warnings: tuple[str, ...]
+    warnings: tuple[Note, ...]
+    degrees: float = 0.0
     iso9283: dict[str, Any] | None = None
     lack_of_fit: LackOfFit | None = None
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
@@ -187,6 +191,9 @@ class ResultFile(Outcome):
 
     Attributes:
         parameters: every parameter, those that were not identified with the reason.
+        verdict: whether the model explains the data down to their noise; not in files of version 0.1.0.
     """
 
     parameters: tuple[ParameterRecord, ...]
+    warnings: tuple[Note | str, ...]  # type: ignore[assignment]
+    verdict: Verdict = Verdict.NOT_JUDGED

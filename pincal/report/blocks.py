@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 from markupsafe import Markup
+
+from pincal.notes import Note, doubts_of
 
 
 class Block(Protocol):
@@ -37,8 +39,21 @@ def code(text: object) -> Markup:
 
 
 def paragraph(text: str, tone: str = "") -> Markup:
-    """Return a paragraph; its tone may be "note", "mute" or "care"."""
+    """Return a paragraph; its tone may be "note", "doubt", "mute" or "care"."""
     return rich(f'<p class="{tone}">{{}}</p>' if tone else "<p>{}</p>", text)
+
+
+def doubts(notes: Iterable[Note]) -> Iterator[Markup]:
+    """Yield what makes a result doubtful, to stand before all else."""
+    for doubt in doubts_of(notes):
+        yield paragraph(rich("<b>Doubt:</b> {}", doubt.text), "doubt")
+
+
+def plain_notes(notes: Iterable[Note]) -> Iterator[Markup]:
+    """Yield what is good to know beside."""
+    for note in notes:
+        if not note.is_doubt:
+            yield paragraph(note.text, "note")
 
 
 def heading(text: str, anchor: str = "") -> Markup:

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from pincal.diagnosis.run import Diagnosis
 from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile
-from pincal.report.blocks import Section, bars, bullets, code, facts, group, heading, paragraph, rich
+from pincal.report.blocks import Section, bars, bullets, code, doubts, facts, group, heading, paragraph, plain_notes, rich
 from pincal.report.html import render
 from pincal.report.tables import show_chance
 from pincal.report.words import effect_meaning
@@ -156,8 +156,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
 def _answer(found: DiagnosisFile) -> Section:
     tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
     answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
-    notes = (paragraph(note, "note") for note in found.notes)
-    left = group("plain", paragraph(answer), *notes)
+    left = group("plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings))
     columns = group("split", left, group("plain", heading("What to do next"), bullets(_next_steps(found))))
     before, after = found.gap["before"], found.gap["after"]
     largest = max(before["max_mm"], after["max_mm"]) or 1.0

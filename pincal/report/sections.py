@@ -12,7 +12,22 @@ from pincal.calibration.result import Result
 from pincal.calibration.rows import StationRows
 from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table, shown_parameters
 from pincal.report.advice import unidentified_groups
-from pincal.report.blocks import Block, Section, bars, bullets, card, code, facts, group, heading, joined, paragraph, rich
+from pincal.report.blocks import (
+    Block,
+    Section,
+    bars,
+    bullets,
+    card,
+    code,
+    doubts,
+    facts,
+    group,
+    heading,
+    joined,
+    paragraph,
+    plain_notes,
+    rich,
+)
 from pincal.report.illustrations import (
     correction_drawings,
     error_drawings,
@@ -22,10 +37,11 @@ from pincal.report.illustrations import (
     workspace_drawings,
 )
 from pincal.report.subject import Subject
-from pincal.report.verdict import Judgement, next_steps, verdict_of
+from pincal.report.verdict import next_steps, verdict_of
 from pincal.report.words import TERMS, effect_meaning, noise_words
 from pincal.tables import Tone
 from pincal.validate.replicates import cycle_words
+from pincal.validate.verdict import Verdict
 
 REPEATED = Markup(
     "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its measurements; <b>pose "
@@ -39,7 +55,7 @@ _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 _LISTED = 12
 # Ratio of errors before and after from which an improvement is mentioned; below it rounds to 1.0.
 _IMPROVED = 1.05
-_TONES: dict[str, Tone] = {Judgement.ADEQUATE: "good", Judgement.NOT_JUDGED: "care"}
+_TONES: dict[str, Tone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
 
 
 def summary(subject: Subject) -> Section:
@@ -47,9 +63,10 @@ def summary(subject: Subject) -> Section:
     result, verdict = subject.result, verdict_of(subject.result, subject.discovery)
     tone = _TONES.get(verdict.judgement, "bad")
     tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
-    warnings = (paragraph(warning, "note") for warning in result.warnings)
     steps = bullets(next_steps(subject.calibration, subject.discovery))
-    left = group("plain", paragraph(_headline(subject)), paragraph(tag), *warnings)
+    left = group(
+        "plain", *doubts(result.warnings), paragraph(_headline(subject)), paragraph(tag), *plain_notes(result.warnings)
+    )
     columns = group("split", left, group("plain", heading("What to do next"), steps))
     return Section("summary", "Summary", (columns, group("glance", *_glance(subject))), style="panel")
 
