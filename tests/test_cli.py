@@ -171,6 +171,18 @@ def test_check_says_what_can_be_told(table, capsys):
         assert words in text
 
 
+def test_check_counts_every_parameter_once(table, capsys):
+    """What became of the parameters adds up to their number, in both forms of the text."""
+    assert run("check", URDF, table, *COM, "--quiet", "--json") == 0
+    total = len(json.loads(capsys.readouterr().out)["parameters"])
+    for more in ([], ["--verbose"]):
+        assert run("check", URDF, table, *COM, "--quiet", *more) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        known, others = re.search(rf"(\d+) of {total} parameters identified by themselves, ([^;]*);", text).groups()
+        parts = [int(part.split()[0]) for part in others.split(" (")[0].split(", ")]
+        assert int(known) + sum(parts) == total
+
+
 def test_the_next_command_of_check_is_one(tmp_path, columns, capsys, monkeypatch):
     """It calibrates what was checked, with all that was said of it: here a log of the joints and the names of columns."""
     monkeypatch.chdir(tmp_path)
