@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.measure.quantities import expected_number, in_si, is_possible
 
 if TYPE_CHECKING:
     import polars as pl
@@ -38,6 +39,10 @@ class Column:
     def is_name(self) -> bool:
         """Whether it holds names, not numbers."""
         return self.quantity == "name"
+
+    def in_si(self, cells: pl.Series) -> np.ndarray:
+        """Return numbers of the column in SI units, shape (N,)."""
+        return in_si(cells.to_numpy(), self.quantity, self.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,16 +203,17 @@ def _check_cells(
     total, faults = 0, list[tuple[int, Column]]()
     for column in columns:
         series = cells[column.name]
-        right = series.is_not_null() if column.is_name else series.is_finite().fill_null(False)
+        # An empty cell is null, as numbers nan.
+        right = series.is_not_null().to_numpy() if column.is_name else is_possible(column.in_si(series), column.quantity)
         if not right.all():
-            wrong = np.flatnonzero(~right.to_numpy())
+            wrong = np.flatnonzero(~right)
             total += wrong.size
             faults.append((int(wrong[0]), column))
     if faults:
         row, column = min(faults, key=lambda found: found[0])
         value = raw[column.name][row]
         found = "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
-        expected = "a name" if column.is_name else "a finite number"
+        expected = "a name" if column.is_name else expected_number(column.quantity)
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
             f"cells like this in the table: {total}; correct them, delete their rows, or leave the "

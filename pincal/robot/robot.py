@@ -16,12 +16,15 @@ from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.inertia import are_placeholders, guessed_masses
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree
 from pincal.robot.urdf import arm_text, parse_urdf, read_urdf
+from pincal.units import LARGEST
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
 # A limit beyond this [rad or m] is how URDFs write "none".
 _NO_LIMIT = 1e3
+# Mass of a robot [kg] below which grams were not meant, but nothing at all.
+_LIGHTEST = 1e-3
 # No serial arm has more joints that move; memory and time grow with their cube.
 _MOST_JOINTS = 50
 
@@ -126,8 +129,8 @@ class Robot:
         tip = tree.default_tip(joints) if tip is None else tip
         base = _default_base(tree, tip, joints) if base is None else base
         path = _checked_path(tree, base, tip)
-        if mass is not None and not 0.0 < mass < np.inf:
-            raise BadInputError(f"mass of the robot is {mass} kg; expected more than 0")
+        if mass is not None and not _LIGHTEST <= mass <= LARGEST:
+            raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
         return _build(cls, tree, path, base, tip, mass=mass)
 
     @property
