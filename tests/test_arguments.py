@@ -93,6 +93,13 @@ def test_what_is_not_given_is_the_default_of_the_field_or_of_the_verb() -> None:
     assert read(*bare, defaults={"colour": "blue"}).part.colour == "blue"
 
 
+@pytest.mark.parametrize("wrong", [["", "--out", "b.csv"], ["a.csv", "--out", ""]])
+def test_no_text_is_no_file(wrong: list[str]) -> None:
+    """It is refused, and not the current folder."""
+    with pytest.raises(click.UsageError, match="names nothing; expected a file or a folder"):
+        read(*wrong)
+
+
 @pytest.mark.parametrize("wrong", ["--out b.csv", "a.csv", "a.csv --out b --colour green", "a.csv --out b --at 1 2"])
 def test_what_does_not_fit_is_a_usage_error(wrong: str) -> None:
     """A missing argument, a missing option, no such choice, too few values."""

@@ -75,6 +75,18 @@ class Number(click.ParamType[float]):
         return number
 
 
+class _Place(click.Path):
+    """A file or a folder; an empty text, such as an unset variable of the shell, is none and not the current folder."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("'' names nothing; expected a file or a folder (. for the current one)", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class _Argument(click.Argument):
     """A positional argument that the help text explains."""
 
@@ -224,6 +236,6 @@ def _reader(kind: Any) -> dict[str, Any]:
     if kind is bool:
         return {"is_flag": True}
     if kind is Path:
-        return {"type": click.Path(path_type=Path), "metavar": "FILE.csv"}
+        return {"type": _Place(), "metavar": "FILE.csv"}
     # Whole numbers are counts and seeds.
     return {"type": {float: Number(), int: click.IntRange(min=0)}.get(kind, kind)}
