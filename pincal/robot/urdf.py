@@ -79,6 +79,16 @@ def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | N
     return parse_urdf(text, source=source)
 
 
+def robot_name(path: Path) -> str | None:
+    """Return the name of a file's robot without a look at the rest of it; None if the file is none of a robot."""
+    try:
+        with path.open("rb") as file:
+            _, root = next(iter(etree.iterparse(file, events=("start",), resolve_entities=False, no_network=True)))
+    except (OSError, etree.XMLSyntaxError, StopIteration):
+        return None
+    return root.get("name") if root.tag == "robot" else None
+
+
 def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     """Check the text of a URDF; see :func:`read_urdf`."""
     root = parse_xml(text, source)
