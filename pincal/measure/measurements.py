@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, nearest_first
 from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field
+from pincal.measure.quantities import expected_number, is_possible
 from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensor import Sensor
 
@@ -277,10 +278,13 @@ def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.
     if values.dtype.kind not in "fi":
         return
     rule = SIGN if name == "approach" else FINITE if known is None else known.rule
-    right = rule.is_met(values)
+    quantity = known.quantity if known is not None else "angle" if name in ("q", "droop") else "number"
+    right, expected = is_possible(values, quantity), expected_number(quantity)
+    if right.all():
+        right, expected = rule.is_met(values), rule.expected
     if not right.all():
         wrong = np.flatnonzero(~right.reshape(len(right), -1).all(axis=1))
         raise MeasurementError(
             f'{source}, line {lines[wrong[0]]}, "{name}": {values[wrong[0]].tolist()}; '
-            f"expected {rule.expected}; rows like this: {wrong.size}; correct or delete them"
+            f"expected {expected}; rows like this: {wrong.size}; correct or delete them"
         )

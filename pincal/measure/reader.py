@@ -22,7 +22,6 @@ from pincal.measure.header import check_joints, matched, rotations, understood, 
 from pincal.measure.joined import Log, join
 from pincal.measure.labels import is_named, renamed, spelled, without
 from pincal.measure.options import TableOptions
-from pincal.measure.quantities import in_si
 from pincal.measure.schema import OTHERS, Schema
 from pincal.measure.sheet import Column, ParquetSheet, Sheet, read_cells
 
@@ -217,4 +216,4 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
 def _in_si(series: pl.Series, column: Column) -> np.ndarray:
     if column.is_name:
         return np.array(series.to_list(), dtype=str)
-    return in_si(series.to_numpy(), column.quantity, column.unit)
+    return column.in_si(series)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pincal.identify.reasons import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.registry import meaning_of
 from pincal.units import readable_unit
 
+# What became of parameters that the data do not identify, of so many of them.
+_NOT_IDENTIFIED = {
+    Status.UNIDENTIFIABLE: "unidentifiable",
+    Status.PRIOR: "resting on priors",
+    Status.AT_BOUND: "stopped at a bound",
+    Status.FIXED: "fixed",
+}
 # What a fit finds beside effects of the robot -> what it is.
 _BESIDE = {"lens_distortion": "the camera's lens bends the image"}
 
@@ -140,3 +149,23 @@ def noise_words(noise: Mapping[str, Any]) -> str:
     sigma = noise[f"sigma_{unit}"] * factor
     form = ".4g" if unit == "px" else ".4f" if sigma >= 1e-3 else ".2g"
     return f"{sigma:{form}} {name} per coordinate"
+
+
+def rank_words(statuses: Iterable[Status], *, rank: int, condition: float, why: str = "") -> str:
+    """Return how many of all parameters the data identify, what became of the others, and how well it is determined.
+
+    Args:
+        statuses: of every parameter; the numbers of the sentence add up to how many there are.
+        rank: number of independent combinations that are identified.
+        condition: condition number of these.
+        why: where the reasons are told, in words.
+
+    Example:
+        >>> rank_words([Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED], rank=3, condition=52.0)[:69]
+        '2 of 6 parameters identified by themselves, 3 unidentifiable, 1 fixed'
+    """
+    counts = Counter(statuses)
+    others = [f"{counts[status]} {words}" for status, words in _NOT_IDENTIFIED.items() if counts[status]]
+    told = ", ".join([f"{counts[Status.IDENTIFIED]} of {counts.total()} parameters identified by themselves", *others])
+    why = f" ({why})" if why and others else ""
+    return f"{told}{why}; identifiable rank {rank}, condition number {condition:.2g}"
