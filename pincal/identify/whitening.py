@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from numba import njit
+from pincal.compiled import compiled
 
-_COMPILE = {"cache": True, "nogil": True}
 # Poses worked on at once, so that what is needed of them stays in the cache.
 _TILE = 512
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def whitened(whitening, columns):
     """Return columns, shape (D, m, N), times the lower triangular matrix of each row, shape (m, m, N)."""
     n_columns, m, n = columns.shape
