@@ -261,6 +261,8 @@ _PLANS = {
     "few": _Plan((8, 8)),
 }
 KINDS = tuple(_PLANS)
+# Kinds in which rows hang together by more than what the pose tells.
+CORRELATED = ("ar_path", "ar_random", "walk_sorted", "walk_random")
 # Kinds in which the robot itself has something that its geometry and elasticity do not tell; the others are sound robots.
 OF_ROBOT = ("bump", "moves", "heat", "remastered")
 
