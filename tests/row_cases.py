@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 from zlib import crc32
 
@@ -80,17 +80,22 @@ class World:
 
 @dataclass(frozen=True)
 class _Noise:
-    """Noise of rows: ``common`` is the covariance of rows for each coordinate, ``own`` one of the coordinates of each row.
+    """Noise of rows, the sum of two parts.
 
     Attributes:
-        common: (N, N), the same for each coordinate and independent between them [m^2].
-        own: (N, 3, 3), independent between visits [m^2].
-        visit: number of the visit of each row, shape (N,): rows of one visit share what ``own`` is.
+        common: covariance of rows, the same for each coordinate and none between coordinates, shape (N, N) [m^2].
+        visit: number of the visit of each row, shape (N,): rows of one visit have the other part in common.
+        own_of: gives that of the coordinates of each row, shape (N, 3, 3) [m^2].
     """
 
     common: np.ndarray
-    own: np.ndarray
     visit: np.ndarray
+    own_of: Callable[[], np.ndarray]
+
+    @cached_property
+    def own(self) -> np.ndarray:
+        """Covariance of the coordinates of each row that is independent between visits, shape (N, 3, 3) [m^2]."""
+        return self.own_of()
 
     @property
     def covariance(self) -> np.ndarray:
@@ -452,7 +457,8 @@ def _draw(
         effects, seen = (effect,), absorber.seen(taken.positions(effect) - taken.positions())
     clean = campaign.positions(world, *effects)
     read, q_table = _read(kind, rng, campaign, world, noise, effects)
-    known = _SIGMA_OF_INSTRUMENT.get(kind, noise.rms)
+    # What the maker of the instrument states: how drives arrive is none of its noise.
+    known = REPEATS_AGREE if kind.startswith("repeats") else noise.rms
     options = Options(effects=GEOMETRIC, sigma=known if declared else None, moment_frame="auto", payload_centre=setting.com)
     name = setting.machine.names[campaign.joint]
     truth = tuple((e.effect, e.joint, vars(e).get("source")) for e in effects) + _TRUTH.get(kind, lambda joint: ())(name)
@@ -463,8 +469,6 @@ def _draw(
     return RowsCase(**about)
 
 
-# What of the noise the maker of the instrument states where not all of it is the instrument's [m].
-_SIGMA_OF_INSTRUMENT = {"repeats": REPEATS_AGREE, "repeats_scattered": REPEATS_AGREE, "repeats_cycles": REPEATS_AGREE}
 # What is true of the robot, from the name of the joint at which it is; any of these names is right.
 _TRUTH: dict[str, Callable[[str], tuple[Name, ...]]] = {
     "bump": lambda joint: (("unnamed", joint, None),),
@@ -531,7 +535,7 @@ def _bump(rng: np.random.Generator, campaign: _Campaign, world: World) -> Foreig
 
 def _noise_of(kind: str, rng: np.random.Generator, campaign: _Campaign, world: World, visit: np.ndarray) -> _Noise:
     n = len(visit)
-    own, common = np.zeros((n, 3, 3)), SIGMA**2 * np.eye(n)
+    own_of, common = partial(np.zeros, (n, 3, 3)), SIGMA**2 * np.eye(n)
     if kind.startswith("ar_"):
         common = SIGMA**2 * toeplitz(_PHI ** np.arange(n))
     elif kind.startswith("walk_"):
@@ -539,27 +543,30 @@ def _noise_of(kind: str, rng: np.random.Generator, campaign: _Campaign, world: W
         place = np.arange(1, n + 1)
         common = step * np.minimum(place[:, None], place) + _WHITE_OF_WALK**2 * np.eye(n)
     elif kind.startswith("repeats"):
-        common, own = REPEATS_AGREE**2 * np.eye(n), _arrivals(campaign, world)
+        common, own_of = REPEATS_AGREE**2 * np.eye(n), partial(_arrivals, campaign, world)
     elif kind == "copies":
         common = SIGMA**2 * (visit[:, None] == visit)
     elif kind == "instrument_range":
-        seen = campaign.positions(world)
-        distance = np.linalg.norm(seen, axis=1)[:, None, None]
-        along = seen[:, :, None] * seen[:, None, :] / distance**2
-        common = np.zeros((n, n))
-        own = _ACROSS**2 * (np.eye(3) - along) + (_ALONG * distance) ** 2 * along
-    return _Noise(common, own, visit)
+        common, own_of = np.zeros((n, n)), partial(_along_and_across, campaign, world)
+    return _Noise(common, visit, own_of)
+
+
+def _along_and_across(campaign: _Campaign, world: World) -> np.ndarray:
+    """Return the covariance of an instrument whose noise grows with range, shape (N, 3, 3) [m^2]."""
+    seen = campaign.positions(world)
+    distance = np.linalg.norm(seen, axis=1)[:, None, None]
+    along = seen[:, :, None] * seen[:, None, :] / distance**2
+    return _ACROSS**2 * (np.eye(3) - along) + (_ALONG * distance) ** 2 * along
 
 
 def _arrivals(campaign: _Campaign, world: World) -> np.ndarray:
     """Return the covariance of where the target is when drives arrive as they do, shape (N, 3, 3) [m^2]."""
     n, joints = world.q.shape
-    J = np.empty((n, 3, joints))
+    at, J = campaign.positions(world), np.empty((n, 3, joints))
     for j in range(joints):
         step = np.zeros(joints)
         step[j] = 1e-5
-        ahead, behind = (campaign.positions(replace(world, arrived=world.arrived + way * step)) for way in (1.0, -1.0))
-        J[:, :, j] = (ahead - behind) / 2e-5
+        J[:, :, j] = (campaign.positions(replace(world, arrived=world.arrived + step)) - at) / 1e-5
     return DRIVES_ARRIVE**2 * J @ J.transpose(0, 2, 1)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from discovery_cases import FOREIGN, NAMED, SOFT, Verdict, discover, draw_case, fresh, gap_over_oracle, judge, summary
-from scipy.stats import binom
+from rates import is_at_least, is_at_most
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -71,16 +71,6 @@ def fresh_tasks(kinds: Sequence[str], count: int) -> list[tuple[str, int, dict[s
     """Return some cases of each kind on arms whose frames are anywhere, all classes of them in turn."""
     seeds = range(9000, 9000 + count * len(kinds))
     return [(kinds[i // count], seed, fresh(seed)) for i, seed in enumerate(seeds)]
-
-
-def is_at_least(rate: float, hits: Sequence[bool]) -> bool:
-    """Return whether so few hits are no surprise at a rate."""
-    return bool(binom.cdf(sum(hits), len(hits), rate) > 1e-3)
-
-
-def is_at_most(rate: float, hits: Sequence[bool]) -> bool:
-    """Return whether so many hits are no surprise at a rate."""
-    return bool(binom.sf(sum(hits) - 1, len(hits), rate) > 1e-3)
 
 
 @pytest.mark.parametrize(
