@@ -263,7 +263,7 @@ _PLANS = {
     "remastered": _Plan(),
     "shifted": _Plan(),
     "tool_exchanged": _Plan(),
-    "few": _Plan((8, 8)),
+    "few": _Plan((8, 12)),
 }
 KINDS = tuple(_PLANS)
 # Kinds in which rows hang together by more than what the pose tells.

@@ -23,6 +23,7 @@ import numpy as np
 from discovery_cases import ELASTICITY, NAMED, SOFT
 from rates import in_words, noticed, power, tables_for
 from row_cases import CORRELATED, KINDS, OF_ROBOT, RowsCase, draw_rows_case
+from test_discovery_rates import SOUND
 
 from pincal.discover.run import Discovery, run_discovery
 from pincal.errors import PincalError, PincalWarning
@@ -290,11 +291,15 @@ def _counted(names: Iterable[list[list[str | None]]]) -> str:
 
 
 def rates() -> Iterator[str]:
-    """Yield what CI's part of the study lets it notice, in lines."""
-    for claim, rate, n in CI:
+    """Yield what CI's tables of this study, and those of independent rows, let it notice, in lines."""
+    independent = (
+        (f"a name in independent rows ({', '.join(f'{k} {v}' for k, v in options.items())})", rate, n)
+        for options, rate, n in SOUND
+    )
+    for claim, rate, n in (*CI, *independent):
         yield (
-            f"{claim}: claimed {rate:.0%}; CI runs {n} tables, which notice a doubling with {power(rate, n):.0%} power, "
-            f"and {noticed(rate, n):.0%} with 90 %; a doubling takes {tables_for(rate)}"
+            f"{claim}: at most {rate:.0%}; CI's {n} tables notice twice that with {power(rate, n):.0%} power and "
+            f"{noticed(rate, n):.0%} with 90 %; to notice twice that with 90 % takes {tables_for(rate)}"
         )
 
 

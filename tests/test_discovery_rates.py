@@ -34,6 +34,14 @@ IMITATED = ("gravity_compensator", "payload_error")
 # sin^3 is (3 sin q - sin 3q) / 4. Of the first order half is geometry; of the rest an axis wobble of order 2, seen from
 # the link, takes all but one of four circles: 9 % of the signal. And a tilt across joint 5 along y is the turn of joint 4.
 LIKE_A_NAME = "cubed_tilt"
+# Tables in which nothing is hidden: how they are drawn, in which part of them a name is no surprise, and how many there are.
+SOUND: list[tuple[dict[str, Any], float, int]] = [
+    ({"masses": 0.03}, 0.01, 40),
+    ({"masses": 0.1}, 0.05, 25),
+    ({"noise": "outliers"}, 0.03, 25),
+    ({"noise": "heavy"}, 0.03, 25),
+    ({"elastic": False}, 0.02, 15),
+]
 PAIRS = [
     "+".join(pair)
     for pair in combinations(
@@ -186,16 +194,7 @@ def test_effects_outside_the_catalogue_get_no_name() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("options", "rate", "count"),
-    [
-        ({"masses": 0.03}, 0.01, 40),
-        ({"masses": 0.1}, 0.05, 25),
-        ({"noise": "outliers"}, 0.03, 25),
-        ({"noise": "heavy"}, 0.03, 25),
-        ({"elastic": False}, 0.02, 15),
-    ],
-)
+@pytest.mark.parametrize(("options", "rate", "count"), SOUND)
 def test_sound_data_bring_in_no_name(options: dict[str, Any], rate: float, count: int) -> None:
     """From 100 to 500 poses, the first on arms with frames anywhere; elasticity is found where it is, and only there."""
     sizes = np.linspace(100, 500, count).astype(int)
