@@ -100,10 +100,20 @@ def _said(case: RowsCase, found: Discovery) -> dict[str, Any]:
         "notes": list(result.warnings),
         "noise": [float(sigma) for sigma in fit.solution.sigma],
         "coverage": float(np.mean(np.abs(error) < 1.96 * sigma)),
+        "coverage_placed": float(np.mean(np.abs(_placed(error, clean)) < 1.96 * sigma)),
         "true_mm": 1e3 * float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
         "stated_mm": 1e3 * float(np.sqrt(np.mean(np.sum(sigma**2, axis=1)))),
         "held_out_mm": result.error["calibrated"].get("test", {}).get("mean_mm"),
     }
+
+
+def _placed(error: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return errors at points without what a motion of the instrument does, shape (N, 3) each."""
+    about = at - at.mean(axis=0)
+    turns = np.stack([np.cross(axis, about) for axis in np.eye(3)], axis=-1)
+    motion = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
+    left = error.ravel() - motion @ np.linalg.lstsq(motion, error.ravel(), rcond=None)[0]
+    return np.asarray(left.reshape(error.shape))
 
 
 def version() -> str:
@@ -272,8 +282,10 @@ def _lines(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
         if len(covered):
             error = f" +- {100 * covered.std(ddof=1) / np.sqrt(len(covered)):.1f}" if len(covered) > 1 else ""
             ratio = [case["true_mm"] / case["stated_mm"] for case in own if "coverage" in case]
+            placed = 100 * np.mean([case["coverage_placed"] for case in own if "coverage" in case])
             yield (
-                f"{what}: intervals cover {100 * covered.mean():.1f}{error} % ({len(covered)} tables); "
+                f"{what}: intervals cover {100 * covered.mean():.1f}{error} % ({len(covered)} tables), {placed:.1f} % of what a "
+                f"motion of the instrument leaves; "
                 f"true over stated error {np.median(ratio):.2f}, at most {max(ratio):.2f}"
             )
     if adequate := [covers_too_little(case) for case in cases if is_adequate(case)]:
