@@ -163,6 +163,12 @@ class RowsCase:
         return whitening_of(self.covariance)
 
     @property
+    def line(self) -> int:
+        """Line of the table from which on something is other than before, in kinds in which something is."""
+        part = np.arange(len(self.rows)) / len(self.rows)
+        return int(self.rows.rows[np.argmax(part > self.campaign.change)])
+
+    @property
     def is_declared(self) -> bool:
         """Whether the noise is declared."""
         return self.options.sigma is not None

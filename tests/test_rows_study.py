@@ -210,7 +210,7 @@ def test_names_are_counted_as_what_they_are() -> None:
     """A robot's name is false unless it, or one of its equals, is true; set-up and what has no name count apart."""
 
     def names(*classes: list[list[str | None]]) -> dict[str, Any]:
-        return {"names": [{"classes": own, "p": 0.0} for own in classes], "truth": [], "setup": []}
+        return {"names": [{"classes": own, "p": 0.0} for own in classes], "kind": "white", "truth": [], "setup": []}
 
     ripple: list[str | None] = ["gear_ripple", "a", None]
     drift: list[str | None] = ["base_drift", None, None]
@@ -225,6 +225,17 @@ def test_names_are_counted_as_what_they_are() -> None:
     assert rows_study.is_right({**found, "truth": [unnamed]}) and not rows_study.false_names({**found, "truth": [unnamed]})
     assert not rows_study.is_right({**names([soft, ripple]), "truth": [unnamed]})
     assert rows_study.is_right({**names([["backlash", "b", None], ripple]), "truth": [ripple]})
+
+
+def test_a_change_is_told_by_what_it_is_and_near_its_line() -> None:
+    """Three rows beside it is near; another joint or another cause is not told."""
+    truth: list[list[str | None]] = [["remastered", "axis_1", None]]
+    case = {"kind": "remastered", "truth": truth, "setup": [], "line": 100, "names": []}
+
+    assert rows_study.is_right({**case, "notes": ["from line 102 on axis_1 stands 1 mrad off: was it remastered?"]})
+    assert not rows_study.is_right({**case, "notes": ["from line 120 on axis_1 stands 1 mrad off: was it remastered?"]})
+    assert not rows_study.is_right({**case, "notes": ["from line 100 on axis_2 stands 1 mrad off: was it remastered?"]})
+    assert not rows_study.is_right({**case, "notes": ["from line 100 on readings are shifted by 2 mm: axis_1"]})
 
 
 @pytest.mark.long
