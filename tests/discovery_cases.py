@@ -286,7 +286,8 @@ class _Absorber:
         relative = [parameter.size for parameter in model.parameters[len(fit.values) :]]
         free = np.ones(model.n_parameters, bool)
         values = np.append(fit.values, np.zeros(len(relative)))
-        pieces = fit.station.with_model(model).linearise(values, free)
+        # By rows, of which a fit may make fewer poses.
+        pieces = fit.readings(rows).with_model(model).linearise(values, free)
         self.jacobian = np.concatenate([J.transpose(2, 1, 0) for _, _, J in pieces]) / SIGMA
         # Directions that only priors hold (parallel axes) absorb no more than their priors let them.
         self.held = 1.0 / np.append(fit.priors.sizes, relative)

@@ -30,7 +30,7 @@ def whitened(whitening, columns):
     return out
 
 
-@compiled
+@compiled(nogil=True)
 def recursion(phi, share, gaps, counted):
     """Return decay, gain and scale, shape (m, N), of an autoregression beside white noise, as :func:`filtered` wants them.
 
@@ -51,7 +51,7 @@ def recursion(phi, share, gaps, counted):
     return decay, gain, scale
 
 
-@compiled
+@compiled(nogil=True)
 def filtered(columns, order, decay, gain, scale):
     """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its scale.
 
@@ -72,7 +72,7 @@ def filtered(columns, order, decay, gain, scale):
     return out
 
 
-@compiled
+@compiled(nogil=True)
 def unfiltered(columns, order, decay, gain, scale):
     """Return columns whose innovations these are; arguments as of :func:`filtered`."""
     n_columns, m, n = columns.shape
