@@ -243,6 +243,8 @@ def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
         return trace.x / 3600.0, "time [h]"
     if trace.variable == "approach":
         return trace.x, f"direction of approach of {plain(trace.joint or '')}"
+    if trace.variable == "move":
+        return np.degrees(trace.x), f"last move of {plain(trace.joint or '')} [deg]"
     name = f"moment on {plain(trace.joint or 'the base')}" if trace.variable == "moment" else plain(trace.variable)
     return trace.x, f"{name} [{trace.unit}]"
 
