@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 
 from pincal.discover.elastic_rivals import instead_of, without_compliance
 from pincal.discover.history import History, Step
+from pincal.discover.lines import told_of_line
 from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import find_excess
 from pincal.discover.shrink import PartialResidual, period_of
@@ -30,7 +31,7 @@ from pincal.io.discovery_file import (
     Verdict,
 )
 from pincal.model.catalogue import untestable
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Tone
 from pincal.parameters import Estimate
 
 # Chance of residuals as large as these, if there were only the declared noise, below which something is missing.
@@ -155,8 +156,10 @@ def _found(
     else:
         rivals = step.equivalent[:1]
         decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
-        estimate = known.take(trail.final.names_of([step.effect]))
+        whole = step.effects if isinstance(step.effect, Tone) else step.effects[:1]
+        estimate = known.take(trail.final.names_of(whole))
         found = [(step.effect, estimate, estimate.sigma, step.score.p_value, step.equivalent, decide)]
+    line = told_of_line(trail, step)
     for effect, estimate, sigma, p_value, equivalent, decide in found:
         if step.is_elastic and trail.is_held_up and p_value > trail.policy.false_name:
             # Beside all other compliances, which few rows leave to what is known beforehand, nothing is left of it.
@@ -172,6 +175,7 @@ def _found(
             gap_after_mrad=after.mean_mrad,
             equivalent=tuple(EffectName.of(other) for other in equivalent),
             tell_apart=decide,
+            **line,
         )
 
 
