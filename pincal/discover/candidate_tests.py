@@ -187,6 +187,7 @@ def table_of(
         left_given=lambda i, given: tests.score_given([i], [given]).p_value,
         cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
         predicts=predicts,
+        left_beside=lambda which, given: tests.score_given(which, given).p_value,
     )
 
 

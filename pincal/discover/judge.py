@@ -154,8 +154,7 @@ def _found(
             for sure in sure_compliances(trail.final, step.effects, step.equivalent)
         ]
     else:
-        rivals = step.equivalent[:1]
-        decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
+        decide = _deciding(step)
         whole = step.effects if isinstance(step.effect, Tone) else step.effects[:1]
         estimate = known.take(trail.final.names_of(whole))
         found = [(step.effect, estimate, estimate.sigma, step.score.p_value, step.equivalent, decide)]
@@ -177,6 +176,16 @@ def _found(
             tell_apart=decide,
             **line,
         )
+
+
+def _deciding(step: Step) -> str:
+    """Return what would tell an effect from the first that could stand in its place, or from several that together could."""
+    told = (step.before, step.tested, step.estimate)
+    if not step.together:
+        return "".join(deciding_measurement(*told, rival) for rival in step.equivalent[:1])
+    names = [f"{effect.name} of order {at.order}" if (at := effect.locus).order else effect.name for effect in step.together]
+    words = f"{', '.join(names[:-1])} and {names[-1]} of {step.effect.locus.joint} together do as much"
+    return f"{words}; {deciding_measurement(*told, *step.together)}"
 
 
 def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:
