@@ -194,7 +194,9 @@ def recorded_variable(
         return q if span is None or chain.robot.joint_types[i] == "prismatic" else into_range(q, *span)
     column = conditions.column(name) if name in COLUMN_UNITS else None
     if column is None:
-        raise BadInputError(f"an effect follows {name}, which these poses do not have; add the column")
+        raise BadInputError(
+            f"an effect follows {name}, which these poses do not have; add the column {OF_JOINTS.get(name, name)}"
+        )
     return np.asarray(column if joint is None or column.ndim < 2 else column[:, names.index(joint)])
 
 

@@ -9,6 +9,8 @@ from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffec
 from pincal.model.registry import meaning_of
 from pincal.units import readable_unit
 
+# What an effect may follow whose name is not plain.
+_VARIABLES = {"move": "its last move"}
 # What a fit finds beside effects of the robot -> what it is.
 _BESIDE = {"lens_distortion": "the camera's lens bends the image"}
 
@@ -72,7 +74,11 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
         across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
-        of = f"{entry.joint} and {entry.depends_on}" if entry.shape == "map" else entry.depends_on
+        of = (
+            f"{entry.joint} and {entry.depends_on}"
+            if entry.shape == "map"
+            else _VARIABLES.get(entry.depends_on, entry.depends_on)
+        )
         words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")
     elif (entry.order or 1) != 1:
         words.append(_order_words(entry))

@@ -237,14 +237,14 @@ def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
     """Return the variable in the unit of its axis, and the axis' label."""
     if trace.variable == "droop":
         return 1e3 * trace.x, f"commanded minus read back of {plain(trace.joint or '')} [mrad]"
+    if trace.variable == "move":
+        return np.degrees(trace.x), f"last move of {plain(trace.joint or '')} [deg]"
     if trace.unit == "rad":
         return np.degrees(trace.x), f"{plain(trace.variable)} [deg]"
     if trace.variable == "time":
         return trace.x / 3600.0, "time [h]"
     if trace.variable == "approach":
         return trace.x, f"direction of approach of {plain(trace.joint or '')}"
-    if trace.variable == "move":
-        return np.degrees(trace.x), f"last move of {plain(trace.joint or '')} [deg]"
     name = f"moment on {plain(trace.joint or 'the base')}" if trace.variable == "moment" else plain(trace.variable)
     return trace.x, f"{name} [{trace.unit}]"
 
