@@ -98,7 +98,7 @@ class Compiled:
 
 
 # All but what is known only once a joint has been read back.
-EFFECTS = {name: make for name, make in ALL_EFFECTS.items() if make(("j",) * 9).locus.follows != "droop"}
+EFFECTS = {name: make for name, make in ALL_EFFECTS.items() if make(("j",) * 9).locus.follows not in ("droop", "move")}
 
 
 def states_of(at: Conditions) -> np.ndarray:
@@ -206,6 +206,8 @@ def test_what_is_known_only_afterwards_is_not_exported(kuka: Robot) -> None:
     """A controller that asks where a joint will stand has not read it back yet; the effect is named."""
     with pytest.raises(BadInputError, match="servo_droop needs the column commanded_"):
         export_model(drawn(ALL_EFFECTS["servo_droop"](kuka.joint_names), kuka), "python")
+    with pytest.raises(BadInputError, match="settling needs the column time"):
+        export_model(drawn(ALL_EFFECTS["settling"](kuka.joint_names), kuka), "python")
 
 
 @pytest.mark.parametrize("frame", ["before", "after"])

@@ -30,7 +30,15 @@ from pincal.report.tables import (
     stage_table,
 )
 from pincal.report.verdict import verdict_of
-from pincal.report.words import HINTS, bootstrap_words, effect_words, noise_words, only_in_halves_words, rank_words
+from pincal.report.words import (
+    HINTS,
+    bootstrap_words,
+    effect_words,
+    line_words,
+    noise_words,
+    only_in_halves_words,
+    rank_words,
+)
 from pincal.tables import hanging, one_line
 from pincal.units import Quantity, format_small
 from pincal.validate.lack_of_fit import LackOfFit
@@ -156,6 +164,8 @@ def print_discovery(found: Discovery, out: Console) -> None:
         out.print(one_line(only_in_halves_words(findings)), markup=False)
     out.print(stage_table(findings.noise_floor_mm, found.gaps))
     for entry in findings.effects:
+        if words := line_words(entry):
+            out.print(hanging(effect_words(entry), words))
         if entry.tell_apart:
             out.print(hanging("to decide", f"between {effect_words(entry)} and its alternatives: {entry.tell_apart}"))
         if entry.period is not None:

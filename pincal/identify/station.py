@@ -268,4 +268,5 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         time=measurements.time,
         approach=measurements.approach,
         droop=measurements.droop,
+        move=measurements.move,
     )

@@ -18,6 +18,8 @@ _NOT_IDENTIFIED = {
     Status.AT_BOUND: "stopped at a bound",
     Status.FIXED: "fixed",
 }
+# What an effect may follow whose name is not plain.
+_VARIABLES = {"move": "its last move"}
 # What a fit finds beside effects of the robot -> what it is.
 _BESIDE = {"lens_distortion": "the camera's lens bends the image"}
 
@@ -81,11 +83,36 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
         across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
-        of = f"{entry.joint} and {entry.depends_on}" if entry.shape == "map" else entry.depends_on
+        of = (
+            f"{entry.joint} and {entry.depends_on}"
+            if entry.shape == "map"
+            else _VARIABLES.get(entry.depends_on, entry.depends_on)
+        )
         words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")
     elif (entry.order or 1) != 1:
-        words.append(f"order {entry.order}")
+        words.append(_order_words(entry))
     return " ".join(words)
+
+
+def _order_words(entry: EffectName) -> str:
+    if not isinstance(entry, FoundEffect) or entry.resolution is None:
+        return f"order {entry.order}"
+    middle = sum((entry.order or 0.0, *entry.beside)) / (1 + len(entry.beside))
+    return f"order {middle:.1f} \u00b1 {entry.resolution:.1f}"
+
+
+def line_words(entry: FoundEffect) -> str:
+    """Return what is to be said of a line of fine waves beside its order; empty if nothing.
+
+    Example:
+        >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "parameters": {}, "equivalent": (), "tell_apart": ""}
+        >>> entry = FoundEffect(**names, p_value=0.0, gap_before_mm=1.0, gap_after_mm=1.0, order=405.0, beside=(401.4,))
+        >>> line_words(entry)
+        'one line that waxes and wanes over the span of the joint, fitted as waves of order 405 and 401.4'
+    """
+    orders = " and ".join(f"{order:g}" for order in (entry.order or 0.0, *entry.beside))
+    whole = f"one line that waxes and wanes over the span of the joint, fitted as waves of order {orders}"
+    return "; ".join(filter(None, [entry.origin, whole if entry.beside else ""]))
 
 
 HINTS = "Hints: named in less than 60 % of the halves of the poses"
