@@ -28,7 +28,7 @@ from pincal.calibration.notes import (
 )
 from pincal.calibration.parameters import ParameterRow, parameter_rows
 from pincal.calibration.placing import moved
-from pincal.calibration.rows import LeftOut, StationRows
+from pincal.calibration.rows import LeftOut, StationRows, errors_held_out, headline_of
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station
 from pincal.io.result_file import Correlation, Errors, MovedParameter, NoiseRecord, Outcome, StationRecord
@@ -135,7 +135,7 @@ def result_of(
         # What exceeds the declared noise is the scatter between replicates, which is told.
         found = [n for n in found if n.kind is not Kind.NOISE_EXCEEDED]
     fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
-    error = _errors(seen)
+    error = _errors(fit, seen)
     alone = [one for one in left_out if one.sizes]
     if alone:
         for model, by_part in error.items():
@@ -220,8 +220,25 @@ class _Seen:
         return [*found, *findings_on_order(self.train)]
 
 
-def _errors(seen: Sequence[_Seen]) -> Errors:
-    """Return the errors of stations taken together, by model and part."""
+def _errors(fit: Fit, seen: Sequence[_Seen]) -> Errors:
+    """Return the errors of stations taken together, by model and part.
+
+    Where rows are held out in two ways, the one in which the model predicts worse is the part "test".
+    """
+    rows = [part.rows for part in seen]
+    found: Errors = {}
+    for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
+        fitted = error_statistics(pose_error_sizes(part.train, part.values[model]) for part in seen)
+        found[model] = {"train": fitted} | errors_held_out(fit, values, rows)
+    lead = headline_of(found["calibrated"])
+    for of_model in found.values():
+        if lead in of_model:
+            of_model["test"] = of_model[lead]
+    return found
+
+
+def _errors_of_stations(seen: Sequence[_Seen]) -> Errors:
+    """Return the errors of stations taken together, by model and part, however rows are held out."""
     parts = [part for part in ("train", "test") if any(part in station.parts for station in seen)]
     return {
         model: {
@@ -247,7 +264,7 @@ def _records(
             "rows": {"train": len(station.rows.measured[0]), "test": len(station.rows.measured[1])},
             "noise": _noise(fit, station.blocks),
             "outliers": station.outliers,
-            "error": _errors([station]),
+            "error": _errors_of_stations([station]),
         }
         way = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
         if way is not None:

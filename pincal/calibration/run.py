@@ -98,7 +98,7 @@ def run_calibration(
     options: Options | None = None,
     *,
     test_fraction: float = 0.25,
-    split: Validation = "random",
+    split: Validation = "both",
     seed: int = 0,
     holdout: Tables | None = None,
     executor: Executor | None = None,
@@ -110,8 +110,9 @@ def run_calibration(
         measurements: one table or several, as :func:`pincal.calibrate` takes them.
         options: how to calibrate.
         test_fraction: part of each station's rows held out; ignored with ``holdout``.
-        split: how rows are chosen; with "station" all rows train, and each station in turn is predicted by a model of the
-            others, only its own frames fitted to it.
+        split: how rows are chosen; "both" holds out regions of joint space and stretches of consecutive rows, and leads with
+            those that are predicted worse; with "station" all rows train, and each station in turn is predicted by a model
+            of the others, only its own frames fitted to it.
         seed: of the choice.
         holdout: other measurements to validate on; then all rows of ``measurements`` train. Of several stations the rows
             name theirs.
@@ -140,15 +141,14 @@ def run_calibration(
             parts = split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
         else:
             parts = with_holdout(robot, admitted.tables, holdout, setup_of)
-    fit = calibrate(robot, {name: train for name, (train, _) in parts.items()}, options)
+    fit = calibrate(robot, {name: part.train for name, part in parts.items()}, options)
     rows = tuple(
-        StationRows.of(station.name, train, test)
-        for station, (train, test) in zip(fit.problem.stations, parts.values(), strict=True)
+        StationRows.of(station.name, part) for station, part in zip(fit.problem.stations, parts.values(), strict=True)
     )
     check_agreement(robot, admitted.tables.values(), fit)
     notes = [*robot.notes, *dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
     # What one station's sensor can't see another's may.
-    unseen = [list(unobservable_notes(train, setup_of(name))) for name, (train, _) in parts.items()]
+    unseen = [list(unobservable_notes(train, setup_of(name))) for name, (train, *_) in parts.items()]
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     chosen, first = fit.options.moment_frame, options.first_frame
     if chosen != first:

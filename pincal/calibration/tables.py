@@ -14,7 +14,7 @@ from pincal.tables import Cell, Column, Kind, Table, Tone
 from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit, show_value
 from pincal.validate.replicates import ANGLE_WORDS
 
-PARTS = {"train": "fitted", "test": "held out"}
+PARTS = {"train": "fitted", "test": "held out", "regions": "held-out regions", "stretches": "held-out stretches"}
 """What the two parts of a data set are called."""
 
 INTERVAL = 1.96
@@ -49,6 +49,8 @@ def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table
         (_MODELS.get(model, model), PARTS.get(part, part), unit, *(values[f"{name}_{unit}"] for name in _STATISTICS))
         for model, by_part in error.items()
         for part, values in by_part.items()
+        # What leads is one of these.
+        if part != "test" or not {"regions", "stretches"} & by_part.keys()
         for unit in ("mm", "mrad", "px")
         if f"mean_{unit}" in values
     )

@@ -11,7 +11,7 @@ from msgspec import UNSET
 from rich.console import Console
 
 from pincal.calibration.run import Calibration
-from pincal.calibration.tables import moved_words
+from pincal.calibration.tables import PARTS, moved_words
 from pincal.cli.tables import held_out_words, print_doubts, print_left_out
 from pincal.discover.precheck import DataReport
 from pincal.discover.run import Discovery
@@ -30,7 +30,6 @@ from pincal.tables import hanging, one_line
 _EFFECTS, _NOTES = 3, 1
 # Mean distance that independent errors of standard deviation 1 make in so many directions (chi distribution).
 _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
-_PARTS = {"test": "held out", "train": "fitted"}
 
 
 def print_brief(
@@ -113,7 +112,10 @@ def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
     unit = "mm" if "mean_mm" in values else "px"
     words = f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max {values[f'max_{unit}']:.4f}"
     model = "nominal, base and tool fitted" if name == "before" else "calibrated"
-    return f"{words}: {model}, {_PARTS[part]}"
+    lead = next((way for way in ("regions", "stretches") if by_part.get(way) == values), part)
+    others = (f"; {PARTS[way]} {by_part[way][f'mean_{unit}']:.4f}" for way in ("regions", "stretches") if way in by_part)
+    beside = "".join(other for other in others if name != "before" and PARTS[lead] not in other)
+    return f"{words}: {model}, {PARTS[lead]}{beside}"
 
 
 def _found(discovery: Discovery) -> str:

@@ -325,9 +325,10 @@ class SplitOptions:
     """Which rows are held out of the fit."""
 
     test_fraction: float = option("Fraction of rows held out.", 0.25)
-    split: Literal["random", "blocked", "station"] = option(
-        "Hold out rows at random, whole regions of joint space, or each station in turn (predicted by the others).",
-        "random",
+    split: Literal["both", "random", "blocked", "station"] = option(
+        "Hold out whole regions of joint space and stretches of consecutive rows, of which the one that is predicted worse "
+        "leads; or rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
+        "both",
     )
     holdout: Path | None = option("Validate on this table instead; all rows of DATA are fitted.")
     seed: int = option("Random seed of the hold-out split.", 0)

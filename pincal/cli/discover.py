@@ -25,7 +25,6 @@ all for the model with the effects that were found, and discovery.json.
 _DEFAULTS = {
     "model": "geometric",
     "test_fraction": 0.2,
-    "split": "blocked",
 }
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,6 +25,7 @@ from pincal.io.discovery_file import (
     Findings,
     FoundEffect,
     FoundParameter,
+    Gap,
     Repeated,
     Stability,
     Stage,
@@ -42,6 +44,8 @@ def findings_of(
     *,
     gaps: tuple[Stage, ...],
     traces: tuple[PartialResidual, ...],
+    measured: Fit | None = None,
+    held_out: Mapping[str, dict[Literal["before", "after"], Gap]] | None = None,
     approach_from: str | None = None,
 ) -> Findings:
     """Return what a discovery found.
@@ -51,10 +55,12 @@ def findings_of(
         trail: how it was found.
         gaps: the errors at the start and after each change of the model.
         traces: what each effect explains.
+        measured: the last fit over the rows as they were measured, each reading of a pose a row; default: those of the fit.
+        held_out: the errors at the start and in the end on rows held out in each way.
         approach_from: where directions of approach come from, in words; None where there are none.
     """
     final = trail.final
-    excess = find_excess(final)
+    excess = find_excess(final, measured)
     scatter = None if excess is None else excess.scattering
     floor, left = _errors_of(final)
     # Residuals that are larger than the declared noise allows.
@@ -72,6 +78,7 @@ def findings_of(
         verdict=judge(None, left=is_misfit or excess is not None),
         unexplained_mm=left,
         approach_from=approach_from,
+        held_out=dict(held_out or {}),
     )
 
 

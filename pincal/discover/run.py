@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from pincal.calibration.fit import Fit as CalibratedFit
 from pincal.calibration.left_out import leave_out_stations
 from pincal.calibration.result import result_of
-from pincal.calibration.rows import LeftOut, Validation
+from pincal.calibration.rows import LeftOut, Validation, as_measured
 from pincal.calibration.run import Calibration, run_calibration
 from pincal.discover.bootstrap import bootstrap_last
 from pincal.discover.history import History
@@ -25,14 +25,14 @@ from pincal.discover.judge import findings_of, repeated
 from pincal.discover.loop import discover_effects
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.resolution import notes_on_repeats
-from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
+from pincal.discover.shrink import PartialResidual, gaps_of, partial_residuals, stages_of
 from pincal.discover.stability import begin_halves
 from pincal.discover.widened import widened
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
-from pincal.io.discovery_file import Findings, Stage
+from pincal.io.discovery_file import Findings, Gap, Stage
 from pincal.measure.approach import note_on_sides
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
@@ -86,7 +86,7 @@ def run_discovery(
     *,
     extra: tuple[Effect, ...] = (),
     test_fraction: float = 0.2,
-    split: Validation = "blocked",
+    split: Validation = "both",
     seed: int = 0,
     holdout: Tables | None = None,
     moment_frames: Sequence[MomentFrame] = (),
@@ -102,7 +102,8 @@ def run_discovery(
         options: how to calibrate; its effects are the model to start from, default: the geometric one.
         extra: effects of the user's own that take part.
         test_fraction: part of the rows held out.
-        split: how rows are chosen; default: whole regions of joint space. With "station" each station in turn is
+        split: how rows are chosen; default: whole regions of joint space, and stretches of consecutive rows, of which those
+            lead that are predicted worse. With "station" each station in turn is
             predicted by a discovery on the others.
         seed: of the choice.
         holdout: other measurements to hold out instead.
@@ -157,7 +158,14 @@ def run_discovery(
     # What follows is done here while workers are at the halves.
     fit, gaps, traces = widened(trail), stages_of(trail, first.stations), partial_residuals(trail)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
-    findings = findings_of(fit, trail, gaps=gaps, traces=traces, approach_from=origins or None)
+    ends = gaps_of(trail.first, first.stations), gaps_of(trail.final, first.stations)
+    held_out: dict[str, dict[Literal["before", "after"], Gap]] = {
+        way: {"before": ends[0][way], "after": ends[1][way]} for way in ends[1] if way != "test"
+    }
+    measured = as_measured(trail.final, first.stations)
+    findings = findings_of(
+        fit, trail, gaps=gaps, traces=traces, approach_from=origins or None, measured=measured, held_out=held_out
+    )
     if stability:
         bootstrap = bootstrap_last(trail)
         findings = repeated(findings, halves(), bootstrap)

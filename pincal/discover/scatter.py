@@ -93,12 +93,16 @@ def find_scatter(fit: Fit) -> ScatteringJoint | None:
     return None if excess is None else excess.scattering
 
 
-def find_excess(fit: Fit) -> Excess | None:
+def find_excess(fit: Fit, measured: Fit | None = None) -> Excess | None:
     """Return the joint along whose lever most is left beyond the noise, if it is enough, and whether it is scatter.
 
     It is if replicates differ by it. Without them it is if poses that are neighbours in the positions of some joints have
     unrelated errors, and would have shown a smooth function of these joints: the null distribution is that of the same
     errors in other orders.
+
+    Args:
+        fit: the fit.
+        measured: the same over rows as they were measured, where those of the fit are means of poses.
     """
     found = [(_scatter_along(*one.readings), one) for alone in fit.alone for one in _along_levers(alone)]
     whole, best = max(found, key=lambda pair: pair[0].gain)
@@ -109,7 +113,8 @@ def find_excess(fit: Fit) -> Excess | None:
         missing = f"approach_{best.joint}"
     elif conditions.temperature is None:
         missing = "temperature"
-    again = best.differences()
+    every = found if measured is None else [(whole, one) for alone in measured.alone for one in _along_levers(alone)]
+    again = next(one for (_, one), (_, at) in zip(every, found, strict=True) if at is best).differences()
     if again is not None and again.gain > chdtri(1, 2.0 * _CHANCE):
         return Excess(best.joint, again.sigma, missing, "replicates")
     follows = best.follows(whole)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from msgspec.structs import asdict
 
-from pincal.calibration.rows import StationRows
+from pincal.calibration.rows import StationRows, errors_held_out, headline_of
 from pincal.discover.history import Change, History
 from pincal.discover.levers import levers
 from pincal.identify.fit import Fit
@@ -31,14 +31,16 @@ _OF_BOTH = ("product", "map")
 _OVERSAMPLED = 8
 
 
-def gap_of(fit: Fit, rows: Sequence[StationRows]) -> Gap:
-    """Return the errors of a fit on the held-out rows of all stations; on the fitted ones if there are none."""
-    held = [part.held(fit) for part in rows]
-    if not any(held):
-        held = list(fit.problem.stations)
-    pairs = zip(held, fit.problem.places, strict=True)
-    errors = error_statistics(pose_error_sizes(at, fit.values[places]) for at, places in pairs if at is not None)
-    return Gap(**{key: errors[key] for key in Gap.__struct_fields__ if key in errors})
+def gaps_of(fit: Fit, rows: Sequence[StationRows]) -> dict[str, Gap]:
+    """Return the errors of a fit on the held-out rows of all stations, "test", and of each way in which they are held out.
+
+    Where none are held out these are the errors on the fitted ones.
+    """
+    errors = errors_held_out(fit, fit.values, rows)
+    if not errors:
+        pairs = zip(fit.problem.stations, fit.problem.places, strict=True)
+        errors = {"test": error_statistics(pose_error_sizes(at, fit.values[places]) for at, places in pairs)}
+    return {part: Gap(**{key: of[key] for key in Gap.__struct_fields__ if key in of}) for part, of in errors.items()}
 
 
 def stages_of(trail: History, rows: Sequence[StationRows]) -> tuple[Stage, ...]:
@@ -47,7 +49,9 @@ def stages_of(trail: History, rows: Sequence[StationRows]) -> tuple[Stage, ...]:
     Each change gets the share of what it takes off the mean square beside those before it, so that nothing that two
     effects share counts twice. (Shapley values would spread it evenly, at the price of a fit of every subset.)
     """
-    gaps = [gap_of(fit, rows) for fit in (trail.first, *(change.fit for change in trail.changes))]
+    every = [gaps_of(fit, rows) for fit in (trail.first, *(change.fit for change in trail.changes))]
+    lead = headline_of({part: {"mean_mm": gap.mean_mm} for part, gap in every[-1].items()})
+    gaps = [gap[lead] for gap in every]
     squares = [gap.rms_mm**2 for gap in gaps]
     fell = squares[0] - squares[-1]
     stages = [Stage(name="at the start", **asdict(gaps[0]))]

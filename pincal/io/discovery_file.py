@@ -258,6 +258,8 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         bootstrap: whether the effect that was accepted last may be chance; None where nobody looked, or none was.
         approach_from: where the side from which joints arrived comes from; None where a table doesn't tell any.
         warnings: what else is to be said, doubts first, as in ``result.json``.
+        held_out: the gap on rows that are held out in each way, "regions" of joint space and "stretches" of consecutive
+            rows; ``gap`` is the one that is larger in the end.
     """
 
     noise_floor_mm: float
@@ -275,3 +277,4 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     bootstrap: Bootstrap | None = None
     approach_from: str | None = None
     warnings: tuple[Note, ...] = ()
+    held_out: dict[str, dict[Literal["before", "after"], Gap]] = {}

@@ -197,8 +197,8 @@ def _check_lengths(series: pl.Series, rows: np.ndarray, column: Column, *, sourc
 
     if series.dtype == pl.String:
         lengths = series.str.len_bytes()
-        if (lengths.max() or 0) > _LONGEST:
-            row = int(lengths.arg_max() or 0)
+        row = lengths.arg_max() or 0
+        if len(lengths) and (lengths[row] or 0) > _LONGEST:
             raise MeasurementError(
                 f'{source}, line {rows[row]}, column "{column.label}": a cell of {lengths[row]} bytes; '
                 f"expected {'a name' if column.is_name else 'a number'} of at most {_LONGEST}"
