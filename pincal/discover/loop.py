@@ -75,7 +75,12 @@ def discover_effects(
         first = in_frame(first, state.fit.problem.chain.moment_frame)
         return History(first, state.steps, state.fit, state.changes, search.extra, policy)
 
+    if any(station.serial is not None for station in fit.problem.stations):
+        # What depends on the order of rows may be what is looked for.
+        fit = refit(with_serial(fit, (None,) * len(fit.problem.stations)), fit.options.effects, start={})
     found = searched(fit)
+    if not fit.options.serial:
+        return found
     names = [step.effect for step in found.steps if not step.is_elastic]
     along = [effect for effect in names if _follows_the_order(effect, found.final)]
     if not along and not is_dependent(found.final):

@@ -153,6 +153,7 @@ def run_discovery(
     # Before names are looked for, what depends on the order of rows may be what they stand for.
     plain = replace(options, serial=False)
     first = run_calibration(robot, measurements, plain, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
+    first = replace(first, fit=replace(first.fit, options=replace(first.fit.options, serial=options.serial)))
     trail, notes = search(first)
     halves = begin_halves(trail, _regions(first), stability, executor=executor)
     # What follows is done here while workers are at the halves.
