@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot, find_file
+from pincal.validate import agreement
 from pincal.validate.agreement import implausible
 from pincal.validate.rows_apart import in_common, step_in
 
@@ -144,6 +146,22 @@ def test_what_nothing_cures_is_not_to_be_used(
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Use it" not in page and "no calibrated arm leaves so much" in page
     assert run(*command, "--noise", "10mm") == 0
+
+
+def test_a_strange_table_costs_a_fixed_number_of_fits(
+    kuka: Robot, table: Measurements, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All cures are looked at where they would stand, the likeliest are fitted: as many for any number of joints."""
+    looked, fits = list[int](), list[int]()
+    starts, placed = agreement.starts_of, agreement._nominal_placement
+    monkeypatch.setattr(agreement, "starts_of", lambda *given: looked.append(1) or starts(*given))
+    monkeypatch.setattr(agreement, "_nominal_placement", lambda *given: fits.append(1) or placed(*given))
+    monkeypatch.setattr(agreement, "minimize_scalar", lambda *_, **__: SimpleNamespace(x=0.1))
+    order = np.random.default_rng(0).permutation(len(table))
+    with pytest.raises(MeasurementError, match="base and tool alone leave"):
+        run_calibration(kuka, replace(table, q=table.q[order]), Options(effects=GEOMETRIC))
+    assert len(looked) > 80
+    assert len(fits) == agreement._PLACED + 1
 
 
 def test_a_noisy_instrument_may_be_declared_in_the_table(kuka: Robot, table: Measurements) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 
 from pincal.builtin import kuka_urdf_path
@@ -24,6 +25,7 @@ from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
 from pincal.robot.kinematics import Kinematics
+from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, deviation_fields, held_out_rows, page, show, write_html
 from pincal.viewer.arm import axes_of
@@ -211,6 +213,31 @@ def test_no_mesh_is_fetched_or_read_from_elsewhere(name: str) -> None:
     _, notes = shapes_of(small_robot(links=LOOK.format(f'<mesh filename="{name}"/>')))
 
     assert "is not here" in notes[0]
+
+
+def test_a_mesh_beyond_what_can_be_worked_on_is_not_read(tmp_path: Path) -> None:
+    """A file that is too large, files that are so together, and a scene that shows one mesh too often: each is told."""
+    with (tmp_path / "arm.stl").open("wb") as file:
+        file.truncate(195_000_000)
+    assert "mesh arm.stl has 195 MB, more than the 40 MB that are read" in _why(tmp_path, "arm.stl")
+    with (tmp_path / "arm.stl").open("wb") as file:
+        file.truncate(39_000_000)
+    found = Meshes(str(tmp_path / "arm.urdf"))
+    assert [found.find("arm.stl")[0] is not None for _ in range(7)] == [True] * 5 + [False] * 2
+    assert "robot's meshes have more than 200 MB" in found.find("arm.stl")[1]
+
+    scene, ball = trimesh.Scene(), trimesh.creation.icosphere(subdivisions=4)
+    for k in range(200):
+        scene.add_geometry(ball, geom_name="ball", node_name=f"n{k}", transform=np.eye(4))
+    scene.export(tmp_path / "arm.glb")
+    assert (tmp_path / "arm.glb").stat().st_size < 500_000
+    assert re.search(r"\d+ triangles, more than 800000", _why(tmp_path, "arm.glb"))
+
+
+def _why(folder: Path, name: str) -> str:
+    """Return why a mesh is not shown."""
+    _, notes = shapes_of(small_robot(links=LOOK.format(f'<mesh filename="{name}"/>')), [folder])
+    return notes[0]
 
 
 def test_a_broken_mesh_is_no_reason_to_fail(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.robot.packages import find_mesh
+from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.urdf import arm_text, parse_xml
 
@@ -94,14 +94,15 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
 
 def _settle_meshes(root: Any, source: str) -> Iterator[str]:
     """Give each collision mesh its absolute path, or take it out and say so."""
+    meshes = Meshes(source)
     for link in root.iterfind("link"):
         for collision in link.findall("collision"):
             mesh = collision.find("geometry/mesh")
             if mesh is None:
                 continue
-            path = find_mesh(mesh.get("filename", ""), source)
+            path, why = meshes.find(mesh.get("filename", ""))
             if path is None:
-                yield f"{link.get('name')}: mesh {mesh.get('filename', '')!r} is not here, so its collisions are not checked"
+                yield f"{link.get('name')}: mesh {mesh.get('filename', '')!r} {why}, so its collisions are not checked"
                 link.remove(collision)
             else:
                 mesh.set("filename", os.fspath(path))

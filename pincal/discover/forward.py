@@ -17,7 +17,7 @@ from pincal.discover.resolution import resolved
 from pincal.discover.score_tests import score_test, standard_errors
 from pincal.discover.settling import linearised_about_itself
 from pincal.identify.bearings import called_for
-from pincal.identify.calibrate import Until, refit, weighed_by_order
+from pincal.identify.calibrate import Until, refit
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Settling
 from pincal.validate.gathered import gathering_of
@@ -48,8 +48,6 @@ def add_effects(state: State, search: Search) -> State:
         residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (step.before, step.after))
         log.info("found %s: residual %.4f -> %.4f mm", listed(step.effects), *residuals)
         state = state.with_step(step)
-        if any(station.serial is not None for station in state.fit.problem.stations):
-            state = state.fitted_again(weighed_by_order(state.fit, Until.CLOSE))
     return state
 
 

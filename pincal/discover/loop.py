@@ -30,7 +30,7 @@ from pincal.discover.remainders import add_remainders, merge_parts, take_whole_c
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import about_itself, settle
 from pincal.discover.smoothness import smoothed
-from pincal.identify.calibrate import Until, refit
+from pincal.identify.calibrate import Until, refit, weighed_by_order
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
@@ -86,15 +86,15 @@ def discover_effects(
     if not along and not is_dependent(found.final):
         return found
     # Names that leave what depends on the order of the rows may be made of it: once more, with rows weighed by it. What it
-    # is is told by the model without them, or, if they hide it, with them.
+    # is is told beside all that was found, or else without: what is missing may look like it.
     named = {e.identity for step in found.steps if not step.is_elastic for e in step.effects}
     plain = refit(found.final, [e for e in found.final.options.effects if e.identity not in named], until=Until.CLOSE)
-    noise = next((of for of in map(serial_noise, (plain, found.final)) if any(of)), None)
+    noise = next((of for of in map(serial_noise, (found.final, plain)) if any(of)), None)
     if noise is None or not (is_dependent(found.final) or _may_be_order(along, with_serial(plain, noise), policy)):
         return found
-    weighed = with_serial(fit, noise)
     log.info("what is left depends on the order of the rows: once more, rows weighed by it")
-    return searched(refit(weighed, fit.options.effects, start={}))
+    found = searched(refit(with_serial(fit, noise), fit.options.effects, start={}))
+    return replace(found, final=weighed_by_order(found.final))
 
 
 def _follows_the_order(effect: Effect, fit: Fit) -> bool:

@@ -38,16 +38,31 @@ def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) ->
         tables: each station's table by its name, "" for one that is alone.
         options: how to calibrate.
     """
-    gravity = None if options.gravity is None else np.array(options.gravity)
-    arm = Model(Chain.of(robot, moment_frame=options.first_frame, gravity=gravity), ())
     found, models = [], _Models()
-    for station, values in place_arm(arm, np.zeros(0), tables, options=options):
+    for station, values in place_arm(_arm(robot, options), np.zeros(0), tables, options=options):
         effects = (*station.model.effects, *effects_at(options.effects, station.name))
         model = replace(station.model, effects=effects, equilibrium=options.equilibrium)
         index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
         whole = station.with_model(models.same(model))
         found.append((whole, carried_over(values, index, whole.parameters)))
     return found
+
+
+def starts_of(robot: Robot, table: Measurements, options: Options) -> list[tuple[Station, np.ndarray]]:
+    """Return a station at each of its sensor's closed-form placements, not fitted yet, with the values there.
+
+    Args:
+        robot: the arm, taken as nominal.
+        table: the rows of the station.
+        options: how to calibrate.
+    """
+    return _candidates(_arm(robot, options), np.zeros(0), table, "", options, _Models())
+
+
+def _arm(robot: Robot, options: Options) -> Model:
+    """Return the nominal arm alone."""
+    gravity = None if options.gravity is None else np.array(options.gravity)
+    return Model(Chain.of(robot, moment_frame=options.first_frame, gravity=gravity), ())
 
 
 class _Models:

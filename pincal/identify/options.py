@@ -109,9 +109,9 @@ def _check_numbers(options: Options | StationOptions) -> None:
     held = {name: value for name, value in vars(options).items() if value is not None}
     coordinates: dict[str, Any] = {name: held[name] for name in ("gravity", "payload_centre", "base") if name in held}
     coordinates |= {f"tool {target!r}": place for target, place in held.get("tools", {}).items()}
-    for name, value in coordinates.items():
+    for what, value in coordinates.items():
         if not (np.abs(np.asarray(value, float)) <= LARGEST).all():
-            raise BadInputError(f"{name} is {np.asarray(value).tolist()}; expected finite numbers of at most {LARGEST:g}")
+            raise BadInputError(f"{what} is {np.asarray(value).tolist()}; expected finite numbers of at most {LARGEST:g}")
     for name in ("sigma", "sigma_orientation", "length_bound"):
         if name in held and not SMALLEST <= held[name] <= LARGEST:
             raise BadInputError(f"{name} is {held[name]}; expected a number from {SMALLEST:g} to {LARGEST:g}")

@@ -35,7 +35,7 @@ _UNBOUNDED = ("time", "number", "name")
 
 def is_possible(values: np.ndarray, quantity: str) -> np.ndarray:
     """Return which values of a quantity in SI units can be meant: finite ones, no larger than anything about a robot is."""
-    return np.isfinite(values) if quantity in _UNBOUNDED else np.abs(values) <= LARGEST
+    return np.asarray(np.isfinite(values) if quantity in _UNBOUNDED else np.abs(values) <= LARGEST)
 
 
 def expected_number(quantity: str) -> str:

@@ -196,9 +196,10 @@ def _check_lengths(series: pl.Series, rows: np.ndarray, column: Column, *, sourc
     import polars as pl
 
     if series.dtype == pl.String:
-        lengths = series.str.len_bytes()
-        row = lengths.arg_max() or 0
-        if len(lengths) and (lengths[row] or 0) > _LONGEST:
+        # An empty cell has no length.
+        lengths = series.str.len_bytes().fill_null(0).to_numpy()
+        if lengths.max(initial=0) > _LONGEST:
+            row = int(lengths.argmax())
             raise MeasurementError(
                 f'{source}, line {rows[row]}, column "{column.label}": a cell of {lengths[row]} bytes; '
                 f"expected {'a name' if column.is_name else 'a number'} of at most {_LONGEST}"

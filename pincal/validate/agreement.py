@@ -12,7 +12,7 @@ from pincal.errors import BadInputError, IdentificationError, MeasurementError
 from pincal.identify.beliefs import bounds_of, frames_of, released_of
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fit import Fit
-from pincal.identify.initial import place
+from pincal.identify.initial import place, starts_of
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
@@ -39,6 +39,9 @@ _CURED = 4.0
 _TELLING = 2.0
 # Rows that are looked at; every trial is a fit. How many of the best are fitted in full.
 _ROWS, _FITTED = 200, 3
+# Cures that base and tool are fitted with, those whose closed-form placement leaves least: what cures leaves some mm there,
+# what does not hundreds. A six-axis arm has some 120, and they grow with the square of the joints.
+_PLACED = 20
 # Rows from which a typical error is told.
 _TYPICAL = 1000
 # Of the rows these are looked at: neighbours matter, and all of a long table would add nothing.
@@ -146,23 +149,35 @@ def _cured(
     names = table.point_names
     rows = some_rows(len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1])
 
-    def tried(cure: Cure) -> tuple[Cure, tuple[float, float]]:
-        few = replace(cure, table=cure.table.select(rows[rows < len(cure.table)]))
+    def of_few(cure: Cure) -> Cure:
+        return replace(cure, table=cure.table.select(rows[rows < len(cure.table)]))
+
+    def at_start(cure: Cure) -> float:
+        try:
+            starts = starts_of(cure.robot, cure.table, options)
+            return min(limits.exceeded(_left(station, values)) for station, values in starts)
+        except (BadInputError, IdentificationError, np.linalg.LinAlgError):
+            return np.inf
+
+    def tried(few: Cure) -> tuple[Cure, tuple[float, float]]:
         try:
             return few, _left(*_nominal_placement(few.robot, few.table, options))
         except (BadInputError, IdentificationError, np.linalg.LinAlgError):
             return few, (np.inf, np.inf)
 
-    found = [tried(cure) for cure in cures(robot, table)]
+    possible = list(map(of_few, cures(robot, table)))
+    # In their own order: of cures that do the same, the first is meant.
+    likely = sorted(np.argsort([at_start(few) for few in possible], kind="stable")[:_PLACED])
+    found = [tried(possible[k]) for k in likely]
     if scaled(robot, table, 1.0) is not None:
 
         def left_by(scale: float) -> float:
             cure = scaled(robot, table, float(np.exp(scale)))
             assert cure is not None
-            return limits.exceeded(tried(cure)[1])
+            return limits.exceeded(tried(of_few(cure))[1])
 
         best = minimize_scalar(left_by, bounds=(-_SCALED, _SCALED), method="bounded", options={"xatol": _SCALE_STEP})
-        found += [tried(cure) for cure in [scaled(robot, table, float(np.exp(best.x)))] if cure is not None]
+        found += [tried(of_few(cure)) for cure in [scaled(robot, table, float(np.exp(best.x)))] if cure is not None]
     # Of cures that do the same, such as one mirror or another, the first.
     found.sort(key=lambda one: float(f"{limits.exceeded(one[1]):.2g}"))
     return [one for one in found if limits.exceeded(one[1]) * _CURED < error][:_FITTED]

@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.errors import RobotFileError
 from pincal.robot.kinematics import joint_axis
-from pincal.robot.packages import find_mesh
+from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf import parse_xml
@@ -20,8 +20,9 @@ from pincal.robot.urdf import parse_xml
 # Faces of all meshes of a robot together; finer ones are thinned, since the page has to stay small and quick.
 _FACES = 60_000
 _SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
-# A mesh file beyond this is not read [bytes].
-_LARGEST = 200_000_000
+# Faces of one file beyond which it is not shown: as many as the largest file that is read has room for, 50 bytes a face in a
+# binary STL; files of scenes may show a mesh any number of times.
+_MOST_FACES = 800_000
 _GREY = (0.72, 0.75, 0.79)
 # Sides of a drawn cylinder.
 _SIDES = 20
@@ -84,6 +85,7 @@ def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[Shape], list[str]]
     places = _link_places(robot)
     drawn: list[Shape] = []
     notes: dict[str, None] = {}
+    meshes = Meshes(robot.source, folders)
     for link in root.iterfind("link"):
         if (name := link.get("name")) not in places:
             continue
@@ -93,7 +95,7 @@ def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[Shape], list[str]]
             colour = None if material is None else _colour(material) or colours.get(material.get("name"))
             at = placement @ _origin(visual)
             try:
-                for vertices, faces, own in _geometry(visual, robot, folders):
+                for vertices, faces, own in _geometry(visual, meshes):
                     drawn.append(Shape(name, body, _moved(at, vertices), faces, colour or own or _GREY))
             except _NotShown as why:
                 notes[f"{name}: {why}"] = None
@@ -120,7 +122,7 @@ def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
 _Mesh = tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None]
 
 
-def _geometry(visual: Any, robot: Robot, folders: list[Path]) -> list[_Mesh]:
+def _geometry(visual: Any, files: Meshes) -> list[_Mesh]:
     """Return the meshes of a visual, shape (V, 3) and (F, 3) with a colour of their own.
 
     Raises:
@@ -144,9 +146,9 @@ def _geometry(visual: Any, robot: Robot, folders: list[Path]) -> list[_Mesh]:
         raise _NotShown(f"a visual of kind {shape.tag} is not shown")
     name = shape.get("filename", "")
     known = Path(name).suffix.lower() in _SUFFIXES
-    path = find_mesh(name, robot.source, folders) if known else None
-    if path is None or path.stat().st_size > _LARGEST:
-        raise _NotShown(f"mesh {name} is not here")
+    path, why = files.find(name) if known else (None, "is not here")
+    if path is None:
+        raise _NotShown(f"mesh {name} {why}")
     try:
         return _read_mesh(path, _numbers(shape, "scale", 3) if shape.get("scale") else np.ones(3))
     except Exception as error:  # Readers of meshes fail in every way there is; the page is worth more than one of them.
@@ -156,7 +158,11 @@ def _geometry(visual: Any, robot: Robot, folders: list[Path]) -> list[_Mesh]:
 def _read_mesh(path: Path, scale: np.ndarray) -> list[_Mesh]:
     import trimesh
 
-    meshes = [mesh for mesh in trimesh.load_scene(path).dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    scene = trimesh.load_scene(path)
+    shown = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+    if (count := sum(len(getattr(mesh, "faces", ())) for mesh in shown)) > _MOST_FACES:
+        raise ValueError(f"{count} triangles, more than {_MOST_FACES}")
+    meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise ValueError("no triangles")
     if not all(np.isfinite(mesh.vertices).all() for mesh in meshes):
@@ -184,14 +190,26 @@ def _thin(shape: Shape, most: int) -> Shape:
     cell = extent / 400
     faces, vertices = shape.faces, shape.vertices
     while len(faces) > most and cell < extent:
-        place = np.unique(np.round(shape.vertices / cell), axis=0, return_inverse=True)[1].ravel()
+        # What was merged once stays so: each round works on what the one before has left.
+        place = _alike(np.round((vertices - vertices.min(axis=0)) / cell).astype(np.int64))[1]
         count = np.bincount(place)
-        vertices = np.column_stack([np.bincount(place, column) / count for column in shape.vertices.T])
-        faces = place[shape.faces]
+        vertices = np.column_stack([np.bincount(place, column) / count for column in vertices.T])
+        faces = place[faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-        faces = np.unique(faces, axis=0)
+        faces = faces[_alike(faces)[0]]
         cell *= 1.3
     return replace(shape, vertices=vertices, faces=faces)
+
+
+def _alike(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first of each group of equal rows of three numbers >= 0, and the group of each row."""
+    span = int(rows.max(initial=0)) + 1
+    # Three numbers below 2^21 are one below 2^63; others are first replaced by their ranks.
+    if span >= 1 << 21:
+        rows = np.column_stack([np.unique(column, return_inverse=True)[1] for column in rows.T])
+        span = int(rows.max(initial=0)) + 1
+    _, first, group = np.unique((rows[:, 0] * span + rows[:, 1]) * span + rows[:, 2], return_index=True, return_inverse=True)
+    return first, group
 
 
 def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[Shape]:
