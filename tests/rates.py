@@ -29,6 +29,16 @@ def in_words(hits: int, n: int) -> str:
     return f"{hits} of {n}: {low:.1f} to {high:.1f} %"
 
 
+def percent(rate: float) -> str:
+    """Return a rate without decimals, which a small count does not have.
+
+    Example:
+        >>> percent(0.126), percent(0.003)
+        ('13 %', '< 1 %')
+    """
+    return f"{100.0 * rate:.0f} %" if rate >= 0.005 else "< 1 %"
+
+
 def is_at_least(rate: float, hits: Sequence[bool]) -> bool:
     """Return whether so few hits are no surprise at a rate."""
     return bool(binom.cdf(sum(hits), len(hits), rate) > CHANCE)

@@ -24,7 +24,7 @@ import numpy as np
 from discovery_cases import ELASTICITY, NAMED, SOFT
 from rates import in_words, noticed, power, tables_for
 from row_cases import CORRELATED, KINDS, OF_ROBOT, RowsCase, draw_rows_case
-from test_discovery_rates import SOUND
+from test_discovery_rates import CI as INDEPENDENT
 
 from pincal.discover.run import Discovery, run_discovery
 from pincal.errors import PincalError, PincalWarning
@@ -327,10 +327,7 @@ def _counted(names: Iterable[list[list[str | None]]]) -> str:
 
 def rates() -> Iterator[str]:
     """Yield what CI's tables of this study, and those of independent rows, let it notice, in lines."""
-    independent = (
-        (f"a name in independent rows ({', '.join(f'{k} {v}' for k, v in options.items())})", rate, n)
-        for options, rate, n in SOUND
-    )
+    independent = ((f"{claim}, independent rows", rate, n) for claim, rate, n, _ in INDEPENDENT)
     for claim, rate, n in (*CI, *independent):
         yield (
             f"{claim}: at most {rate:.0%}; CI's {n} tables notice twice that with {power(rate, n):.0%} power and "

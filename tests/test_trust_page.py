@@ -3,6 +3,10 @@
 import re
 from pathlib import Path
 
+import numpy as np
+from rates import interval, noticed, percent, power
+from test_discovery_rates import CI
+
 TESTS = Path(__file__).parent
 
 
@@ -16,3 +20,28 @@ def test_every_promise_has_its_tests(tests: dict[str, bool]) -> None:
     assert {name for names in named for name in names} - tests.keys() == set()
     for name, is_long in re.findall(r"`(test_\w+)`( \(long\))?", page):
         assert tests[name] == bool(is_long), name
+
+
+def test_the_page_says_what_tests_of_rates_notice() -> None:
+    """Each test's tables, the chance that it notices twice the rate, and from which rate on it does with nine in ten."""
+    page = (TESTS.parent / "docs" / "trust.md").read_text(encoding="utf-8")
+    for claim, rate, n, test in CI:
+        seen = f"{percent(power(rate, n))} | {percent(noticed(rate, n))}"
+
+        assert f"| {claim}: at most {percent(rate)} | {n} | {seen} | `{test}` (long) |" in page
+
+
+def test_rates_stand_with_their_exact_intervals() -> None:
+    """An interval that follows a count on a page, such as "3 of 300, 0.2 to 2.9 %", is that of Clopper and Pearson."""
+    pages = [TESTS.parent / "README.md", *(TESTS.parent / "docs").rglob("*.md")]
+    found = [
+        match
+        for page in pages
+        for match in re.finditer(r"(\d+) of (\d+)[^;.()|]*?, ([\d.]+) to ([\d.]+) %", page.read_text(encoding="utf-8"))
+    ]
+
+    assert len(found) >= 4
+    for match in found:
+        hits, n, *written = match.groups()
+        exact = 100.0 * np.array(interval(int(hits), int(n)))
+        assert [f"{x:.{len(text.partition('.')[2])}f}" for x, text in zip(exact, written, strict=True)] == written, match[0]
