@@ -120,6 +120,11 @@ class History:
     extra: tuple[Effect, ...]
     policy: Policy
 
+    def fitted_again(self, fit: Fit) -> History:
+        """Return the history with another fit of the last model."""
+        state = State(self.final, self.steps, self.changes).fitted_again(fit)
+        return replace(self, steps=state.steps, final=fit, changes=state.changes)
+
     @property
     def is_held_up(self) -> bool:
         """Whether elasticity is in the model by what is known beforehand, too, and not by its name alone."""

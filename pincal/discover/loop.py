@@ -94,7 +94,7 @@ def discover_effects(
         return found
     log.info("what is left depends on the order of the rows: once more, rows weighed by it")
     found = searched(refit(with_serial(fit, noise), fit.options.effects, start={}))
-    return replace(found, final=weighed_by_order(found.final))
+    return found.fitted_again(weighed_by_order(found.final))
 
 
 def _follows_the_order(effect: Effect, fit: Fit) -> bool:
