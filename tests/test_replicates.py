@@ -14,6 +14,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.station import station_of
 from pincal.measure.measurements import measurements_from_arrays
+from pincal.measure.poses import replicate_groups
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
@@ -23,7 +24,7 @@ from pincal.robot.se3 import quaternions
 from pincal.validate.lack_of_fit import lack_of_fit
 from pincal.validate.misfit import explained_by_uncertainty
 from pincal.validate.pure_error import evenness, spread_of, squares_of
-from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy, replicate_groups
+from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy
 
 URDF = kuka_urdf_path()
 

@@ -31,10 +31,11 @@ from pincal.calibration.rows import LeftOut, StationRows
 from pincal.identify.fit import Fit
 from pincal.identify.station import Station
 from pincal.io.result_file import Correlation, Errors, MovedParameter, NoiseRecord, Outcome, StationRecord
+from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
-from pincal.validate.replicates import Replicates, iso9283, replicate_groups
+from pincal.validate.replicates import Replicates, iso9283
 from pincal.validate.verdict import Beside, Verdict, judge, tells
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
@@ -132,7 +133,8 @@ def result_of(
     if len(on_replicates) == len(seen) and all(n.kind is Kind.NOISY_REPLICATES for n in on_replicates):
         # What exceeds the declared noise is the scatter between replicates, which is told.
         found = [n for n in found if n.kind is not Kind.NOISE_EXCEEDED]
-    error, held = _errors(seen), sum(len(part.rows.test) for part in seen)
+    fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
+    error = _errors(seen)
     alone = [one for one in left_out if one.sizes]
     if alone:
         for model, by_part in error.items():
@@ -141,7 +143,7 @@ def result_of(
     apart = left_out or [LeftOut(part.rows.name) for part in seen]
     return Result(
         noise=_noise(fit),
-        rows={"train": len(fit.problem), "test": held},
+        rows={"train": fitted, "test": held},
         parameters=parameters,
         rank=solution.posterior.identifiable_rank,
         condition=solution.posterior.condition,
@@ -196,8 +198,8 @@ class _Seen:
 
     @cached_property
     def poses(self) -> list[np.ndarray]:
-        """Numbers of the poses of the fitted rows, and of the held-out ones."""
-        return replicate_groups([self.rows.train, self.rows.test])
+        """Numbers of the poses of the fitted rows as they were measured, and of the held-out ones."""
+        return replicate_groups(self.rows.measured, within=SCATTER)
 
     @property
     def parts(self) -> dict[str, Station]:
@@ -207,7 +209,7 @@ class _Seen:
     @property
     def outliers(self) -> list[int]:
         """Lines of the rejected rows."""
-        return [int(line) for line in self.rows.train.rows[self.weights == 0.0]]
+        return [int(line) for line in self.rows.measured[0].rows[self.rows.by_row(self.weights) == 0.0]]
 
     @property
     def findings(self) -> list[Finding]:
@@ -240,7 +242,7 @@ def _records(
         record: StationRecord = {
             "name": station.rows.name,
             "kind": station.train.sensor.kind,
-            "rows": {"train": len(station.train), "test": len(station.rows.test)},
+            "rows": {"train": len(station.rows.measured[0]), "test": len(station.rows.measured[1])},
             "noise": _noise(fit, station.blocks),
             "outliers": station.outliers,
             "error": _errors([station]),
@@ -280,12 +282,15 @@ def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Fin
 
 def _replicates(fit: Fit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where a station measured poses again."""
+    train, test = seen.rows.measured
     train_poses, test_poses = seen.poses
-    found = [Replicates("train", seen.rows.train, seen.train, train_poses, seen.weights > 0.0)]
-    if seen.test is not None:
-        found.append(Replicates("test", seen.rows.test, seen.test, test_poses, np.ones(len(seen.test), bool)))
     if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
         return None, None
+    at = fit.problem.stations[k].name
+    counted = seen.rows.by_row(seen.weights) > 0.0
+    found = [Replicates("train", train, fit.readings(train, station=at), train_poses, counted)]
+    if seen.test is not None:
+        found.append(Replicates("test", test, fit.readings(test, station=at), test_poses, np.ones(len(test), bool)))
     solution, is_alone = fit.solution, len(fit.problem.stations) == 1
     spent = solution.posterior.effective if is_alone else spent_at(fit, k)
     lack = lack_of_fit(found, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)

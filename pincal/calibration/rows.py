@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError
@@ -15,6 +16,7 @@ from pincal.identify.split import hold_out
 from pincal.identify.station import Station
 from pincal.measure.admit import admit_test, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
+from pincal.measure.poses import SCATTER, by_pose, replicate_groups
 from pincal.measure.setup import Setup
 from pincal.robot.robot import Robot
 
@@ -28,17 +30,29 @@ class StationRows:
 
     Attributes:
         name: of the station; "" for one that is alone.
-        train: rows that the fit saw.
-        test: rows that it did not see; may be empty.
+        train: poses that the fit saw: the mean of each one's readings.
+        test: those that it did not see; may be empty.
+        measured: the rows of both, as they were measured.
     """
 
     name: str
     train: Measurements
     test: Measurements
+    measured: tuple[Measurements, Measurements]
+
+    @classmethod
+    def of(cls, name: str, train: Measurements, test: Measurements) -> StationRows:
+        """Return the rows of a station by their poses."""
+        return cls(name, by_pose(train), by_pose(test), (train, test))
 
     def held(self, fit: Fit) -> Station | None:
-        """Return the held-out rows under the calibrated model, None without any."""
+        """Return the held-out poses under the calibrated model, None without any."""
         return fit.readings(self.test, station=self.name) if len(self.test) else None
+
+    def by_row(self, weights: np.ndarray) -> np.ndarray:
+        """Return what is said of each fitted pose, shape (poses,), for each fitted row as it was measured, shape (N,)."""
+        rows, _ = self.measured
+        return weights if self.train is rows else weights[replicate_groups([rows], within=SCATTER)[0]]
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,7 @@ def run_calibration(
             parts = with_holdout(robot, admitted.tables, holdout, setup_of)
     fit = calibrate(robot, {name: train for name, (train, _) in parts.items()}, options)
     rows = tuple(
-        StationRows(station.name, train, test)
+        StationRows.of(station.name, train, test)
         for station, (train, test) in zip(fit.problem.stations, parts.values(), strict=True)
     )
     check_agreement(robot, admitted.tables.values(), fit)

@@ -169,11 +169,13 @@ def _write_residuals(path: Path, calibration: Calibration) -> None:
 def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarray]]:
     """Yield the columns of residuals.csv for the fitted rows of the k-th station, and for those held out."""
     fit, rows = calibration.fit, calibration.stations[k]
-    station, places, _ = list(fit.stations)[k]
-    for part, table, problem in (("fitted", rows.train, station), ("held out", rows.test, rows.held(fit))):
-        if problem is None:
+    _, places, _ = list(fit.stations)[k]
+    for part, table in zip(("fitted", "held out"), rows.measured, strict=True):
+        if not len(table):
             continue
-        weights = fit.solution.weights[fit.problem.rows[k]] if part == "fitted" else np.ones(len(table))
+        problem, weights = fit.readings(table, station=fit.problem.stations[k].name), np.ones(len(table))
+        if part == "fitted":
+            weights = rows.by_row(fit.solution.weights[fit.problem.rows[k]])
         found = {"station": np.full(len(table), rows.name)} if len(calibration.stations) > 1 else {}
         found |= {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
         for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):

@@ -16,6 +16,7 @@ from pincal.discover.score_tests import ScoreTests, enough_errors, standard_erro
 from pincal.discover.tones import strongest_tones
 from pincal.discover.uneven import p_value_of_uneven_noise
 from pincal.identify.fit import Fit
+from pincal.identify.station import Station
 from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.bearings import bearing_features
 from pincal.model.catalogue.candidates import testable
@@ -306,5 +307,13 @@ def over_rows_of(fit: Fit, whole: Fit) -> Fit:
     """Return a fit of some rows as it is, over all the rows of another one, with their weights."""
     solution = replace(fit.solution, weights=whole.solution.weights)
     pairs = zip(whole.problem.stations, fit.problem.stations, strict=True)
-    rows = replace(whole.problem, stations=tuple(station.with_model(part.model) for station, part in pairs))
+    rows = replace(whole.problem, stations=tuple(_with_noise(of, part) for of, part in pairs))
     return replace(fit, problem=rows, solution=solution)
+
+
+def _with_noise(station: Station, part: Station) -> Station:
+    """Return a station under the model of a part of its rows, with what is known there of noise along them."""
+    serial = station.serial
+    if serial is not None:
+        serial = None if part.serial is None else replace(serial, phi=part.serial.phi, share=part.serial.share)
+    return replace(station, model=part.model, serial=serial)

@@ -103,7 +103,7 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
             name.
         policy: what to go by.
     """
-    best = next((i for i in names.passed()[: policy.tried] if names.predicts(i)), None)
+    best = next((i for i in names.passed() if names.predicts(i)), None)
     close = [] if best is None else [best, *(i for i in names.cheapest()[: policy.close] if i != best)]
     contest = contest_of([names.rows[i] for i in close])
     nameless = _better_without_name(contest, None if best is None else names.rows[best].effect)

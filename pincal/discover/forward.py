@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave
+from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave, is_small_table
 from pincal.discover.decisions import Decision
 from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
+from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances
 from pincal.discover.resolution import resolved
-from pincal.discover.score_tests import score_test
+from pincal.discover.score_tests import score_test, standard_errors
 from pincal.discover.settling import linearised_about_itself
 from pincal.identify.bearings import called_for
-from pincal.identify.calibrate import Until, refit
+from pincal.identify.calibrate import Until, refit, weighed_by_order
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Settling
+from pincal.validate.gathered import gathering_of
 
 # Times that an effect with a time constant is linearised anew before the next one is looked for.
 _MOST_WHILE_SEARCHING = 3
@@ -31,6 +34,7 @@ def add_effects(state: State, search: Search) -> State:
     What the data call for of the bearings enters once no name explains more: before, it would take up what drives do.
     """
     for _ in range(search.policy.most_steps):
+        state = _trusting_what_gathers(state)
         step = _next_step(state.fit, search)
         least = 0.0 if step is None else step.score.gain
         called = called_for(state.fit, least)
@@ -44,7 +48,53 @@ def add_effects(state: State, search: Search) -> State:
         residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (step.before, step.after))
         log.info("found %s: residual %.4f -> %.4f mm", listed(step.effects), *residuals)
         state = state.with_step(step)
+        if any(station.serial is not None for station in state.fit.problem.stations):
+            state = state.fitted_again(weighed_by_order(state.fit, Until.CLOSE))
     return state
+
+
+def _trusting_what_gathers(state: State) -> State:
+    """Return the state in which outliers that gather along a joint count: they may be what is looked for."""
+    fit, stations = state.fit, []
+    for station, rows in zip(fit.problem.stations, fit.problem.rows, strict=True):
+        found = gathering_of(station, fit.solution.weights[rows] == 0.0)
+        if found is not None and found.variable != "line":
+            log.info("%d outliers gather at %s and count from now on", len(found.rows), found.variable)
+            trusted = np.zeros(len(station), bool) if station.trusted is None else station.trusted.copy()
+            trusted[found.rows] = True
+            station = replace(station, trusted=trusted)
+        stations.append(station)
+    problem = replace(fit.problem, stations=tuple(stations))
+    if all(a is b for a, b in zip(problem.stations, fit.problem.stations, strict=True)):
+        return state
+    return state.fitted_again(refit(replace(fit, problem=problem), fit.options.effects, start={}, until=Until.CLOSE))
+
+
+def judge_outliers_again(state: State, search: Search) -> State:
+    """Leave out again what counted because it gathered, if the model does not describe it in the end."""
+    problem = state.fit.problem
+    if all(station.trusted is None for station in problem.stations):
+        return state
+    problem = replace(problem, stations=tuple(replace(station, trusted=None) for station in problem.stations))
+    return state.fitted_again(refit(replace(state.fit, problem=problem), state.fit.options.effects, start={}))
+
+
+def hold_up_elasticity(state: State, search: Search) -> State:
+    """Let in, on few rows, the elasticity that has no name, unless blocks of poses left out speak against it.
+
+    Few rows can't show that an arm bends, and every arm does: what is known beforehand of how much predicts better than that
+    it does not, and intervals without it would be those of a rigid arm.
+    """
+    fit = state.fit
+    missing = () if has_compliance(search.first.problem.effects) else missing_compliances(fit)
+    if not missing or not is_small_table(fit, search.policy):
+        return state
+    tests = score_test_beside_nuisances(fit, missing, search.groups, wider=1.0)
+    if standard_errors(tests.gains_by_block(range(len(missing)))) < -1.0:
+        return state
+    log.info("few rows: held by what is known beforehand, %s", listed(missing))
+    after = refit(fit, [*fit.options.effects, *missing], start={}, until=Until.CLOSE)
+    return state.changed(after, state.steps, missing, ())
 
 
 def _that_predict(fit: Fit, features: Sequence[Effect], search: Search) -> tuple[Effect, ...]:

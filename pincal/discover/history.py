@@ -12,6 +12,7 @@ from pincal.discover.policy import Policy
 from pincal.discover.score_tests import Score, ScoreTests
 from pincal.identify.fit import Fit
 from pincal.model.effect import Effect, Family
+from pincal.model.effects import Compliance
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +117,12 @@ class History:
     changes: tuple[Change, ...]
     extra: tuple[Effect, ...]
     policy: Policy
+
+    @property
+    def is_held_up(self) -> bool:
+        """Whether elasticity is in the model by what is known beforehand, too, and not by its name alone."""
+        named = [effect for step in self.steps for effect in step.effects]
+        return any(isinstance(e, Compliance) and e not in named for change in self.changes for e in change.entered)
 
     @cached_property
     def last(self) -> ScoreTests:

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.discover.backward import drop_needless, name_again
 from pincal.discover.candidate_tests import Search, addable, over_rows_of, sampled, variants
 from pincal.discover.decisions import each_heading_once, is_own_curve
-from pincal.discover.forward import add_effects, add_hidden_waves, bent
+from pincal.discover.forward import add_effects, add_hidden_waves, bent, hold_up_elasticity, judge_outliers_again
 from pincal.discover.history import History, State
 from pincal.discover.joint_noise import joint_noise, weighed
 from pincal.discover.moment_frames import (
@@ -23,13 +23,14 @@ from pincal.discover.moment_frames import (
     likeliest_fit,
     single_compliance,
 )
-from pincal.discover.nuisance import missing_compliances
+from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.remainders import add_remainders, merge_parts, take_whole_curves
 from pincal.discover.resolution import curves_over
 from pincal.discover.settling import about_itself, settle
 from pincal.discover.smoothness import smoothed
 from pincal.identify.calibrate import Until, refit
+from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import Fit
 from pincal.identify.moment_frames import FRAME_BETTER
 from pincal.identify.solve import Exit
@@ -37,6 +38,10 @@ from pincal.model.chain import MomentFrame
 from pincal.model.effect import Curve, Effect, Settling
 
 log = logging.getLogger(__name__)
+
+# Mean square of a joint's steps from row to row, over that of steps in random order, below which it moved along the rows: a
+# path of a few turning points, or sorted poses.
+_SMALL_STEPS = 0.1
 
 
 def discover_effects(
@@ -59,13 +64,57 @@ def discover_effects(
         policy: thresholds and limits.
         nameless: identities of the dependences without a name that take part; default: all.
     """
-    few, rows = sampled(fit, policy)
-    search = Search(policy, tuple(extra), fit, groups[rows], tuple(frames), nameless)
-    state = State(few)
-    for step_on in PASSES:
-        state = step_on(state, search)
-    first = in_frame(fit, state.fit.problem.chain.moment_frame)
-    return History(first, state.steps, state.fit, state.changes, search.extra, policy)
+
+    def searched(first: Fit) -> History:
+        few, rows = sampled(first, policy)
+        search = Search(policy, tuple(extra), first, groups[rows], tuple(frames), nameless)
+        state = State(few)
+        for step_on in PASSES:
+            state = step_on(state, search)
+        first = in_frame(first, state.fit.problem.chain.moment_frame)
+        return History(first, state.steps, state.fit, state.changes, search.extra, policy)
+
+    found = searched(fit)
+    names = [step.effect for step in found.steps if not step.is_elastic]
+    along = [effect for effect in names if _follows_the_order(effect, found.final)]
+    if not along and not is_dependent(found.final):
+        return found
+    # Names that leave what depends on the order of the rows may be made of it: once more, with rows weighed by it. What it
+    # is is told by the model without them, or, if they hide it, with them.
+    named = {e.identity for step in found.steps if not step.is_elastic for e in step.effects}
+    plain = refit(found.final, [e for e in found.final.options.effects if e.identity not in named], until=Until.CLOSE)
+    noise = next((of for of in map(serial_noise, (plain, found.final)) if any(of)), None)
+    if noise is None or not (is_dependent(found.final) or _may_be_order(along, with_serial(plain, noise), policy)):
+        return found
+    weighed = with_serial(fit, noise)
+    log.info("what is left depends on the order of the rows: once more, rows weighed by it")
+    return searched(refit(weighed, fit.options.effects, start={}))
+
+
+def _follows_the_order(effect: Effect, fit: Fit) -> bool:
+    """Return whether an effect follows the positions of a joint that moved by small steps along the rows of a station."""
+    names = fit.problem.chain.robot.joint_names
+    if effect.locus.follows not in names:
+        return False
+    j = names.index(effect.locus.follows)
+    for station in fit.problem.stations:
+        if station.position is not None and len(station) > 1:
+            q = station.conditions.q[np.argsort(station.position, kind="stable"), j]
+            if np.mean(np.diff(q) ** 2) < _SMALL_STEPS * 2.0 * np.var(q):
+                return True
+    return False
+
+
+def _may_be_order(effects: Sequence[Effect], weighed: Fit, policy: Policy) -> bool:
+    """Return whether noise along the rows explains any of some effects of which a fit has none.
+
+    Where poses follow each other along a joint, what follows that joint and what drifts are the same but for rows that are
+    near in the joint and far apart in the order.
+    """
+    fit = refit(weighed, weighed.options.effects, start={}, until=Until.CLOSE)
+    few, _ = sampled(fit, policy)
+    tests = score_test_beside_nuisances(few, effects)
+    return any(tests.score([i], 1).p_value > policy.drop * policy.false_name for i in range(len(effects)))
 
 
 def start_in_likeliest_frame(state: State, search: Search) -> State:
@@ -180,10 +229,12 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     drop_needless,
     take_whole_curves,
     add_remainders,
+    hold_up_elasticity,
     settle,
     fit_all_rows,
     settle,
     merge_parts,
     suggest_whole_curves,
     add_hidden_waves,
+    judge_outliers_again,
 )

@@ -81,9 +81,6 @@ class Policy:
     gain: float = _number(100.0, "noise variance", _DECISIONS + "test_what_matters_to_nobody_is_left_out",
         "reduction of the weighted squares that is enough, however many readings there are",
         "ten standard deviations of one parameter: sure, whatever its share")
-    tried: int = _number(5, "effects", _EXAMPLES,
-        "cheapest effects that are tried on rows left out before it is said that nothing predicts",
-        "chosen: it bounds the time of the last step")
     close: int = _number(12, "effects", _EXAMPLES,
         "names that take part when dependences without a name are tried",
         "chosen: it bounds the size of the second table")

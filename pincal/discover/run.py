@@ -149,9 +149,9 @@ def run_discovery(
         left_out = leave_out_stations(robot, tables_of(measurements), options, fit_others=others, executor=executor)
     if executor is not None:
         wake(executor, stability, begin_halves.__module__)
-    first = run_calibration(
-        robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout
-    )
+    # Before names are looked for, what depends on the order of rows may be what they stand for.
+    plain = replace(options, serial=False)
+    first = run_calibration(robot, measurements, plain, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
     trail, notes = search(first)
     halves = begin_halves(trail, _regions(first), stability, executor=executor)
     # What follows is done here while workers are at the halves.

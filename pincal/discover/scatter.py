@@ -22,7 +22,7 @@ from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint
-from pincal.validate.replicates import same_joints
+from pincal.measure.poses import same_joints
 
 # Twice the log-likelihood that scatter of a joint has to gain: 5 standard deviations of one parameter, so that none of a
 # robot's joints gets there by chance (test_scatter.py: neither noise nor several targets do, 50 urad do).

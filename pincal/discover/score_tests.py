@@ -32,6 +32,10 @@ from pincal.model.effects import Effect
 # geometry would be found wherever a machine leaves them. Sound arms with nearly parallel axes do: small errors of these are
 # large ones of where their common normal stands.
 WIDER = 10.0
+VETO = 2.0
+"""Standard errors that blocks of poses have to gain for one of them not to count against them: 1 in 40 by chance."""
+# Blocks of which the extreme ones can be told.
+_FEWEST_BLOCKS = 6
 
 
 @dataclass(frozen=True)
@@ -130,9 +134,18 @@ class ScoreTests(FirstOrder):
 def standard_errors(gains: np.ndarray) -> float:
     """Return the sum of what blocks of poses left out gain, in its standard errors as the blocks differ.
 
-    More than one is what it takes, here and everywhere in a discovery, to call a prediction better.
+    More than one is what it takes, here and everywhere in a discovery, to call a prediction better. One block alone, such as
+    a region that the others don't reach, can't veto what they agree in: if they do by ``VETO`` standard errors, the blocks
+    that gain least and most count as those next to them (Winsor's mean).
     """
-    return float(gains.sum() / max(gains.std(ddof=1) * np.sqrt(len(gains)), 1e-300)) if len(gains) > 1 else 0.0
+    if len(gains) < 2:
+        return 0.0
+    every, inner = _in_errors(gains), np.clip(gains, *np.sort(gains)[[1, -2]])
+    return max(every, _in_errors(inner)) if len(gains) >= _FEWEST_BLOCKS and _in_errors(inner) > VETO else every
+
+
+def _in_errors(gains: np.ndarray) -> float:
+    return float(gains.sum() / max(gains.std(ddof=1) * np.sqrt(len(gains)), 1e-300))
 
 
 def enough_errors(effect: Effect) -> float:

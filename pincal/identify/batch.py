@@ -154,6 +154,7 @@ def _are_alike(one: Station, other: Station) -> bool:
         and len(a.effects) == len(b.effects)
         and all(x is y or (x.family is Family.EXTRINSICS and x == y) for x, y in zip(a.effects, b.effects, strict=True))
         and _shape(one) == _shape(other)
+        and other.serial is None
         and np.array_equal(one.conditions.payload_centre, other.conditions.payload_centre)
     )
 
@@ -173,7 +174,7 @@ def _is_plain(station: Station) -> bool:
     """Return whether a station's sensor is nothing but its rows, and its model the same however base and tool are turned."""
     sensor, chain = station.sensor, station.model.chain
     is_rows = {f.name for f in fields(sensor)} == set(sensor.per_row)  # type: ignore[arg-type]
-    if not is_rows or sensor.parameters or isinstance(sensor, Grouped) or not len(station):
+    if station.serial is not None or not is_rows or sensor.parameters or isinstance(sensor, Grouped) or not len(station):
         return False
     nowhere = chain.with_references(np.full((3, 3), np.nan), np.full_like(chain.tool_rotations, np.nan))
     row, moments = station.conditions.select(slice(0, 1)), np.zeros((1, 3 * chain.robot.n_joints))

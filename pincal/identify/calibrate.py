@@ -14,6 +14,7 @@ from scipy.special import chdtri
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.bearings import called_for
 from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, released_of, sensors_own
+from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
@@ -25,7 +26,9 @@ from pincal.identify.noise import Noise
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
 from pincal.identify.solve import SETTLED, Priors, Solution, solve
+from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.measure.poses import by_pose
 from pincal.measure.sensor import KnownParameters
 from pincal.measure.stations import stations_of
 from pincal.model.catalogue.bearings import without_idle_features
@@ -94,11 +97,12 @@ def calibrate(
     Raises:
         MeasurementError: if the rows are too few to tell the parameters and the noise.
     """
-    tables = tables_of(measurements)
+    tables = _by_pose(measurements)
     options = _completed(robot, options, tables)
     fit = with_bearings(_weighed_anew(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit.problem, fit.solution, fit.noise)
-    return _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
+    fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
+    return weighed_by_order(fit) if options.serial and is_dependent(fit) else fit
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:
@@ -115,6 +119,11 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     if not tables:
         raise BadInputError("no tables of measurements; expected one or more")
     return tables
+
+
+def _by_pose(measurements: Tables) -> dict[str, Measurements]:
+    """Return the poses of each station by its name, as :func:`tables_of`."""
+    return {name: by_pose(table) for name, table in tables_of(measurements).items()}
 
 
 def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
@@ -181,7 +190,7 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     Raises:
         BadInputError: as :func:`calibrate`.
     """
-    tables = tables_of(measurements)
+    tables = _by_pose(measurements)
     options = _completed(robot, options, tables)
     fit = _in_best_frame(_fitted(robot, tables, options, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
@@ -241,6 +250,14 @@ def refit(
     return Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
 
 
+def weighed_by_order(fit: Fit, until: Until = Until.SETTLED) -> Fit:
+    """Return a fit whose rows are weighed by the noise along their order that the fit leaves; perhaps by none."""
+    found = serial_noise(fit)
+    if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
+        return fit
+    return refit(with_serial(fit, found), fit.options.effects, start={}, until=until)
+
+
 def with_bearings(fit: Fit) -> Fit:
     """Return a fit with what the data call for of the features of its bearings, which may take further fits."""
     more = called_for(fit).effects
@@ -253,7 +270,10 @@ def _begin(
     """Return the problem, its fit of base and tool alone, the priors and the noise."""
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
-    placed = place(robot, tables, options)
+    placed = [
+        (_averaged(station, table, options.at(name)), local)
+        for (station, local), (name, table) in zip(place(robot, tables, options), tables.items(), strict=True)
+    ]
     earlier = None if options.earlier is None else Earlier.of(options.earlier)
     problem = Problem(tuple(station for station, _ in placed), earlier)
     values = np.zeros(problem.size)
@@ -269,6 +289,16 @@ def _begin(
             )
             values = nominal.values
     return problem, nominal, priors, noise
+
+
+def _averaged(station: Station, table: Measurements, options: Options) -> Station:
+    """Return a station whose rows weigh as the means that they are, where the noise of a single reading is declared.
+
+    Where it is not, what poses differ by from the model may be as much their own, and each counts once.
+    """
+    if table.readings_per_row is None or options.sigma is None:
+        return station
+    return replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
 
 
 def _fit(

@@ -95,6 +95,11 @@ class Jacobian:
             found.append(basis[:, None] * family.column[readings])
         return np.concatenate(found)
 
+    def dense_columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return all columns, shape (F, m, n), and which parameters they are of, shape (F,)."""
+        most = max((f.basis.size for f in self.families if isinstance(f.basis, SparseBasis)), default=1)
+        return self.columns(most, slice(None)), np.concatenate([self.places, *(f.places for f in self.families)])
+
     def along(self, steps: np.ndarray) -> np.ndarray:
         """Return how R steps of the parameters, shape (F, R), move the readings, shape (R, m, n)."""
         moved = np.tensordot(steps[self.places].T, self.dense, axes=1)

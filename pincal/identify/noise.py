@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -139,7 +140,13 @@ class Judge:
         limits = [outlier_limit(n, int(size)) if n else np.inf for n, size in zip(counts, sizes, strict=True)]
         limit2 = np.repeat(limits, counts)
         lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
-        return np.where(distance2 > limit2, lighter, 1.0)
+        return np.where((distance2 > limit2) & ~self._trusted, lighter, 1.0)
+
+    @cached_property
+    def _trusted(self) -> np.ndarray:
+        """Which rows are no outliers whatever is left there, shape (N,)."""
+        parts = [np.zeros(len(s), bool) if s.trusted is None else s.trusted for s in self.problem.stations]
+        return np.concatenate(parts)
 
 
 def _medians(rows: list[np.ndarray]) -> np.ndarray:

@@ -58,6 +58,7 @@ class Options:
         setup: named points and the camera, as far as they are known.
         stations: station name -> what it has different, where there are several.
         earlier: what an earlier fit found of the robot's own parameters; it takes the place of their priors.
+        serial: whether noise that is correlated along the rows is looked for, and rows are weighed by it.
     """
 
     effects: tuple[Effect, ...] = ELASTIC
@@ -75,6 +76,7 @@ class Options:
     setup: Setup = field(default_factory=Setup)
     stations: Mapping[str, StationOptions] = field(default_factory=dict)
     earlier: Estimate | None = None
+    serial: bool = True
 
     @property
     def first_frame(self) -> MomentFrame:

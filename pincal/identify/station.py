@@ -10,6 +10,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
+from pincal.identify.serial import Serial
 from pincal.identify.whitening import whitened
 from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
@@ -39,6 +40,9 @@ class Station:
         whitening: shape (m, m, N), lower triangular, of each row what makes the noise of its readings independent and even;
             default: it is.
         name: tells it from the other stations of a problem; "" where there is no other.
+        position: shape (N,), where each row stands in the order of measurement, in rows; None where there is none.
+        serial: how the noise is correlated along that order; default: it is not.
+        trusted: shape (N,), rows that are not to be taken for outliers; default: none.
     """
 
     model: Model
@@ -47,6 +51,9 @@ class Station:
     weights: np.ndarray
     name: str = ""
     whitening: np.ndarray | None = None
+    position: np.ndarray | None = None
+    serial: Serial | None = None
+    trusted: np.ndarray | None = None
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
@@ -74,6 +81,9 @@ class Station:
             sensor=self.sensor.select(rows),
             weights=self.weights[rows],
             whitening=None if self.whitening is None else np.ascontiguousarray(self.whitening[..., rows]),
+            position=None if self.position is None else self.position[rows],
+            serial=None if self.serial is None else self.serial.select(rows),
+            trusted=None if self.trusted is None else self.trusted[rows],
         )
 
     def sample(self, most: int) -> Station:
@@ -96,12 +106,23 @@ class Station:
 
     def whitened(self, residuals: np.ndarray) -> np.ndarray:
         """Return residuals of all rows, shape (m, N), as a fit weighs them: their noise independent and even."""
-        if self.whitening is None:
-            return residuals
-        return np.asarray(whitened(self.whitening, np.ascontiguousarray(residuals[None]))[0])
+        if self.whitening is not None:
+            residuals = np.asarray(whitened(self.whitening, np.ascontiguousarray(residuals[None]))[0])
+        return np.concatenate([self._along(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1)
+
+    def _along(self, columns: np.ndarray, piece: slice) -> np.ndarray:
+        """Return columns of a piece of the rows, shape (D, m, n), their noise independent along the rows, too."""
+        if self.serial is None:
+            return columns
+        # Rows that are surer have less of both kinds of noise.
+        weights = self.weights[piece]
+        return self.serial.select(piece).innovations(columns * weights) / weights
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return noise of all rows, shape (m, N), that is independent and even, as readings have it."""
+        if self.serial is not None:
+            parts = [self.serial.select(p).coloured((noise * self.weights)[:, p]) for p in self._pieces()]
+            noise = np.concatenate(parts, axis=1) / self.weights
         if self.whitening is None:
             return noise
         return np.asarray(np.linalg.solve(np.moveaxis(self.whitening, 2, 0), noise.T[:, :, None])[:, :, 0].T)
@@ -140,9 +161,9 @@ class Station:
         """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices."""
         # Nothing of a piece is held here while it is worked on.
         for piece in self._pieces():
-            yield piece, *self._shared(self._part(piece), values, free)
+            yield piece, *self._shared(self._part(piece), piece, values, free)
 
-    def _shared(self, part: Station, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, Jacobian]:
+    def _shared(self, part: Station, piece: slice, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, Jacobian]:
         """Return residuals and Jacobian of a piece of the rows."""
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
@@ -156,6 +177,7 @@ class Station:
         columns, residuals = part.sensor.jacobian(poses, motion, own), part.sensor.residuals(poses, own)
         if part.whitening is not None:
             columns = whitened(part.whitening, np.ascontiguousarray(columns))
+            residuals = whitened(part.whitening, np.ascontiguousarray(residuals[None]))[0]
         n_apart = int(self.split(apart)[0].sum())
         of_sensor = columns[len(motion) :][own_free]
         plain = not shared and not len(of_sensor)
@@ -167,10 +189,15 @@ class Station:
             for parameters, basis in group.families
         )
         jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
-        return part.whitened(residuals), jacobian
+        if self.serial is None:
+            return residuals, jacobian
+        # What a curve does at one row is left in the next ones, too.
+        columns, places = jacobian.dense_columns()
+        return self._along(residuals[None], piece)[0], Jacobian(jacobian.size, places, self._along(columns, piece))
 
     def _pieces(self) -> Iterator[slice]:
-        size = max(len(self), 1) if self.sensor.is_whole else PIECE
+        is_whole = self.sensor.is_whole or (self.serial is not None and not self.serial.is_in_order)
+        size = max(len(self), 1) if is_whole else PIECE
         for start in range(0, len(self), size):
             yield slice(start, min(start + size, len(self)))
 
@@ -178,8 +205,10 @@ class Station:
         if piece == slice(0, len(self)):
             return self
         conditions = part_of(self.conditions, piece, (piece.start, piece.stop))
+        # Weights and places are those of the whole, as pieces are put together by them.
         whitening = None if self.whitening is None else np.ascontiguousarray(self.whitening[..., piece])
-        return replace(self, conditions=conditions, sensor=self.sensor.select(piece), whitening=whitening)
+        serial = None if self.serial is None else self.serial.select(piece)
+        return replace(self, conditions=conditions, sensor=self.sensor.select(piece), whitening=whitening, serial=serial)
 
 
 def station_of(
@@ -202,7 +231,17 @@ def station_of(
     sigma = measurements.sigma
     weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
     conditions = conditions_of(model, measurements, payload_centre)
-    return Station(model, conditions, sensor_of(measurements, setup), weights, name)
+    return Station(model, conditions, sensor_of(measurements, setup), weights, name, position=_positions(measurements))
+
+
+def _positions(measurements: Measurements) -> np.ndarray:
+    """Return where each row stands in the order of measurement, by the time or the line, shape (N,)."""
+    along = measurements.rows.astype(float) if measurements.time is None else measurements.time
+    steps = np.diff(np.sort(along))
+    if measurements.time is None and np.any(np.diff(along) <= 0.0):
+        # Rows of several files.
+        return np.arange(len(along), dtype=float)
+    return np.asarray(along / np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.arange(len(along), dtype=float)
 
 
 def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:

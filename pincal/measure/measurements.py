@@ -16,7 +16,7 @@ from pincal.measure.sensor import Sensor
 
 # What a table has beside its readings.
 _OF_JOINTS = ("q", "approach", "droop")
-_ARRAYS = (*_OF_JOINTS, "rows", *CONDITIONS, "sigma")
+_ARRAYS = (*_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,6 +58,8 @@ class Measurements:
     """Commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n)."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
+    readings_per_row: np.ndarray | None = None
+    """How many readings of a pose each row is the mean of, shape (N,); None where each row is a single reading."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units that the header gave, by column; what is not in it was taken as SI."""
     approach_from: str = ""
@@ -210,6 +212,8 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     """
     if not tables:
         raise MeasurementError("no table to join; expected at least one")
+    if any(table.readings_per_row is not None for table in tables):
+        tables = [table if table.readings_per_row is not None else _single(table) for table in tables]
     first = tables[0]
     for other in tables[1:]:
         if other.joint_names != first.joint_names:
@@ -224,6 +228,11 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     source = ", ".join(dict.fromkeys(table.source for table in tables))
     origins = ", ".join(dict.fromkeys(table.approach_from for table in tables if table.approach_from))
     return replace(joined, units=units, source=source, approach_from=origins)
+
+
+def _single(table: Measurements) -> Measurements:
+    """Return a table whose rows are single readings as one that says so."""
+    return replace(table, readings_per_row=np.ones(len(table), int))
 
 
 def validated(

@@ -16,10 +16,11 @@ from scipy.special import fdtrc
 
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.measure.poses import replicate_groups
 from pincal.units import format_readable
 from pincal.validate.misfit import MISFIT, misfit
 from pincal.validate.pure_error import Squares, evenness, squares_of
-from pincal.validate.replicates import Replicates, iso9283, replicate_groups
+from pincal.validate.replicates import Replicates, iso9283
 
 # Replicates that differ by less than this many rounding errors of a reading carry no information on the noise.
 _ROUNDINGS = 10.0

@@ -1,8 +1,7 @@
 r"""Replicates, repeated measurements of the same pose: accuracy and repeatability by ISO 9283.
 
-Rows are replicates of one pose if they have the same joint positions (to 1e-5 rad), target, named point, payload and
-direction of approach, and temperatures within 4 K: the standard allows :math:`\pm 2` K. Time may differ, as cycles take
-time: a robot that drifts repeats badly. With l_j the distance of replicate j from the mean of n replicates,
+Which rows are replicates of one pose is the matter of :mod:`pincal.measure.poses`. With l_j the distance of replicate j from
+the mean of n replicates,
 
 .. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|, \quad RP_a = 3 S_a
 
@@ -27,11 +26,6 @@ from pincal.measure.measurements import Measurements
 CYCLES = 30
 """Cycles, measurements of each pose, that ISO 9283 asks for."""
 
-# Joint positions that count as the same pose [rad or m]: coarser than encoders resolve, finer than robots repeat (1e-5 rad
-# move the tip of an arm of 2 m by 0.02 mm).
-_SAME = 1e-5
-# Payloads that count as the same [kg]: a gram bends no arm. Temperatures within the ±2 K of ISO 9283 [K].
-_SAME_LOAD, _SAME_CLIMATE = 1e-3, 4.0
 _ANGLES = "abc"
 
 ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axis in zip(_ANGLES, "xyz", strict=True)}
@@ -55,82 +49,6 @@ class Replicates:
     station: Station
     pose: np.ndarray
     counted: np.ndarray
-
-
-def replicate_groups(tables: Sequence[Measurements]) -> list[np.ndarray]:
-    """Return the number of the pose of each row of some tables.
-
-    Args:
-        tables: tables of the same joints.
-
-    Returns:
-        For each table shape (N,), whole numbers from 0.
-
-    Example:
-        >>> from pincal.measure.measurements import measurements_from_arrays
-        >>> q, load = [[0.1], [0.5], [0.100001], [0.1]], [0.0, 0.0, 0.0, 80.0]
-        >>> replicate_groups([measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)])[0].tolist()
-        [0, 1, 0, 2]
-    """
-    keys = [same_joints(np.vstack([table.q for table in tables]))]
-    named = [table.names() for table in tables]
-    for name in dict.fromkeys(name for columns in named for name in columns):
-        names = [columns.get(name, np.full(len(t), "")) for t, columns in zip(tables, named, strict=True)]
-        keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
-    keys.append(np.round(_stacked(tables, "payload") / _SAME_LOAD).astype(int))
-    if any(table.approach is not None for table in tables):
-        sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
-        keys.append(np.unique(np.vstack(sides), axis=0, return_inverse=True)[1].ravel())
-    poses = _numbered(np.column_stack(keys))
-    climate = _same_climate(_stacked(tables, "temperature"), poses)
-    poses = _numbered(np.column_stack([poses, climate]))
-    return np.split(poses, np.cumsum([len(table) for table in tables])[:-1])
-
-
-def _stacked(tables: Sequence[Measurements], name: str) -> np.ndarray:
-    """Return a column of numbers, 0 where a table has none."""
-    columns = [getattr(table, name) for table in tables]
-    return np.concatenate([np.zeros(len(t)) if c is None else c for t, c in zip(tables, columns, strict=True)])
-
-
-def _numbered(keys: np.ndarray) -> np.ndarray:
-    """Return a number for each distinct row, in the order of their first appearance."""
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), int)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(rank[inverse.ravel()])
-
-
-def same_joints(q: np.ndarray) -> np.ndarray:
-    """Return a number for rows with the same joint positions: cells of a grid, those that touch joined."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    cells, inverse = np.unique(np.floor(q / _SAME), axis=0, return_inverse=True)
-    pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
-    count, label = connected_components(links, directed=False)
-    low, high = np.full((count, q.shape[1]), np.inf), np.full((count, q.shape[1]), -np.inf)
-    np.minimum.at(low, label, cells)
-    np.maximum.at(high, label, cells)
-    # A slow motion links cell to cell over a long way: its rows are not replicates.
-    label = label[inverse.ravel()]
-    is_motion = np.any(high - low > 1.5, axis=1)[label]
-    return np.asarray(np.where(is_motion, count + np.arange(len(q)), label))
-
-
-def _same_climate(temperature: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return, within each pose, the number of the window of temperature that a row falls into."""
-    window = np.zeros(len(poses), int)
-    pose, lowest, number = -1, 0.0, 0
-    for row in np.lexsort((temperature, poses)):
-        if poses[row] != pose:
-            pose, lowest, number = poses[row], temperature[row], 0
-        elif temperature[row] - lowest > _SAME_CLIMATE:
-            lowest, number = temperature[row], number + 1
-        window[row] = number
-    return window
 
 
 def position_accuracy(residuals: np.ndarray) -> tuple[float, float]:

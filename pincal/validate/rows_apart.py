@@ -67,7 +67,7 @@ def step_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.nd
     for most in (_FEW, _MOST):
         taken = order[some_rows(len(order), most)]
         # Which way rows moved is a matter of the readings as they are.
-        found = _step(replace(station.select(taken), whitening=None), values, free, lines[taken])
+        found = _step(replace(station.select(taken), whitening=None, serial=None), values, free, lines[taken])
         if found is None or len(taken) == len(order):
             break
     return found
