@@ -79,6 +79,7 @@ def situation() -> Situation:
         time=np.sort(rng.uniform(0.0, 3e4, _POSES)),
         approach=rng.choice([-1.0, 1.0], (_POSES, 6)),
         droop=rng.normal(0.0, 1e-4, (_POSES, 6)),
+        move=rng.uniform(-2.0, 2.0, (_POSES, 6)),
     )
     return Situation(Chain.of(robot, moment_frame="before"), conditions, _SOFT)
 

@@ -22,8 +22,9 @@ from pincal.errors import BadInputError, PincalWarning
 T = TypeVar("T")
 C = TypeVar("C", bound=type[Any])
 
-# Modules that users named, in their order.
+# Modules that users named, in their order, and those that classes were registered from.
 _loaded: dict[str, None] = {}
+_origins: list[str] = []
 
 
 class Registry(Generic[T]):
@@ -74,6 +75,7 @@ class Registry(Generic[T]):
                 "choose another name"
             )
         self._classes[name] = cls
+        _origins.append(cls.__module__)
         return cls
 
     def registered(self) -> Mapping[str, type[T]]:
@@ -110,9 +112,11 @@ def load_plugin(name: str) -> ModuleType:
         name: its dotted name, looked up where Python looks and in the current folder, or the path of a ``.py`` file.
 
     Raises:
-        BadInputError: if there is no such module, or it fails.
+        BadInputError: if there is no such module, it fails, or it registers nothing.
     """
-    path = Path(name)
+    path, before = Path(name), len(_origins)
+    if not name:
+        raise BadInputError("plugin '': expected the name of a module, or a file such as my_effects.py")
     folder, module = (path.parent.resolve(), path.stem) if path.suffix == ".py" else (Path.cwd(), name)
     try:
         with _importable(folder):
@@ -125,6 +129,12 @@ def load_plugin(name: str) -> ModuleType:
         ) from None
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
+    # A module that was imported before has registered its classes then.
+    if not any(i >= before or f"{origin}.".startswith(f"{module}.") for i, origin in enumerate(_origins)):
+        raise BadInputError(
+            f"plugin {name!r}: registers neither an effect nor a sensor; expected a module with a class under "
+            "@register_effect or @register_sensor"
+        )
     _loaded[os.fspath(path.resolve()) if path.suffix == ".py" else name] = None
     return found
 

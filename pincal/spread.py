@@ -9,9 +9,11 @@ function depends on its item alone: a draw brings its own seed.
 from __future__ import annotations
 
 import logging
+import os
 import pickle
 import platform
 import tempfile
+import threading
 import uuid
 import warnings
 import weakref
@@ -75,6 +77,32 @@ def wake(executor: Executor, count: int, module: str) -> None:
 
 def _load(module: str) -> None:
     import_module(module)
+
+
+def end_with_parent() -> None:
+    """Have this process end once the one that started it is gone, however that ended: for the initializer of a pool.
+
+    A worker of ``concurrent.futures`` waits for its next task for ever, as it holds both ends of the pipe of tasks.
+
+    Example:
+        >>> from concurrent.futures import ProcessPoolExecutor
+        >>> from multiprocessing import get_context
+        >>> pool = ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=end_with_parent)
+        >>> pool.shutdown()
+    """
+    from multiprocessing import parent_process
+
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), name="end with parent", daemon=True).start()
+
+
+def _end_after(sentinel: int) -> None:
+    from multiprocessing.connection import wait
+
+    wait([sentinel])
+    # Nobody is left to hear of anything, and what runs in other threads can't be stopped otherwise.
+    os._exit(1)
 
 
 def _told(results: Iterator[R], label: str, of: int) -> Iterator[R]:

@@ -5,8 +5,34 @@ The library computes in SI units throughout. Factors enter where a number is sho
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
+
+LARGEST = 1e7
+"""Size beyond which no quantity of a robot cell in SI units can be meant.
+
+A coordinate [m] has no digit of a nanometre left there, as a double has 16 digits; some cells are placed in national grids,
+which go that far.
+"""
+SMALLEST = 1e-12
+"""Size below which no positive quantity in SI units can be meant: a picometre is a hundredth of an atom."""
+
+# Size of gravity [m/s^2] that can be meant if it is not zero: from what is left in orbit to a hundred times that on earth.
+_LEAST_GRAVITY, _MOST_GRAVITY = 1e-6, 1e3
+GRAVITIES = f"0 0 0, or a vector of {_LEAST_GRAVITY:g} to {_MOST_GRAVITY:g} m/s^2"
+"""Which gravity can be meant, in words."""
+
+
+def is_gravity(vector: Sequence[float]) -> bool:
+    """Return whether a vector [m/s^2] can be the gravity of a robot.
+
+    Example:
+        >>> is_gravity((0.0, 0.0, -9.81)), is_gravity((0.0, 0.0, 1e-300)), is_gravity((0.0, 0.0, 0.0))
+        (True, False, True)
+    """
+    size = math.hypot(*vector)
+    return size == 0.0 or _LEAST_GRAVITY <= size <= _MOST_GRAVITY
 
 
 def plain_number(text: str) -> float:

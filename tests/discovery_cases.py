@@ -29,6 +29,7 @@ from pincal.discover.where import sure_compliances
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import Fit
 from pincal.identify.split import hold_out, row_groups
+from pincal.measure.approach import moves_by_order, sides_by_order
 from pincal.measure.measurements import Measurements
 from pincal.model import catalogue
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
@@ -185,6 +186,7 @@ class _Setting:
     conditions: dict[str, Any]
     com: tuple[float, float, float]
     arm: str
+    in_order: bool = False
     moments: np.ndarray = field(default_factory=lambda: np.zeros(0))
     known: dict[tuple[HiddenEffect, ...], np.ndarray] = field(default_factory=dict)
 
@@ -218,6 +220,7 @@ def _setting(
     masses: float,
     one_payload: bool,
     columns: set[str],
+    in_order: bool,
 ) -> _Setting:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(kuka_urdf_path())
@@ -254,7 +257,7 @@ def _setting(
         conditions["temperature"] = warming + rng.normal(0.0, 0.5, n)
     if "time" in columns or rng.random() < 0.3:
         conditions["time"] = time
-    if "approach" in columns or rng.random() < 0.3:
+    if not in_order and ("approach" in columns or rng.random() < 0.3):
         conditions["approach"] = rng.choice([-1, 1], (n, 6))
     hall = np.eye(4)
     hall[:3, :3], hall[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
@@ -263,7 +266,7 @@ def _setting(
         0.6 if light else 1.0
     )
     com = (0.01, 0.02, 0.08) if light else (0.06, 0.03, 0.2)
-    setting = _Setting(machine, robot, q, hall, tool, conditions, com, arm)
+    setting = _Setting(machine, robot, q, hall, tool, conditions, com, arm, in_order)
     poses = machine.poses(q, payload=payload, payload_com=com)
     setting.moments = np.abs(machine.equilibrium(poses).loads.drive).max(axis=0)
     return setting
@@ -286,7 +289,8 @@ class _Absorber:
         relative = [parameter.size for parameter in model.parameters[len(fit.values) :]]
         free = np.ones(model.n_parameters, bool)
         values = np.append(fit.values, np.zeros(len(relative)))
-        pieces = fit.station.with_model(model).linearise(values, free)
+        # By rows, of which a fit may make fewer poses.
+        pieces = fit.readings(rows).with_model(model).linearise(values, free)
         self.jacobian = np.concatenate([J.transpose(2, 1, 0) for _, _, J in pieces]) / SIGMA
         # Directions that only priors hold (parallel axes) absorb no more than their priors let them.
         self.held = 1.0 / np.append(fit.priors.sizes, relative)
@@ -323,7 +327,9 @@ def _bent(fit: Fit, soft: HiddenEffect | None) -> tuple[Model, np.ndarray]:
 
 
 def _table(setting: _Setting, positions: np.ndarray) -> Measurements:
-    return measurements_from_arrays(setting.machine.names, setting.q, position=positions, **setting.conditions)
+    q = setting.q
+    arrived = {"move": moves_by_order(q), "approach": sides_by_order(q)} if setting.in_order else {}
+    return measurements_from_arrays(setting.machine.names, q, position=positions, **setting.conditions, **arrived)
 
 
 def _kink(joint: int, place: float) -> Callable[[Poses, int], np.ndarray]:
@@ -375,6 +381,8 @@ NAMED = (
     "payload_error",
     "gear_ripple",
 )
+# What follows the last move is told where rows stand in order, as in a table of ``draw_case(..., in_order=True)``.
+IN_ORDER = ("settling", "backlash")
 # One joint's drive or bearing of an arm that is rigid otherwise.
 SOFT = ("joint_elasticity", "bearing_elasticity")
 NEEDS = {"backlash": "approach", "thermal_expansion": "temperature", "thermal_offset": "temperature", "base_drift": "time"}
@@ -471,6 +479,7 @@ def draw_case(
     noise: str = "normal",
     one_payload: bool = False,
     moment_frame: MomentFrame = "after",
+    in_order: bool = False,
 ) -> Case:
     """Draw a case.
 
@@ -485,6 +494,7 @@ def draw_case(
         noise: "normal", "outliers" (3 % of the rows off by millimetres) or "heavy" (Student t4).
         one_payload: the same load in all rows.
         moment_frame: where the moments on its bearings bend the arm.
+        in_order: whether rows stand in the order of measurement, which then tells how joints arrived.
     """
     rng = np.random.default_rng([seed, crc32(kind.encode())])
     arm = ("kuka", "heavy", "light")[seed % 3] if arm is None else arm
@@ -506,6 +516,7 @@ def draw_case(
             masses=masses,
             one_payload=one_payload,
             columns=columns,
+            in_order=in_order,
         )
         options = replace(options, payload_centre=setting.com)
         hidden: list[HiddenEffect] = []

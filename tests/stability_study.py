@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from discovery_cases import ELASTICITY, FOREIGN, NAMED, discover, draw_case, fresh, name_of
 from matplotlib.figure import Figure
-from scipy.stats import beta
+from rates import interval
 
 from pincal.calibration.fit import Fit
 from pincal.discover.stability import begin_halves
@@ -92,7 +92,7 @@ def draw(found: Sequence[Printed], path: Path) -> None:
     for halves, right in by_class(found):
         if not right:
             continue
-        middle, (low, high) = (halves[0] + halves[-1]) / 2.0, interval(right)
+        middle, (low, high) = (halves[0] + halves[-1]) / 2.0, interval(sum(right), len(right))
         axes.errorbar(
             middle, np.mean(right), [[np.mean(right) - low], [high - np.mean(right)]], fmt="o", color="C0", capsize=3
         )
@@ -101,13 +101,6 @@ def draw(found: Sequence[Printed], path: Path) -> None:
     axes.set(xlim=(0, HALVES + 0.5), ylim=(0, 1.05), xticks=range(0, HALVES + 1, 5))
     axes.legend(loc="lower right")
     figure.savefig(path, metadata={"Date": None})
-
-
-def interval(right: Sequence[bool]) -> tuple[float, float]:
-    """Return the 95 % interval of a rate (Clopper and Pearson)."""
-    n, hits = len(right), sum(right)
-    low, high = beta.ppf([0.025, 0.975], [hits, hits + 1], [n - hits + 1, n - hits])
-    return float(np.nan_to_num(low)), float(np.nan_to_num(high, nan=1.0))
 
 
 def main() -> None:
@@ -124,7 +117,7 @@ def main() -> None:
         if not all(right for _, right in case.names):
             print(f"{case.kind} {case.seed}: " + ", ".join(f"{count} {right}" for count, right in case.names))
     for halves, right in by_class(found):
-        low, high = interval(right)
+        low, high = interval(sum(right), len(right))
         print(
             f"in {halves[0]} to {halves[-1]} of {HALVES}: {len(right)} names, {sum(right)} right ({low:.3f} to {high:.3f})"
         )

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import math
 from dataclasses import MISSING, FrozenInstanceError, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,9 +13,10 @@ import pytest
 from test_cli import URDF, columns, results, run  # noqa: F401
 
 from pincal.cli import _COMMANDS
-from pincal.cli.arguments import Verb, argument, group, option, verb
-from pincal.cli.common import LENGTH, GeneralOptions
-from pincal.errors import Exit, PincalError
+from pincal.cli.arguments import Number, Verb, argument, group, option, verb
+from pincal.cli.common import ANGLE, LENGTH, GeneralOptions, Masses, Noise, Quantity
+from pincal.errors import BadInputError, Exit, PincalError
+from pincal.identify.options import Options, StationOptions
 from pincal.measure.table import write_table
 
 TYPED = [
@@ -91,12 +93,85 @@ def test_what_is_not_given_is_the_default_of_the_field_or_of_the_verb() -> None:
     assert read(*bare, defaults={"colour": "blue"}).part.colour == "blue"
 
 
+@pytest.mark.parametrize("wrong", [["", "--out", "b.csv"], ["a.csv", "--out", ""]])
+def test_no_text_is_no_file(wrong: list[str]) -> None:
+    """It is refused, and not the current folder."""
+    with pytest.raises(click.UsageError, match="names nothing; expected a file or a folder"):
+        read(*wrong)
+
+
 @pytest.mark.parametrize("wrong", ["--out b.csv", "a.csv", "a.csv --out b --colour green", "a.csv --out b --at 1 2"])
 def test_what_does_not_fit_is_a_usage_error(wrong: str) -> None:
     """A missing argument, a missing option, no such choice, too few values."""
     with pytest.raises(click.UsageError) as refused:
         read(*wrong.split())
     assert refused.value.exit_code == Exit.USAGE
+
+
+def _flat(texts: list[list[str]]) -> list[str]:
+    return [text for one in texts for text in one]
+
+
+def _numbers(kind: click.ParamType[Any]) -> list[list[str]]:
+    """Return texts that no option of a type takes: too large, too small, none; empty for a type that is not of numbers."""
+    huge = ["nan", "inf", "-inf", "1e300", "-1e300"]
+    if isinstance(kind, click.Tuple):
+        parts = [_numbers(part) for part in kind.types]
+        return [[odd[k % len(odd)] if odd else "a" for odd in map(_flat, parts)] for k in range(max(map(len, parts)))]
+    if isinstance(kind, Quantity | Noise):
+        unit = "rad" if kind is ANGLE else "m"
+        return [[number + unit] for number in (*huge, "1e-300")]
+    if isinstance(kind, Number | Masses):
+        return [[number] for number in huge]
+    return [["-1"], ["1.5"]] if isinstance(kind, click.IntRange) else []
+
+
+@pytest.mark.parametrize("name", TYPED)
+def test_no_option_takes_a_number_that_can_not_be_meant(name: str) -> None:
+    """What is not finite, or of a size that nothing about a robot has, is a usage error of every option of every verb."""
+    command, tried = getattr(importlib.import_module(_COMMANDS[name]), name), 0
+    context = click.Context(command)
+    for parameter in command.params:
+        assert not isinstance(parameter.type, click.types.FloatParamType) and parameter.type is not click.INT
+        for words in _numbers(parameter.type):
+            given: Any = words[0] if parameter.nargs == 1 else tuple(words)
+            with pytest.raises(click.BadParameter):
+                parameter.process_value(context, (given,) if parameter.multiple else given)
+            tried += 1
+    assert tried or name in ("validate", "predict", "export")
+
+
+@pytest.mark.parametrize("gravity", [("0", "0", "1e-300"), ("0", "0", "1e6")])
+def test_a_gravity_is_none_or_one_that_there_is(gravity: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    """What says what is expected is refused, whether in a fit or a simulation; from Python as well."""
+    for words in (["check", URDF, "t.csv"], ["simulate", URDF, "--poses", "5", "--out", "o.csv"]):
+        assert run(*words, "--gravity", *gravity) == 2
+        assert "0 0 0, or a vector of 1e-06 to 1000 m/s^2" in capsys.readouterr().err
+    x, y, z = map(float, gravity)
+    with pytest.raises(BadInputError, match="gravity"):
+        Options(gravity=(x, y, z))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"sigma": 1e-300},
+        {"sigma": math.nan},
+        {"sigma_orientation": math.inf},
+        {"payload_centre": (0.0, 0.0, math.nan)},
+        {"tools": {"tool": (0.0, 0.0, 1e300)}},
+        {"base": np.full((4, 4), math.nan)},
+        {"length_bound": -1.0},
+    ],
+)
+def test_options_from_python_are_numbers_that_can_be_meant(wrong: dict[str, Any]) -> None:
+    """They are refused by name, those of a station as well."""
+    name = "tool" if "tools" in wrong else next(iter(wrong))
+    with pytest.raises(BadInputError, match=name):
+        Options(**wrong)
+    if name != "length_bound":
+        with pytest.raises(BadInputError, match=name):
+            StationOptions(**wrong)
 
 
 @pytest.mark.parametrize("name", TYPED)

@@ -19,6 +19,7 @@ from pincal import (
 )
 from pincal.errors import MeasurementError
 from pincal.identify.calibrate import expected_fit, refit
+from pincal.identify.exact import is_exact
 from pincal.identify.explain import explain
 from pincal.identify.normal import accumulate, accumulate_each
 from pincal.identify.split import hold_out
@@ -102,6 +103,14 @@ def test_noisy_paper_machine_has_chi_square_one_and_intervals_that_cover(kuka):
     assert 0.95 < np.mean(chi2) < 1.05
     assert 0.93 < np.mean(inside_prediction) < 0.97
     assert 0.93 < np.mean(np.concatenate(inside_direction)) < 0.97
+
+
+@pytest.mark.parametrize(("size", "information", "exact"), [(1e-3, 1e19, True), (1e-3, 1e16, False), (1e170, 1e-10, True)])
+def test_how_exact_readings_are_is_told_of_any_size(size: float, information: float, exact: bool) -> None:
+    """What readings and a prior say of a parameter are compared without an overflow, whose warning ends a test."""
+    G, sizes = np.array([1.0, information, 1.0]), np.array([1.0, size, np.inf])
+
+    assert is_exact(G, sizes) == exact
 
 
 def test_order_of_rows_means_nothing(kuka, noisy):

@@ -21,6 +21,7 @@ from pincal.io.discovery_file import EffectName
 from pincal.io.effect_entry import effect_from_entry, effect_to_entry, known_effects
 from pincal.io.entries import ModelEntry, plain, restored
 from pincal.io.strict_json import MODEL_FILE, decode
+from pincal.measure.approach import moves_by_order
 from pincal.model import catalogue
 from pincal.model.catalogue import (
     AxisWobble,
@@ -44,6 +45,7 @@ from pincal.model.catalogue import (
     ObliqueBearing,
     PayloadError,
     ServoDroop,
+    ShortOfTarget,
     ThermalExpansion,
     ThermalGrowth,
     ThermalOffset,
@@ -99,6 +101,7 @@ EFFECTS: dict[str, Make] = {
     "axis_wobble 1 after": lambda j: AxisWobble(j[3], 1, "after"),
     "axis_wobble 2 after": lambda j: AxisWobble(j[1], 2, "after"),
     "backlash": lambda j: Backlash(j[1]),
+    "settling": lambda j: ShortOfTarget(j[1]),
     "load_backlash": lambda j: LoadBacklash(j[2], 15.0),
     "hysteresis": lambda j: Hysteresis(j[1]),
     "hysteresis with a preload": lambda j: Hysteresis(j[2], preload=10.0),
@@ -132,8 +135,9 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 
 def conditions_of(robot: Robot, n: int, rng: np.random.Generator, *, heaviest: float = 12.0) -> Conditions:
     """Return random poses of which everything is recorded and varies."""
+    q = robot.random_configurations(n, rng)
     return Conditions(
-        robot.random_configurations(n, rng),
+        q,
         np.zeros(n, int),
         heaviest * rng.integers(0, 2, n),
         np.array([0.1, 0.0, 0.2]),
@@ -141,6 +145,7 @@ def conditions_of(robot: Robot, n: int, rng: np.random.Generator, *, heaviest: f
         time=np.sort(rng.uniform(0.0, 3e4, n)),
         approach=rng.choice([-1.0, 1.0], (n, robot.n_joints)),
         droop=1e-3 * np.random.default_rng(n).standard_normal((n, robot.n_joints)),
+        move=moves_by_order(q),
     )
 
 
@@ -446,6 +451,7 @@ SAME_FORM: dict[str, tuple[*Pair, list[float] | None]] = {
         None,
     ),
     "backlash": (lambda j: sim.Backlash(joint=j[1], size=2e-4), lambda j: Backlash(j[1]), [-1e-4]),
+    "settling": (lambda j: sim.ShortOfTarget(joint=j[1], size=1e-4), lambda j: ShortOfTarget(j[1]), [-1e-4]),
     "hysteresis": (lambda j: sim.Hysteresis(joint=j[1], size=1e-8), lambda j: Hysteresis(j[1]), [-1e-8]),
     "hysteresis with a preload": (
         lambda j: sim.Hysteresis(joint=j[1], size=1e-8, preload=20.0),
@@ -665,6 +671,7 @@ def test_effects_that_do_not_fit_the_arm_are_refused(kuka: Robot) -> None:
         (ThermalExpansion(), "temperature"),
         (BaseDrift(), "time"),
         (ServoDroop("joint_2"), "commanded_joint_2"),
+        (ShortOfTarget("joint_2"), "time"),
         (JointCreep("joint_2", 1e3), "time"),
     ],
 )
@@ -746,13 +753,15 @@ def test_what_can_not_be_tried_has_a_reason(kuka: Robot, rng: np.random.Generato
     chain, full = Chain.of(kuka), conditions_of(kuka, 40, rng)
     q, approach = full.q.copy(), np.zeros_like(full.q)
     q[:, 3], approach[:, 0] = 0.3, rng.choice([-1.0, 1.0], 40)
-    poor = replace(full, q=q, approach=approach, temperature=np.full(40, 21.0), time=None, payload=np.full(40, 8.0))
+    poor = replace(full, q=q, approach=approach, move=moves_by_order(q))
+    poor = replace(poor, temperature=np.full(40, 21.0), time=None, payload=np.full(40, 8.0))
     reasons = dict(untestable(chain, poor))
 
     assert reasons[ThermalExpansion()] == "column temperature is the same in all rows"
     assert reasons[BaseDrift()] == "column time is missing"
     assert reasons[PayloadError.over(chain, poor)] == "column payload is the same in all rows"
     assert reasons[Backlash("joint_2")] == "column approach_joint_2 is missing or the same in all rows"
+    assert reasons[ShortOfTarget("joint_4")].startswith("joint_4 stands still, or comes from another side than the rows")
     assert "joint_4 stands still" in reasons[GearEccentricity("joint_4", 1)]
     assert "joint_4 stands still" in reasons[JointCoupling("joint_5", "joint_4")]
     found = candidates(chain, poor)

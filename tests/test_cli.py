@@ -171,6 +171,18 @@ def test_check_says_what_can_be_told(table, capsys):
         assert words in text
 
 
+def test_check_counts_every_parameter_once(table, capsys):
+    """What became of the parameters adds up to their number, in both forms of the text."""
+    assert run("check", URDF, table, *COM, "--quiet", "--json") == 0
+    total = len(json.loads(capsys.readouterr().out)["parameters"])
+    for more in ([], ["--verbose"]):
+        assert run("check", URDF, table, *COM, "--quiet", *more) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        known, others = re.search(rf"(\d+) of {total} parameters identified by themselves, ([^;]*);", text).groups()
+        parts = [int(part.split()[0]) for part in others.split(" (")[0].split(", ")]
+        assert int(known) + sum(parts) == total
+
+
 def test_the_next_command_of_check_is_one(tmp_path, columns, capsys, monkeypatch):
     """It calibrates what was checked, with all that was said of it: here a log of the joints and the names of columns."""
     monkeypatch.chdir(tmp_path)
@@ -249,6 +261,10 @@ BAD_TABLES = {
     "a missing joint column": (_without("joint_3"), "joint_3"),
     "not a number": (_with_cell("y", math.nan), "line 5"),
     "infinite": (_with_cell("y", math.inf), "line 5"),
+    "a turn that no joint makes": (_with_cell("joint_3", 1e20), "line 5"),
+    "a place beyond the earth": (lambda c: c | {"x": c["x"] + 1e19}, "at most 1e+07 m"),
+    "a payload of a ship": (lambda c: c | {"payload": np.full(len(c["x"]), 1e300)}, "at most 1e+07 kg"),
+    "a standard deviation of nothing": (lambda c: c | {"sigma": np.full(len(c["x"]), 1e-300)}, "at least 1e-12"),
     "text in a number": (_with_cell("y", "abc"), "line 5"),
     "no measurement": (lambda c: {n: v for n, v in c.items() if n not in "xyz"}, "measurement"),
     "an unknown column": (lambda c: c | {"foo": c["x"]}, "foo"),

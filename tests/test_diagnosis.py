@@ -91,8 +91,8 @@ def test_an_instrument_with_more_noise_tells_less(offset: tuple[CalibratedModel,
         pincal.diagnose(model, new, sigma=0.0)
 
 
-def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path) -> None:
-    """With the poses that are named, the change stands out by more than five standard deviations from its rival."""
+def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the poses that are named, the change stands out of the noise from its rival; none are named in vain."""
     model = calibrated(change_examples / "cases", "loose40_cobot_6r")
     new = rows(change_examples / "cases" / "loose40_cobot_6r" / "new.csv", model.model.chain.robot)
     placed = place_station(model, new)
@@ -107,7 +107,16 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path) -> N
     assert told is not None
     there, apart = farthest_apart(verdict, change, rival)
     assert separation(verdict, there.select(np.arange(int(told[1]))), change, rival) > 30.0
-    assert apart[0] == apart.max() > 2.0 * np.median(apart)
+    # The two, each fitted without the other; rows of before tell part of it.
+    assert apart[: int(told[1])].min() > 2.0 * lineup.robot.sigma[0]
+    assert (np.diff(apart) <= 0.0).all()
+    assert np.isclose(
+        lineup.release([rival], verdict.values), lineup.release([rival], lineup.start), rtol=1e-3, atol=1e-7
+    ).all()
+
+    exact = apart * 2.3e-9 / apart[0]
+    monkeypatch.setattr("pincal.diagnosis.excluded.farthest_apart", lambda *_: (there, exact))
+    assert tell_apart(verdict, step).startswith("the two differ by at most 2.3e-06 mm, too little for any instrument;")
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from pincal.model.effect import Effect
 POLICY = Policy()
 LEAST = 20.0
 RATIO, WAVE, PLAY, OTHER = GearRatio("a"), GearEccentricity("a"), Backlash("a"), GearRatio("b")
+SPRING = GravityCompensator("a")
 CURVE, FINE = TransmissionError("a", -1.0, 1.0, 8), TransmissionError("a", -1.0, 1.0, 26)
 STRANGE, ACROSS = Unnamed("a", "drive", "b"), Unnamed("a", "gamma_x", "b")
 
@@ -38,6 +40,7 @@ class Told:
     left: dict[tuple[int, int], float] = field(default_factory=dict)
     together: dict[tuple[int, int], float] = field(default_factory=dict)
     silent: frozenset[int] = frozenset()
+    beside: dict[tuple[tuple[int, ...], tuple[int, ...]], float] = field(default_factory=dict)
 
     def left_given(self, which: int, given: int) -> float:
         """Return what the test says, else that it is told apart beyond doubt."""
@@ -46,6 +49,10 @@ class Told:
     def cost_together(self, one: int, other: int) -> float:
         """Return what the test says, else that no pair is worth its cost."""
         return self.together.get((one, other), np.inf)
+
+    def left_beside(self, which: Sequence[int], given: Sequence[int]) -> float:
+        """Return what the test says, else that they are told apart beyond doubt."""
+        return self.beside.get((tuple(which), tuple(given)), 1e-12)
 
     def predicts(self, which: int) -> bool:
         """Return whether it is not silent."""
@@ -60,7 +67,7 @@ def row(effect: Effect, cost: float, *, p: float = 1e-9, gain: float = 200.0, ra
 def table(*rows: Row, told: Told | None = None) -> CandidateTable:
     """Return a table."""
     told = told or Told()
-    return CandidateTable(rows, LEAST, told.left_given, told.cost_together, told.predicts)
+    return CandidateTable(rows, LEAST, told.left_given, told.cost_together, told.predicts, told.left_beside)
 
 
 def decided(names: CandidateTable, *nameless: Row, told: Told | None = None) -> Decision | None:
@@ -132,6 +139,26 @@ def test_what_the_data_do_not_see_is_no_rival() -> None:
     """Rank zero leaves all to the best, and says nothing of it."""
     found = decided(table(row(OTHER, -60.0), row(PLAY, -59.0, rank=0), told=Told(left={(0, 1): 1.0})))
     assert found is not None and found.equivalent == ()
+
+
+@pytest.mark.parametrize(
+    ("whole_beyond", "parts_beyond", "named", "together"),
+    [
+        (1e-12, 0.5, SPRING, ()),
+        (0.5, 0.5, SPRING, (RATIO, WAVE)),
+        (0.5, 1e-4, WAVE, ()),
+    ],
+)
+def test_several_plain_curves_that_do_as_much_are_the_same(
+    whole_beyond: float, parts_beyond: float, named: Effect, together: tuple[Effect, ...]
+) -> None:
+    """A spring that two plainer names of its joint replace is told with both; if they do more, the likeliest is named."""
+    rows = row(RATIO, -40.0), row(WAVE, -50.0, rank=2), row(SPRING, -60.0, rank=4), row(OTHER, -55.0)
+    beside = {((2,), (0, 1)): whole_beyond, ((0, 1), (2,)): parts_beyond}
+    found = decided(table(*rows, told=Told(beside=beside)))
+
+    assert found is not None and found.effect == named and found.together == together
+    assert set(together) <= set(found.equivalent)
 
 
 def test_dependences_without_a_name_are_rivals_of_a_name() -> None:

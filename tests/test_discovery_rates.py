@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from discovery_cases import FOREIGN, NAMED, SOFT, Verdict, discover, draw_case, fresh, gap_over_oracle, judge, summary
-from scipy.stats import binom
+from rates import is_at_least, is_at_most
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -34,6 +34,14 @@ IMITATED = ("gravity_compensator", "payload_error")
 # sin^3 is (3 sin q - sin 3q) / 4. Of the first order half is geometry; of the rest an axis wobble of order 2, seen from
 # the link, takes all but one of four circles: 9 % of the signal. And a tilt across joint 5 along y is the turn of joint 4.
 LIKE_A_NAME = "cubed_tilt"
+# Tables in which nothing is hidden: how they are drawn, in which part of them a name is no surprise, and how many there are.
+SOUND: list[tuple[dict[str, Any], float, int]] = [
+    ({"masses": 0.03}, 0.01, 40),
+    ({"masses": 0.1}, 0.05, 25),
+    ({"noise": "outliers"}, 0.03, 25),
+    ({"noise": "heavy"}, 0.03, 25),
+    ({"elastic": False}, 0.02, 15),
+]
 PAIRS = [
     "+".join(pair)
     for pair in combinations(
@@ -71,16 +79,6 @@ def fresh_tasks(kinds: Sequence[str], count: int) -> list[tuple[str, int, dict[s
     """Return some cases of each kind on arms whose frames are anywhere, all classes of them in turn."""
     seeds = range(9000, 9000 + count * len(kinds))
     return [(kinds[i // count], seed, fresh(seed)) for i, seed in enumerate(seeds)]
-
-
-def is_at_least(rate: float, hits: Sequence[bool]) -> bool:
-    """Return whether so few hits are no surprise at a rate."""
-    return bool(binom.cdf(sum(hits), len(hits), rate) > 1e-3)
-
-
-def is_at_most(rate: float, hits: Sequence[bool]) -> bool:
-    """Return whether so many hits are no surprise at a rate."""
-    return bool(binom.sf(sum(hits) - 1, len(hits), rate) > 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -196,16 +194,7 @@ def test_effects_outside_the_catalogue_get_no_name() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("options", "rate", "count"),
-    [
-        ({"masses": 0.03}, 0.01, 40),
-        ({"masses": 0.1}, 0.05, 25),
-        ({"noise": "outliers"}, 0.03, 25),
-        ({"noise": "heavy"}, 0.03, 25),
-        ({"elastic": False}, 0.02, 15),
-    ],
-)
+@pytest.mark.parametrize(("options", "rate", "count"), SOUND)
 def test_sound_data_bring_in_no_name(options: dict[str, Any], rate: float, count: int) -> None:
     """From 100 to 500 poses, the first on arms with frames anywhere; elasticity is found where it is, and only there."""
     sizes = np.linspace(100, 500, count).astype(int)

@@ -13,6 +13,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_catalogue import ARMS, chain_of, conditions_of, surrounded, units_of
 from test_catalogue import EFFECTS as ALL_EFFECTS
 from test_cli import run
@@ -97,7 +98,7 @@ class Compiled:
 
 
 # All but what is known only once a joint has been read back.
-EFFECTS = {name: make for name, make in ALL_EFFECTS.items() if make(("j",) * 9).locus.follows != "droop"}
+EFFECTS = {name: make for name, make in ALL_EFFECTS.items() if make(("j",) * 9).locus.follows not in ("droop", "move")}
 
 
 def states_of(at: Conditions) -> np.ndarray:
@@ -205,6 +206,8 @@ def test_what_is_known_only_afterwards_is_not_exported(kuka: Robot) -> None:
     """A controller that asks where a joint will stand has not read it back yet; the effect is named."""
     with pytest.raises(BadInputError, match="servo_droop needs the column commanded_"):
         export_model(drawn(ALL_EFFECTS["servo_droop"](kuka.joint_names), kuka), "python")
+    with pytest.raises(BadInputError, match="settling needs the column time"):
+        export_model(drawn(ALL_EFFECTS["settling"](kuka.joint_names), kuka), "python")
 
 
 @pytest.mark.parametrize("frame", ["before", "after"])
@@ -318,6 +321,58 @@ def test_what_is_out_of_reach_leaves_the_joints_alone(kuka: Robot, tmp_path: Pat
     assert set(status) == {3}
     np.testing.assert_array_equal(q, at.q)
     assert set(compiled.compensate(beyond, edge)[1]) == {1}
+
+
+@pytest.mark.parametrize("nominal", [False, True])
+def test_reached_is_what_the_model_confirms(kuka: Robot, nominal: bool, tmp_path: Path, rng: np.random.Generator) -> None:
+    """Of 2000 orientations half a turn off, nearly so or by any turn, C and NumPy claim what the model confirms."""
+    bare = calibrated_of(Model(Chain.of(kuka), ()), np.zeros(0))
+    calibrated = bare if nominal else drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka)
+    compiled, at = Compiled.of(calibrated, tmp_path), poses_of(calibrated, 2000, rng)
+    source = loaded(export_model(calibrated, "python").text)
+    axis = rng.normal(size=(2000, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    kind = np.arange(2000) % 8
+    angle = np.array([np.pi, np.pi, np.pi, np.pi - 1e-9, np.pi - 1e-5, 2.0, 1e-3, 0.0])[kind]
+    wanted = calibrated.predict(at)
+    turned = Rotation.from_rotvec(angle[:, None] * axis).as_matrix() @ wanted[:, :, :3]
+    # About an axis of the target: the product with the transposed pose is then symmetric to the last bit.
+    turned[kind == 0] = wanted[kind == 0, :, :3] * [-1.0, -1.0, 1.0]
+    turned[kind == 1] = wanted[kind == 1, :, :3] @ (2.0 * axis[:, :, None] * axis[:, None] - np.eye(3))[kind == 1]
+    wanted[:, :, :3] = turned
+    q, status, _ = compiled.compensate(wanted, at)
+    for found, reached in ((q, status == 0), source["compensate"](wanted, at.q, **columns_of(at))):
+        off = np.abs(calibrated.predict(replace(at, q=found)) - wanted).max(axis=(1, 2))
+
+        assert off[reached].max() < 2e-10
+        assert reached[angle < 1e-2].mean() > 0.9 and reached[angle > 3.0].any()
+
+
+def test_a_wanted_pose_is_a_rotation(kuka: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
+    """Mirrored, stretched, empty and undefined orientations are refused, unless the orientation does not count."""
+    calibrated = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka)
+    compiled, at = Compiled.of(calibrated, tmp_path), poses_of(calibrated, 5, rng)
+    source = loaded(export_model(calibrated, "python").text)
+    true = calibrated.predict(at)
+    wanted = true.copy()
+    wanted[0, :, 0] *= -1.0
+    wanted[1, :, :3] *= 1.001
+    wanted[2, :, :3] = 0.0
+    wanted[3, 0, 0] = np.nan
+    wanted[4, 0, 3] = np.inf
+    q, status, _ = compiled.compensate(wanted, at)
+
+    assert status.tolist() == [4] * 5
+    np.testing.assert_array_equal(q, at.q)
+    assert compiled.compensate(wanted, at, turn=False)[1].tolist() == [0] * 4 + [4]
+    assert source["compensate"](wanted[:4], at.q[:4], **columns_of(at.select(slice(4))), orientation=False)[1].all()
+    for i in range(5):
+        mixed = true.copy()
+        mixed[i] = wanted[i]
+        with pytest.raises(ValueError, match=f"wanted pose {i}: expected a rotation and a translation, all of them numbers"):
+            source["compensate"](mixed, at.q, **columns_of(at))
+    with pytest.raises(ValueError, match=r"shape \(4, 3, 4\); expected \(5, 3, 4\)"):
+        source["compensate"](wanted[:4], at.q, **columns_of(at))
 
 
 def test_names_of_a_robot_are_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import datetime
 import json
+import re
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -454,6 +455,127 @@ def test_excel_names_the_line_of_a_fault(tmp_path: Path) -> None:
         read(excel(table, above=("# a", "# b"))(tmp_path))
     with pytest.raises(MeasurementError, match=r"line 2: \d+ cells; expected 1 as in the header, line 1; delete what"):
         read(excel(table, above=("Monday",))(tmp_path))
+
+
+def rewritten(path: Path, part: str, change: Callable[[bytes], bytes]) -> Path:
+    """Rewrite the parts of a workbook whose names hold a text, and return its path."""
+    with zipfile.ZipFile(path) as book:
+        parts = {name: book.read(name) for name in book.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as book:
+        for name, text in parts.items():
+            book.writestr(name, change(text) if part in name else text)
+    return path
+
+
+def test_excel_is_read_beyond_the_size_that_it_claims(tmp_path: Path) -> None:
+    """A worksheet that says of itself to end before its last rows and columns loses none."""
+    path = excel({name: list(value) for name, value in columns().items()})(tmp_path)
+    whole = read(path)
+    rewritten(path, "sheet2", lambda text: re.sub(rb'<dimension ref="[^"]*"', b'<dimension ref="B2:C4"', text))
+    with zipfile.ZipFile(path) as book:
+        assert b'ref="B2:C4"' in book.read("xl/worksheets/sheet2.xml")
+    found = read(path)
+    assert len(found) == len(whole) == N
+    np.testing.assert_array_equal(found.position, whole.position)
+
+
+def test_a_hidden_worksheet_gives_way_to_a_visible_one(tmp_path: Path) -> None:
+    """It is named as not read; where nothing else has cells it is read, and said so."""
+    openpyxl = pytest.importorskip("openpyxl")
+    path = excel({name: list(value) for name, value in columns().items()})(tmp_path)
+    book = openpyxl.load_workbook(path)
+    book.create_sheet("last year", 0).append(["joint_a1", "by", "mistake"])
+    book["last year"].sheet_state = "hidden"
+    book.save(path)
+    with pytest.warns(PincalWarning, match=r"worksheets notes, last year \(hidden\) are not read"):
+        assert len(read_measurements(path, JOINTS)) == N
+    del book["last year"], book["notes"]
+    book["measured"].sheet_state = "veryHidden"
+    book.save(path)
+    with pytest.warns(PincalWarning, match="the visible worksheets are empty; the hidden one measured is read"):
+        assert len(read_measurements(path, JOINTS)) == N
+
+
+def test_hidden_rows_of_a_worksheet_are_told_of(tmp_path: Path) -> None:
+    """Rows that a filter hides are read, with a note of their number and lines; blank ones that are hidden are none."""
+    openpyxl = pytest.importorskip("openpyxl")
+    path = excel({name: list(value) for name, value in columns().items()})(tmp_path)
+    book = openpyxl.load_workbook(path)
+    for row in (3, 6, 200):
+        book["measured"].row_dimensions[row].hidden = True
+    book.save(path)
+    with pytest.warns(
+        PincalWarning, match=r"2 rows of worksheet measured are hidden, .*\(line 3, 6\), and read like the others"
+    ):
+        assert len(read_measurements(path, JOINTS)) == N
+
+
+BLANKS = {
+    "empty rows": lambda text: text.replace(b"</sheetData>", b"<row/>" * 500_000 + b"</sheetData>"),
+    "a line far below": lambda text: text.replace(
+        b"</sheetData>", b'<row r="900000000"><c r="A900000000"/></row></sheetData>'
+    ),
+    "a comment": lambda text: text.replace(b"</sheetData>", b"</sheetData><!--" + b" " * 3_000_000 + b"-->"),
+}
+
+
+@pytest.mark.parametrize("case", BLANKS)
+def test_a_workbook_that_only_looks_small_is_refused(tmp_path: Path, case: str) -> None:
+    """What holds much more than measured numbers can is not unpacked, and lines that Excel lacks are not counted."""
+    path = excel({name: list(value) for name, value in columns().items()})(tmp_path)
+    rewritten(path, "sheet2", BLANKS[case])
+    assert path.stat().st_size < 50_000
+    with pytest.raises(MeasurementError, match=r"holds 3 MB in 0\.0|more than the 1048576 lines of Excel"):
+        read(path)
+
+
+def test_columns_of_a_workbook_are_counted_blank_or_not(tmp_path: Path) -> None:
+    """A header in the last column of Excel makes no table of sixteen thousand columns of every row."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    names = list(columns())
+    book.active.append([*names, *[None] * (16384 - len(names) - 1), "last"])
+    for row in range(2, 40):
+        book.active.cell(row, 1, 0.0)
+        book.active.cell(row, 16384, 0.0)
+    book.save(tmp_path / "log.xlsx")
+    with pytest.raises(MeasurementError, match="times its size"):
+        read(tmp_path / "log.xlsx")
+
+
+def test_a_parquet_file_that_only_looks_small_is_refused(tmp_path: Path) -> None:
+    """Its rows are counted before they are read; tables with as many repeats as people measure are taken."""
+    table = {name: np.asarray(value) for name, value in columns().items()}
+    bomb = pl.DataFrame({name: np.repeat(value, 100_000) for name, value in table.items()})
+    bomb.write_parquet(tmp_path / "log.parquet", compression="zstd", row_group_size=10**7)
+    with pytest.raises(MeasurementError, match=r"log\.parquet: holds .* MB in .* times its size"):
+        read(tmp_path / "log.parquet")
+    often = pl.DataFrame({name: np.repeat(value, 1000) for name, value in table.items()})
+    often.write_parquet(tmp_path / "log.parquet")
+    assert len(read(tmp_path / "log.parquet")) == 1000 * N
+
+
+def test_cells_that_are_lists_are_refused(tmp_path: Path) -> None:
+    """They may be of any length, and are not looked into; a column of them that nobody needs can be ignored."""
+    table = {name: np.asarray(value) for name, value in columns().items()}
+    pl.DataFrame(table).with_columns(odd=pl.lit([1.0, 2.0])).write_parquet(tmp_path / "log.parquet")
+    assert len(read(tmp_path / "log.parquet", {"ignore": ("odd",)})) == N
+    first = next(iter(table))
+    pl.DataFrame(table).with_columns(pl.lit([1.0, 2.0]).alias(first)).write_parquet(tmp_path / "log.parquet")
+    with pytest.raises(MeasurementError, match=f'column "{first}": lists; expected one number or name a cell'):
+        read(tmp_path / "log.parquet")
+
+
+def test_a_name_of_any_length_is_none(tmp_path: Path) -> None:
+    """One long name would take its room in every row: 4 GB here, of a file of 400 kB; it is refused with its line."""
+    table = {name: np.asarray(value) for name, value in columns().items()}
+    lines = [",".join([*table, "target"])]
+    lines += [",".join([*map(str, row), "t"]) for row in zip(*table.values(), strict=True)] * 1000
+    lines[3] += "a" * 100_000
+    with pytest.raises(
+        MeasurementError, match=r'line 4, column "target": a cell of 100001 bytes; expected a name of at most 255'
+    ):
+        read(plain("log.csv", "\n".join(lines))(tmp_path))
 
 
 def test_polars_counts_like_the_reader(tmp_path: Path) -> None:

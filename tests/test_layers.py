@@ -19,6 +19,7 @@ LAYERS = (
     "atomic",
     "plugins",
     "spread",
+    "compiled",
     "units",
     "notes",
     "tables",

@@ -14,6 +14,12 @@ from pincal.cli import pincal as pincal_command
 from pincal.errors import BadInputError, PincalWarning
 from pincal.plugins import Registry, load_plugin
 
+# A module that registers a class of its own.
+REGISTERS = """
+from pincal.plugins import Registry
+Registry("thing", group="", name_of=lambda cls: cls.__name__).register(type("Here", (), {"__module__": __name__}))
+"""
+
 
 class Thing:
     """What the registries of these tests hold."""
@@ -88,12 +94,13 @@ def test_entry_points_are_loaded_once_and_when_asked(folder: Path, monkeypatch: 
 def test_a_plugin_is_a_module_or_a_file(folder: Path) -> None:
     """It is found in the current folder by name, elsewhere by path, and the search path stays as it was."""
     (folder / "elsewhere").mkdir()
-    (folder / "here_effects.py").write_text("value = 1\n")
-    (folder / "elsewhere" / "there_effects.py").write_text("value = 2\n")
+    (folder / "here_effects.py").write_text(f"value = 1\n{REGISTERS}")
+    (folder / "elsewhere" / "there_effects.py").write_text(f"value = 2\n{REGISTERS}")
     before = list(sys.path)
 
     assert load_plugin("here_effects").value == 1
     assert load_plugin("elsewhere/there_effects.py").value == 2
+    assert load_plugin("here_effects").value == 1, "once more"
     assert sys.path == before
 
 
@@ -104,6 +111,7 @@ def test_a_plugin_is_a_module_or_a_file(folder: Path) -> None:
         ("import no_such_thing_at_all\n", "plugin 'mine' needs the module 'no_such_thing_at_all'"),
         ("1 / 0\n", "plugin 'mine' fails: ZeroDivisionError: division by zero"),
         ("def f(:\n", "plugin 'mine' fails: SyntaxError"),
+        ("value = 1\n", "plugin 'mine': registers neither an effect nor a sensor; expected .* @register_effect"),
     ],
 )
 def test_a_plugin_that_fails_is_a_fault_of_the_input(folder: Path, text: str | None, message: str) -> None:
@@ -112,6 +120,13 @@ def test_a_plugin_that_fails_is_a_fault_of_the_input(folder: Path, text: str | N
         (folder / "mine.py").write_text(text)
     with pytest.raises(BadInputError, match=message):
         load_plugin("mine")
+
+
+@pytest.mark.parametrize("name", ["os", "json.decoder", ""])
+def test_a_module_that_is_no_plugin_is_refused(name: str) -> None:
+    """One that is imported long since, and a name that is none."""
+    with pytest.raises(BadInputError, match=rf"plugin '{name}': .*expected"):
+        load_plugin(name)
 
 
 @pytest.mark.parametrize(

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import io
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yourdfpy
+from example_robot_data import robots_loader
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pincal.errors import BadInputError, PincalWarning, RobotFileError
-from pincal.robot.robot import Robot
+from pincal.robot.robot import Robot, find_file
+from pincal.robot.urdf import robot_name
 
 # Lengths [m] and entries of rotations; rounding of ten products of 4x4 matrices is some 1e-15.
 EXACT = 1e-12
@@ -649,3 +653,36 @@ def test_links_without_inertia_are_named() -> None:
     assert robot.massless == ("b", "c")
     assert robot.unweighed == ("ab", "bc")
     assert robot.masses[2] == 2.0 and np.all(robot.masses[:2] > 0.0)
+
+
+# --- names of example-robot-data --------------------------------------------------------------------------------------
+
+
+def test_a_name_is_the_robot_that_it_says() -> None:
+    """No robot is one that has another name in the same table, and a UR3 has the lengths of its maker, not a UR5's."""
+    known = robots_loader.ROBOTS
+    for name in known:
+        with suppress(RobotFileError), warnings.catch_warnings():
+            warnings.simplefilter("ignore", PincalWarning)
+            found = robot_name(find_file(name))
+            assert found is None or found not in known or name.startswith(found), name
+    with pytest.warns(PincalWarning, match="has ur5_robot.urdf under the name 'ur3', .*; ur3_robot.urdf beside it is read"):
+        robot = Robot.from_urdf("ur3")
+    # Universal Robots, DH parameters for calculations of kinematics and dynamics: a2, a3 of the UR3.
+    assert robot.name == "ur3"
+    assert np.allclose(robot.frames.parameters[1:3, 4], [0.24365, 0.21325], atol=1e-5)
+
+
+@pytest.mark.parametrize("other", [None, "arm7"])
+def test_a_name_without_its_robot_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str | None) -> None:
+    """The message says which robot the file has, and what to do; a file beside it with a wrong robot is none."""
+    (tmp_path / "arm7.urdf").write_text('<robot name="arm7"/>')
+    if other is not None:
+        (tmp_path / "arm9.urdf").write_text(f'<robot name="{other}"/>')
+    loader = SimpleNamespace(path="", urdf_subpath="", urdf_filename="arm7.urdf")
+    monkeypatch.setattr(robots_loader, "ROBOTS", {"arm7": loader, "arm9": loader, "arm7_short": loader})
+    monkeypatch.setattr(robots_loader, "getModelPath", lambda _: str(tmp_path))
+
+    assert find_file("arm7") == find_file("arm7_short") == tmp_path / "arm7.urdf"
+    with pytest.raises(RobotFileError, match=r"under the name 'arm9', whose robot is called 'arm7'; expected 'arm9'"):
+        find_file("arm9")

@@ -27,6 +27,7 @@ EFFECTS: list[HiddenEffect] = [
     sim.JointCoupling(joint="joint_5", source="joint_4", size=2e-4),
     sim.AxisWobble(joint="joint_1", size=5e-5),
     sim.Backlash(joint="joint_2", size=2e-4),
+    sim.ShortOfTarget(joint="joint_2", size=2e-4),
     sim.LoadBacklash(joint="joint_3", size=2e-4),
     sim.Hysteresis(joint="joint_2", size=1e-7),
     sim.ServoDroop(joint="joint_2", size=1e-7),
@@ -209,6 +210,16 @@ def test_zero_shift_and_drift_follow_temperature_and_time() -> None:
     np.testing.assert_allclose(shift, [0, 7e-5], rtol=0, atol=1e-15)
     drift = planar(effects=(sim.BaseDrift(size=1e-8),)).tip(q, time=[0.0, 1e4]) - planar().tip(q)
     np.testing.assert_allclose(drift[:, :3, 3], [[0, 0, 0], [0.8e-4, 0.6e-4, 0]], rtol=0, atol=1e-15)
+
+
+def test_a_drive_is_short_by_a_share_of_its_way() -> None:
+    """The way is from where the joint stood; not sent anywhere, it stays there; the first pose it has reached."""
+    q = np.array([[0.0, 0.0], [0.0, 1.0], [0.5, 1.0], [0.5, 0.4]])
+    machine = planar(effects=(sim.ShortOfTarget(joint="lift", size=0.1),))
+    short = np.array([0.0, -0.1, -0.1, 0.1 * (0.9 - 0.4)])
+    sides = np.ones((4, 2))
+    np.testing.assert_allclose(angles(machine, q), short, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(angles(machine, q, approach=sides), short, rtol=0, atol=1e-15)
 
 
 def test_creep_and_growth_die_away() -> None:

@@ -1,6 +1,9 @@
 """Work spread over workers: same results in the same order on any executor, sent once, and what happens when some die."""
 
 import os
+import signal
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -86,3 +89,45 @@ def test_a_broken_pool_says_what_to_do() -> None:
         for _ in range(2):
             with pytest.raises(WorkersLostError, match=r"^draw: workers died, most often for want of memory; try fewer"):
                 list(spread(die, range(3), label="draw", executor=executor))
+
+
+POOL = """
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pincal.spread import end_with_parent
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
+        list(pool.map(abs, range(8)))
+        sleeping = [pool.submit(time.sleep, 3600) for _ in range(3)]
+        print("at work", flush=True)
+        sleeping[0].result()
+"""
+
+
+def ends_whole(command: list[Any], *, after: str, by: signal.Signals) -> None:
+    """Run a command, kill it once it has written a line, and wait until nobody holds its streams any more."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    assert any(after in line for line in process.stdout), "it ended before"
+    process.send_signal(by)
+    process.communicate(timeout=60)
+    assert process.returncode == -by
+
+
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path, by: signal.Signals) -> None:
+    """Workers in the middle of a task of an hour end, too."""
+    (tmp_path / "pool.py").write_text(POOL)
+    ends_whole([sys.executable, tmp_path / "pool.py"], after="at work", by=by)
+
+
+@pytest.mark.long
+def test_workers_of_a_discovery_that_is_killed_end(tmp_path: Path) -> None:
+    """Nothing of ``pincal discover`` goes on when the command was killed amid the halves of the poses."""
+    pincal, table = [sys.executable, "-m", "pincal"], tmp_path / "table.csv"
+    subprocess.run([*pincal, "simulate", "ur5", "--poses", "60", "--seed", "3", "--out", table], check=True)
+    command = [*pincal, "discover", "ur5", table, "--out", tmp_path / "found"]
+    ends_whole(command, after="half of the poses 2 of 20", by=signal.SIGKILL)
+    assert not (tmp_path / "found").exists()

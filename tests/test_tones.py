@@ -30,10 +30,12 @@ from pincal.model.catalogue.tones import independent_orders
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Tone
+from pincal.report.words import effect_words
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
 SIGMA = 5e-5
+OPTIONS = Options(effects=GEOMETRIC, sigma=SIGMA)
 BAND = (20.0, 450.0)
 
 
@@ -121,15 +123,60 @@ def test_the_second_wave_of_two_lobes_is_in_the_band(machine: sim.TrueMachine) -
     assert tone.locus.joint == "joint_2" and tone.locus.order == pytest.approx(404.0, abs=0.3)
 
 
-def test_an_encoder_of_unknown_lines_is_told_beside_the_ripple_that_it_looks_like(machine: sim.TrueMachine) -> None:
-    """Its second wave alone, as signals of unequal size make it, is gear ripple of that order to the last digit."""
+def test_a_power_of_two_is_an_encoder_beside_the_ripple_that_it_looks_like(machine: sim.TrueMachine) -> None:
+    """Lines that count in binary are in the headline; the ripple, and half as many lines, make the same wave."""
     rows = measured(machine, sim.EncoderSubdivision(joint="joint_2", size=6e-5, order=64.0, offset=0.0))
-    options = Options(effects=GEOMETRIC, sigma=SIGMA)
-    (found,) = run_discovery(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, options).findings.effects
+    (found,) = run_discovery(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, OPTIONS).findings.effects
     could_be = [(e.effect, e.order) for e in found.equivalent]
 
-    assert (found.effect, found.joint, found.order) == ("gear_ripple", "joint_2", pytest.approx(128.0, abs=0.3))
+    assert (found.effect, found.joint, found.order) == ("encoder_subdivision", "joint_2", 128.0)
+    assert found.origin.startswith("2^7, as an encoder counts")
+    assert ("gear_ripple", pytest.approx(128.0, abs=0.3)) in could_be
     assert ("encoder_subdivision", pytest.approx(64.0, abs=0.15)) in could_be
+
+
+def test_once_and_twice_a_line_are_one_encoder(machine: sim.TrueMachine) -> None:
+    """Both waves that an encoder makes come in by themselves and go out for it; an order half a wave off is none."""
+    for order, found in ((64.0, [("encoder_subdivision", "joint_2", 64.0)]), (64.5, ["gear_ripple"] * 2)):
+        rows = measured(machine, sim.EncoderSubdivision(joint="joint_2", size=1e-4, order=order))
+        names = named(machine, rows)
+        assert names == found or [name for name, *_ in names] == found
+
+
+def test_what_the_span_does_not_tell_apart_is_one_line(machine: sim.TrueMachine) -> None:
+    """Two waves 1.5 over the span apart are a line that waxes and wanes, its order as sure as the span; further ones two."""
+    span = np.ptp(measured(machine).q[:, 1]) / (2.0 * np.pi)
+    for apart, lines in ((1.5, 1), (3.0, 2)):
+        orders = 202.0 - 0.5 * apart / span, 202.0 + 0.5 * apart / span
+        rows = measured(machine, *(sim.GearRipple(joint="joint_2", size=8e-5, order=order) for order in orders), n=300)
+        found = run_discovery(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, OPTIONS).findings.effects
+
+        assert len(found) == lines
+        assert sorted([float(e.order or 0.0) for e in found] + [k for e in found for k in e.beside]) == pytest.approx(
+            orders, abs=0.3 / span
+        )
+        assert all(e.resolution == pytest.approx(1.0 / span, rel=0.1) for e in found)
+        assert lines == 2 or found[0].origin.startswith("2 x 101, the ratio of a usual strain wave gear")
+        assert lines == 2 or f"order 202.0 \u00b1 {found[0].resolution:.1f}" in effect_words(found[0])
+
+
+@pytest.mark.parametrize(
+    ("order", "resolution", "wheels", "said"),
+    [
+        (404.0, 1.35, {}, "4 x 101, the ratio of a usual strain wave gear"),
+        (404.0, 1.35, {202.0: "which the user named"}, "2 x 202, which the user named"),
+        (404.0, 6.0, {}, ""),
+        (161.3, 1.2, {}, ""),
+        (483.9, 1.2, {161.3: "a line of joint_1"}, "3 x 161.3, a line of joint_1"),
+    ],
+)
+def test_a_multiple_is_proposed_unless_chance_does_as_well(
+    order: float, resolution: float, wheels: dict[float, str], said: str
+) -> None:
+    """An order is a harmonic of a wheel that is known where few orders are as near to one; else nothing is said."""
+    found = GearRipple("joint_1", order).origin(order, resolution, wheels)
+
+    assert found.startswith(said) and bool(found) == bool(said)
 
 
 def test_sound_residuals_show_no_wave(machine: sim.TrueMachine) -> None:

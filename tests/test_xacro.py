@@ -63,6 +63,29 @@ def test_a_xacro_file_is_the_robot_that_it_describes(workspace: Path) -> None:
         np.testing.assert_allclose(robot.forward_kinematics(np.zeros((1, 2)))[0, :3, 3], [0.0, 0.0, height], atol=1e-12)
 
 
+def test_includes_are_found_beside_the_file_that_has_them(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the program runs, and whatever failed before; in an included file, they are beside that one."""
+    beside = workspace.with_name("beside.xacro")
+    beside.write_text(ARM.replace("$(find parts)/urdf/joint.xacro", "macros/all.xacro"))
+    macros = workspace.parent / "macros"
+    macros.mkdir()
+    (macros / "all.xacro").write_text(
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="joint.xacro"/></robot>'
+    )
+    (macros / "joint.xacro").write_text("<robot")
+    for folder in (workspace.parents[2], macros):
+        (folder / "elsewhere").mkdir()
+        monkeypatch.chdir(folder / "elsewhere")
+        with pytest.raises(RobotFileError, match="xacro can't expand it"):
+            Robot.from_urdf(beside)
+    (macros / "joint.xacro").write_text(MACRO)
+
+    found, whole = Robot.from_urdf(beside), Robot.from_urdf(workspace)
+    assert found.joint_names == whole.joint_names == ("j1", "j2")
+    monkeypatch.chdir(workspace.parent)
+    assert Robot.from_urdf("beside.xacro").reach == found.reach == whole.reach
+
+
 def test_what_is_wrong_with_a_xacro_file_is_said(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each failure names the file and the next step."""
     part = workspace.parents[2] / "group/parts_v2/urdf/joint.xacro"

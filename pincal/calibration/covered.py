@@ -157,7 +157,8 @@ def _curves(model: Model, conditions: Conditions) -> Iterator[_Curve]:
         at = effect.locus
         if at.span is None or at.follows is None or at.joint is None:
             continue
-        recorded, x = (recorded_variable(model.chain, conditions, at.follows, span=span) for span in (None, at.span))
+        spans = (None, at.span)
+        recorded, x = (recorded_variable(model.chain, conditions, at.follows, joint=at.joint, span=s) for s in spans)
         yield _Curve(effect, at.joint, at.follows, at.span, recorded, x)
 
 

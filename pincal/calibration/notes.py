@@ -17,6 +17,7 @@ from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
 from pincal.validate.accuracy import pose_errors
 from pincal.validate.agreement import implausible
+from pincal.validate.gathered import Gathering, gathering_of
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.midway import change_in
 from pincal.validate.misfit import MISFIT
@@ -27,6 +28,8 @@ from pincal.validate.verdict import tells
 _FAR = 10.0
 # Lines that a note lists.
 _LISTED = 8
+# Rank correlation of a joint's positions with the order of the rows from which it moved steadily along them; rows for that.
+_STEADY, _ROWS = 0.95, 20
 # Part of the rows from which on outliers are no exceptions; of real tables some percent are left out.
 _MANY = 0.25
 
@@ -64,8 +67,12 @@ class Kind(Enum):
     )
     STEP = "from line {line} on {what} If so, make the rows before and after two stations (column station)"
     DEPENDENT_ROWS = (
-        "what is left depends on the order of the rows ({what}), so that uncertainties are too small; look for what changed "
-        "while they were measured: the instrument's set-up, temperature, the clamping of robot and target"
+        "what is left depends on the order of the rows: {what}; look for what changed while they were measured: the "
+        "instrument's set-up, temperature, the clamping of robot and target"
+    )
+    SORTED = (
+        "{joint} moved steadily along the rows, so that what drifts with time can't be told from what follows this joint; "
+        "measure the poses in random order, or some of them again at the end"
     )
     GATHERED = (
         "{count} of the {rows} rows left out as outliers gather {where}: the robot does something there that the model does "
@@ -95,6 +102,7 @@ DOUBTS = UNUSABLE | {
     Kind.CONTRADICTED,
     Kind.STEP,
     Kind.DEPENDENT_ROWS,
+    Kind.SORTED,
     Kind.GATHERED,
     Kind.FAR_OFF,
     Kind.LACK_OF_FIT,
@@ -184,6 +192,25 @@ def findings_on_fit(fit: Fit, p_value: float | None) -> list[Finding]:
     return found
 
 
+def findings_on_order(station: Station) -> list[Finding]:
+    """Return whether the noise of a station's rows depends on their order, and whether that order is a joint's, too."""
+    found, serial, n = [], station.serial, len(station)
+    if serial is not None:
+        share = float(np.max(serial.share))
+        rows = 1.0 / (1.0 - float(np.max(serial.phi)))
+        lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
+        what = f"{100 * share:.0f} % of its variance is an error that lasts {lasts}, by which rows were weighed"
+        found.append(Finding(Kind.DEPENDENT_ROWS, {"what": what}, station.name))
+    if station.position is not None and n >= _ROWS:
+        names = station.model.chain.robot.joint_names
+        rank = np.argsort(np.argsort([*station.conditions.q.T, station.position], axis=1), axis=1)
+        moves = np.ptp(station.conditions.q, axis=0) > 0.0
+        steady = np.where(moves, np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1]), 0.0)
+        if steady.max() > _STEADY:
+            found.append(Finding(Kind.SORTED, {"joint": names[int(np.argmax(steady))]}, station.name))
+    return found
+
+
 def findings_on_plausibility(fit: Fit, tables: Iterable[Measurements]) -> list[Finding]:
     """Return at which stations, with these fitted rows, the fit leaves what no real arm does."""
     return [Finding(Kind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)]
@@ -207,9 +234,24 @@ def findings_on_outliers(
     if rejected.mean() >= _MANY:
         common = in_common(station, values, table, rejected) or "they have nothing in common that could be found"
         found = [Finding(Kind.MANY_OUTLIERS, figures | {"common": common}, station.name, tuple(lines))]
+    elif (gathered := gathering_of(station, rejected)) is not None:
+        where = _words_of(station, gathered)
+        here = table.rows[gathered.rows].tolist()
+        figures = {"count": len(here), "rows": len(lines), "where": where, "lines": _listed(here)}
+        found.append(Finding(Kind.GATHERED, figures, station.name, tuple(here)))
     if change := change_in(station, values, free, table.rows):
         found.append(Finding(Kind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)))
     return found
+
+
+def _words_of(station: Station, gathered: Gathering) -> str:
+    """Return where outliers gather."""
+    robot = station.model.chain.robot
+    if gathered.variable not in robot.joint_names:
+        return "in one stretch of the table"
+    unit = robot.joint_units[robot.joint_names.index(gathered.variable)]
+    low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
+    return f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
 
 
 def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Finding]:

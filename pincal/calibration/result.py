@@ -21,6 +21,7 @@ from pincal.calibration.notes import (
     findings_on_data,
     findings_on_fit,
     findings_on_held_out,
+    findings_on_order,
     findings_on_outliers,
     findings_on_plausibility,
     findings_on_replicates,
@@ -215,7 +216,8 @@ class _Seen:
     def findings(self) -> list[Finding]:
         """What to say of them."""
         values, rejected = self.values["calibrated"], self.weights == 0.0
-        return findings_on_outliers(self.train, values, self.free, table=self.rows.train, rejected=rejected)
+        found = findings_on_outliers(self.train, values, self.free, table=self.rows.train, rejected=rejected)
+        return [*found, *findings_on_order(self.train)]
 
 
 def _errors(seen: Sequence[_Seen]) -> Errors:
@@ -282,8 +284,7 @@ def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Fin
 
 def _replicates(fit: Fit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where a station measured poses again."""
-    train, test = seen.rows.measured
-    train_poses, test_poses = seen.poses
+    (train, test), (train_poses, test_poses) = seen.rows.measured, seen.poses
     if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
         return None, None
     at = fit.problem.stations[k].name

@@ -7,6 +7,7 @@ a section of their own in the help text. How a value is read follows from the ty
 from __future__ import annotations
 
 import inspect
+import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, field, fields
@@ -18,6 +19,7 @@ import click
 
 from pincal.cli import show_progress
 from pincal.errors import Exit
+from pincal.units import LARGEST, plain_number
 
 A = TypeVar("A")
 _HEADING, _WORDS = "heading", "pincal.words"
@@ -51,6 +53,38 @@ def argument(metavar: str, help: str, *, required: bool = True) -> Any:
 def group(heading: str) -> Any:
     """Return a field that is a dataclass of options itself, with the heading of their section in the help text."""
     return field(metadata={_HEADING: heading})
+
+
+class Number(click.ParamType[float]):
+    """A number in SI units that can be meant: finite, of a size that things of a robot cell have, and within a range."""
+
+    name = "float"
+
+    def __init__(self, least: float = -LARGEST, most: float = LARGEST) -> None:
+        self._least, self._most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        try:
+            number = plain_number(str(value))
+        except ValueError:
+            number = math.nan
+        # Not a number is in no range.
+        if not self._least <= number <= self._most:
+            self.fail(f"{str(value)!r}; expected a number from {self._least:g} to {self._most:g}", param, ctx)
+        return number
+
+
+class _Place(click.Path):
+    """A file or a folder; an empty text, such as an unset variable of the shell, is none and not the current folder."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("'' names nothing; expected a file or a folder (. for the current one)", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class _Argument(click.Argument):
@@ -185,8 +219,8 @@ def _reader(kind: Any) -> dict[str, Any]:
     """Return type, number and name of values for Click from the type of a field.
 
     Example:
-        >>> _reader(tuple[str, float] | None), _reader(tuple[int, ...])
-        ({'type': (<class 'str'>, <class 'float'>)}, {'type': <class 'int'>, 'multiple': True})
+        >>> _reader(tuple[str, str] | None), _reader(tuple[int, ...])
+        ({'type': (<class 'str'>, <class 'str'>)}, {'type': <IntRange x>=0>, 'multiple': True})
     """
     parts = get_args(kind)
     if NoneType in parts:
@@ -196,7 +230,12 @@ def _reader(kind: Any) -> dict[str, Any]:
     if parts and parts[-1] is ...:
         return _reader(parts[0]) | {"multiple": True}
     if parts:
-        return {"type": parts} | ({"metavar": "X Y Z"} if parts == (float, float, float) else {})
+        return {"type": tuple(_reader(part)["type"] for part in parts)} | (
+            {"metavar": "X Y Z"} if parts == (float,) * 3 else {}
+        )
     if kind is bool:
         return {"is_flag": True}
-    return {"type": click.Path(path_type=Path), "metavar": "FILE.csv"} if kind is Path else {"type": kind}
+    if kind is Path:
+        return {"type": _Place(), "metavar": "FILE.csv"}
+    # Whole numbers are counts and seeds.
+    return {"type": {float: Number(), int: click.IntRange(min=0)}.get(kind, kind)}

@@ -22,7 +22,7 @@ from pincal.model.registry import EFFECTS
 from pincal.notes import Note, doubts_first
 from pincal.report.tables import show_chance
 from pincal.report.verdict import next_steps, verdict_of
-from pincal.report.words import effect_words, noise_words
+from pincal.report.words import effect_words, noise_words, rank_words
 from pincal.robot.robot import Robot
 from pincal.tables import hanging, one_line
 
@@ -72,9 +72,8 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     if shares:
         least = min(shares, key=lambda name: shares[name])
         _line(out, "covered", f"each joint's range by at least {100 * shares[least]:.0f} % ({least})")
-    lost = sum(parameter.status != "identified" for parameter in found.parameters)
-    _line(out, "rank", f"{found.rank} of {found.released} parameters identifiable, condition number {found.condition:.2g}; "
-          f"{lost} rest on what is known beforehand, the reasons with --verbose")  # fmt: skip
+    statuses = [parameter.status for parameter in found.parameters]
+    _line(out, "rank", rank_words(statuses, rank=found.rank, condition=found.condition, why="why: --verbose"))
     print_first_notes(found.warnings, out)
     _line(out, "next", command)
     _line(out, "more", "--verbose: coverage, what to expect of each parameter, smallest effects that would be found")

@@ -11,7 +11,7 @@ import click
 
 from pincal.cli.arguments import argument, group, option
 from pincal.measure.options import TableOptions
-from pincal.units import plain_number
+from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity, plain_number
 
 Vector = tuple[float, float, float]
 
@@ -27,6 +27,7 @@ class Quantity(click.ParamType[float]):
 
     def __init__(self, units: dict[str, float], name: str, *, zero: bool = False, bare: float | None = None) -> None:
         self._units, self.name, self._zero, self._bare = units, name, zero, bare
+        self._si = next(unit for unit, factor in units.items() if factor == 1.0)
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         """Return an example of the value, for the help text."""
@@ -47,10 +48,11 @@ class Quantity(click.ParamType[float]):
                     return 0.0
                 if not unit and self._bare is None:
                     break
-                if not 0.0 < number < float("inf"):
-                    of = " of pixels" if unit == "px" else ""
-                    self.fail(f"{text!r} is not a positive number{of}", param, ctx)
-                return number * (self._units[unit] if unit else self._bare or 1.0)
+                si = number * (self._units[unit] if unit else self._bare or 1.0)
+                if not SMALLEST <= si <= LARGEST:
+                    kind = f"a positive number{' of pixels' if unit == 'px' else ''}"
+                    self.fail(f"{text!r} is not {kind} from {SMALLEST:g} to {LARGEST:g} {self._si}", param, ctx)
+                return si
         self.fail(f"{text!r}; expected a number with a unit, such as {self.name} ({', '.join(self._units)})", param, ctx)
 
 
@@ -81,8 +83,10 @@ class Masses(click.ParamType[tuple[float, ...]]):
             loads = tuple(plain_number(part.strip().removesuffix("kg")) for part in str(value).split(","))
         except ValueError:
             loads = ()
-        if not loads or not all(0.0 <= load < float("inf") for load in loads):
-            self.fail(f"{value!r}; expected one or several masses in kg, such as 80 or 0,80", param, ctx)
+        if not loads or not all(0.0 <= load <= LARGEST for load in loads):
+            self.fail(
+                f"{value!r}; expected one or several masses in kg, such as 80 or 0,80, of at most {LARGEST:g}", param, ctx
+            )
         return loads
 
 
@@ -127,6 +131,20 @@ robot_argument = partial(
 )
 xacro_option = partial(
     option, "Argument of a xacro file.", (), metavar="NAME:=VALUE", name="--xacro-arg", type=XacroArgument()
+)
+
+
+def _check_gravity(context: click.Context, parameter: click.Parameter, given: Vector | None) -> Vector | None:
+    if given is not None and not is_gravity(given):
+        raise click.BadParameter(f"{' '.join(f'{number:g}' for number in given)}; expected {GRAVITIES}", context, parameter)
+    return given
+
+
+gravity_option = partial(
+    option,
+    "Gravity in the robot's base frame [m/s^2].",
+    words="standard gravity along -z",
+    callback=_check_gravity,
 )
 mass_option = partial(
     option,
@@ -241,7 +259,7 @@ class ModelOptions:
         "auto",
     )
     payload_com: Vector = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
-    gravity: Vector | None = option("Gravity in the robot's base frame [m/s^2].", words="standard gravity along -z")
+    gravity: Vector | None = gravity_option()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,15 @@ from pincal.report.tables import (
     stage_table,
 )
 from pincal.report.verdict import verdict_of
-from pincal.report.words import HINTS, bootstrap_words, effect_words, noise_words, only_in_halves_words
+from pincal.report.words import (
+    HINTS,
+    bootstrap_words,
+    effect_words,
+    line_words,
+    noise_words,
+    only_in_halves_words,
+    rank_words,
+)
 from pincal.tables import hanging, one_line
 from pincal.units import Quantity, format_small
 from pincal.validate.lack_of_fit import LackOfFit
@@ -78,11 +86,10 @@ def print_notes(notes: Iterable[Note | str], out: Console) -> None:
 def _summary(result: Result) -> str:
     p_value = result.chi2_p_value
     chi2 = "" if p_value is None else f", reduced chi-square {result.chi2_reduced:.3f} (p {p_value:.2g})"
-    free = sum(row.status != "fixed" for row in result.parameters)
+    rank = rank_words((row.status for row in result.parameters), rank=result.rank, condition=result.condition)
     return (
         f"{result.rows['train']} rows fitted, {held_out_words(result)}; {result.iterations} iterations, "
-        f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} ({result.noise['source']}){chi2}\n"
-        f"identifiable rank {result.rank} of {free} parameters, condition number {result.condition:.2g}"
+        f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} ({result.noise['source']}){chi2}\n{rank}"
     )
 
 
@@ -107,9 +114,8 @@ def print_precheck(precheck: DataReport, out: Console) -> None:
     out.print(f"{precheck.rows} rows of kind {precheck.kind}; nominal robot, base and tool fitted: mean "
               f"{precheck.nominal['mean_mm']:.3f} mm, max {precheck.nominal['max_mm']:.3f} mm")  # fmt: skip
     out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
-    out.print(
-        f"identifiable rank {precheck.rank} of {precheck.released} parameters, condition number {precheck.condition:.2g}"
-    )
+    statuses = (parameter.status for parameter in precheck.parameters)
+    out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))
     out.print(coverage_table(precheck))
     out.print(expectation_table(precheck))
     _print_detectability(precheck, precheck.detectable, out)
@@ -158,6 +164,8 @@ def print_discovery(found: Discovery, out: Console) -> None:
         out.print(one_line(only_in_halves_words(findings)), markup=False)
     out.print(stage_table(findings.noise_floor_mm, found.gaps))
     for entry in findings.effects:
+        if words := line_words(entry):
+            out.print(hanging(effect_words(entry), words))
         if entry.tell_apart:
             out.print(hanging("to decide", f"between {effect_words(entry)} and its alternatives: {entry.tell_apart}"))
         if entry.period is not None:

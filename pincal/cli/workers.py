@@ -57,8 +57,10 @@ def _processes() -> Executor:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
+    from pincal.spread import end_with_parent
+
     # A process that is forked from one with threads may hang.
-    return ProcessPoolExecutor(mp_context=get_context("spawn"))
+    return ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=end_with_parent)
 
 
 def _connected(address: str, stack: ExitStack) -> Any:

@@ -27,7 +27,7 @@ Orientation = Literal["keep", "free"]
 # Rows worked on at once: some 100 MB, and enough for the few rows that need more steps to share their cost.
 _PIECE = 32768
 # How far a rotation matrix may be from one: what is left of six decimals.
-_ORTHONORMAL = 1e-5
+ORTHONORMAL = 1e-5
 
 
 @dataclass(frozen=True, repr=False)
@@ -175,6 +175,6 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
         return np.concatenate([np.tile(np.eye(3), (count, 1, 1)), given[:, :, None]], axis=2)
     turns = given[:, :, :3]
     off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turns) - 1.0)
-    if off.max(initial=0.0) > _ORTHONORMAL:
+    if off.max(initial=0.0) > ORTHONORMAL:
         raise BadInputError(f"wanted pose {int(off.argmax())}: its first three columns are no rotation; expected one")
     return given.copy()

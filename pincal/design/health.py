@@ -313,6 +313,7 @@ def _conditions(model: CalibratedModel, q: np.ndarray, request: CheckRequest, *,
         time=np.zeros(n) if "time" in needs else None,
         approach=rng.choice([-1.0, 1.0], q.shape) if "approach" in needs else None,
         droop=np.zeros_like(q) if "droop" in needs else None,
+        move=np.zeros_like(q) if "move" in needs else None,
     )
 
 

@@ -20,6 +20,8 @@ CONE = np.pi / 6.0
 _OFF_THE_FLOOR = 3
 # Random poses tried for one that is wanted, and at once.
 _TRIES, _BATCH = 200, 4096
+# Poses that a design chooses from at most: about 200 MB (20 000: 40 MB), and minutes.
+_MOST = 100_000
 # Steps towards a place where the target is held, their damping in reaches, and how near they have to come [m].
 _STEPS, _DAMPING, _THERE = 25, 0.03, 1e-4
 # Where a target sits by default: off the last axis and along it, in reaches of the arm.
@@ -196,7 +198,12 @@ class Reach:
             n: how many are wanted; fewer come back where constraints leave hardly any.
             rng: source of randomness.
             measured: whether they have to be in the box and in sight, too, or only within the arm's reach.
+
+        Raises:
+            BadInputError: for more than can be worked on.
         """
+        if n > _MOST:
+            raise BadInputError(f"{n} random poses to choose from; expected at most {_MOST}: ask for fewer")
         lower, upper = self.range
         found, removed, drawn = np.empty((0, len(lower))), dict[str, int](), 0
         while len(found) < n and drawn < _TRIES * n + _BATCH:

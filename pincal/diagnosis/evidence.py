@@ -101,6 +101,7 @@ def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassE
         payload=rng.choice(calibrated.covered.payload, _POSES),
         approach=approach,
         droop=np.zeros_like(conditions.q),
+        move=np.zeros_like(conditions.q),
         temperature=np.full(_POSES, 20.0),
         time=np.linspace(0.0, 1.0, _POSES),
     )

@@ -21,6 +21,9 @@ POWER = 0.9
 _TOLD_APART = 30.0
 # Numbers of further poses that may tell changes apart, random poses among which they are chosen, and those shown.
 _MORE, _TRIED, _SHOWN = (3, 6, 12, 25, 50), 200, 2
+# Poses whose targets are closer than this [m] are one to any instrument: the best laser trackers resolve a tenth of it, and
+# repeat what they read of a target at rest to no less than it.
+_TELLABLE = 1e-6
 # A direction in which an effect shows less than this part of what it shows in the best is not seen.
 _SEEN = 1e-6
 
@@ -83,15 +86,14 @@ def tell_apart(verdict: Verdict, step: Step) -> str:
         return ""
     change = step.score.change
     there, apart = farthest_apart(verdict, change, rival)
-    for n in _MORE:
+    most = f"{1e3 * apart[0]:.2g} mm"
+    for n in _MORE if apart[0] > _TELLABLE else ():
         if separation(verdict, there.select(np.arange(n)), change, rival) > _TOLD_APART:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
-            most = f"{1e3 * apart[0]:.2g} mm at the target"
-            return f"measure {n} more poses in which the two differ most, by {most}: {shown}{like}"
-    most = f"{1e3 * apart[0]:.2g} mm"
-    why = f"the two differ by at most {most}, too little for {_MORE[-1]} more poses"
-    return f"{why}; mend either, or look at the joints themselves"
+            return f"measure {n} more poses in which the two differ most, by {most} at the target: {shown}{like}"
+    few = f"{_MORE[-1]} more poses" if apart[0] > _TELLABLE else "any instrument"
+    return f"the two differ by at most {most}, too little for {few}; mend either, or look at the joints themselves"
 
 
 def farthest_apart(verdict: Verdict, change: int, rival: int) -> tuple[Station, np.ndarray]:

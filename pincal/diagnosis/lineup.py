@@ -105,9 +105,10 @@ class Lineup:
         return replace(self.robot, model=station.model, estimate=estimate, left=None)
 
     def _posterior(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Posterior:
-        free = self.free(happened)
+        free, begun = self.free(happened), self.start.copy()
+        begun[free] = start[free]
         prior = Prior(known, root, free, self.sizes[free])
-        return most_probable(self.station, start, self.start, prior, self.robot.sigma)
+        return most_probable(self.station, begun, self.start, prior, self.robot.sigma)
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> Evidence:
         """Return what the rows say of everything else, once some changes have happened."""

@@ -44,7 +44,7 @@ def name_again(state: State, search: Search) -> State:
             # A rival that has come in since may go again.
             rivals = [*decision.equivalent, *(other for other in step.equivalent if _is_in(other, state.fit))]
             told = each_heading_once(rivals, effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=told))
+            state = state.with_replaced(step, replace(step, equivalent=told, together=decision.together))
             continue
         new = decided(rest, decision, search)
         if _predicts_better(effect, new.effect, rest, search):

@@ -90,7 +90,7 @@ def explanation(
     """Return the same, given the table of all that may be added by name, and what is known to predict."""
 
     def contest_of(close: Sequence[Row]) -> CandidateTable:
-        nameless = nameless_near(fit, close[0].effect.locus.joint if close else None, search)
+        nameless = nameless_beside(fit, [row.effect for row in close], search)
         together = [*(row.effect for row in close), *nameless]
         costs = {id(row.effect): row.cost for row in close}
         return table_of(fit, search, test, together, costs, predicting=predicting) if nameless else names
@@ -187,6 +187,7 @@ def table_of(
         left_given=lambda i, given: tests.score_given([i], [given]).p_value,
         cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
         predicts=predicts,
+        left_beside=lambda which, given: tests.score_given(which, given).p_value,
     )
 
 
@@ -267,17 +268,31 @@ def _forms(fit: Fit, tested: Sequence[Candidate]) -> Iterator[Effect]:
         yield from (form for form in candidate.forms if is_alone or form.scope == "robot")
 
 
-def nameless_near(fit: Fit, near: str | None, search: Search) -> list[Effect]:
-    """Return dependences without a name that take part and the model does not have; near one joint or everywhere."""
+def nameless_beside(fit: Fit, names: Sequence[Effect], search: Search) -> list[Effect]:
+    """Return dependences without a name that take part beside some names, the likeliest first; everywhere beside none.
+
+    On the joint of the likeliest and its neighbours all do; beside any other name what follows the same variable there.
+    """
     if search.nameless is not None and not search.nameless:
         return []
-    names = fit.problem.chain.robot.joint_names
-    at = names.index(near) if near in names else None
-    joints = names if at is None else names[max(at - 1, 0) : at + 2]
+    chain, conditions = fit.problem.chain, fit.problem.conditions
+    joints = chain.robot.joint_names
+    likeliest = names[0].locus.joint if names else None
+    at = joints.index(likeliest) if likeliest in joints else None
+    near = joints if at is None else joints[max(at - 1, 0) : at + 2]
+    likes = {_place(effect) for effect in names if effect.locus.joint in joints and effect.locus.joint not in near}
+    beyond = nameless_candidates(chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}])
+    further = (effect for effect in beyond if _place(effect) in likes)
+    every = [*nameless_candidates(chain, conditions, near), *further, *likely_maps(fit, near)]
     present = {effect.identity for effect in fit.problem.effects}
-    every = nameless_candidates(fit.problem.chain, fit.problem.conditions, joints)
-    found = [*(effect for effect in every if effect.identity not in present), *likely_maps(fit, joints)]
+    found = [effect for effect in every if effect.identity not in present]
     return [effect for effect in found if search.nameless is None or effect.identity in search.nameless]
+
+
+def _place(effect: Effect) -> tuple[str | None, str | None, bool]:
+    """Return the joint, the variable, and whether an effect acts about the axis."""
+    at = effect.locus
+    return at.joint, at.follows, at.acts_on in ("drive", "gamma_z")
 
 
 def sampled(fit: Fit, policy: Policy) -> tuple[Fit, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,7 @@ class CandidateTable:
         left_given: the p-value of what one candidate still explains once another is in the model.
         cost_together: the information criterion of two candidates taken as one.
         predicts: whether a candidate improves the prediction of rows left out by more than chance.
+        left_beside: as ``left_given``, of some candidates taken as one, once some others are in the model.
     """
 
     rows: Sequence[Row]
@@ -47,6 +48,7 @@ class CandidateTable:
     left_given: Callable[[int, int], float]
     cost_together: Callable[[int, int], float]
     predicts: Callable[[int], bool]
+    left_beside: Callable[[Sequence[int], Sequence[int]], float]
 
     def cheapest(self) -> list[int]:
         """Return all candidates, the cheapest first."""
@@ -68,6 +70,21 @@ class CandidateTable:
         joint = effect.locus.joint
         return [i for i, row in enumerate(self.rows) if isinstance(row.effect, Curve) and row.effect.locus.joint == joint]
 
+    def parts(self, whole: int, policy: Policy) -> list[int]:
+        """Return the plainer simple curves of the joint's position that together do what a simple curve does; else none.
+
+        A name for what several plainer ones of the same joint do together is none that the data have told.
+        """
+        effect, rank = self.rows[whole].effect, self.rows[whole].score.rank
+        if not is_own_curve(effect):
+            return []
+        found = [
+            i
+            for i, row in enumerate(self.rows)
+            if is_own_curve(row.effect) and row.effect.locus.joint == effect.locus.joint and 0 < row.score.rank < rank
+        ]
+        return found if len(found) > 1 and self.left_beside([whole], found) > policy.told_apart else []
+
 
 def rivals_of(rows: Sequence[Row], best: int, left_given: Callable[[int, int], float], policy: Policy) -> list[Effect]:
     """Return the candidates that explain the data as well as the best, the cheapest first; see :class:`CandidateTable`."""
@@ -83,10 +100,17 @@ def rivals_of(rows: Sequence[Row], best: int, left_given: Callable[[int, int], f
 
 @dataclass(frozen=True)
 class Decision:
-    """The candidate that explains most for what it costs, and effects that the data can't tell from it."""
+    """The candidate that explains most for what it costs, and effects that the data can't tell from it.
+
+    Attributes:
+        row: the candidate.
+        equivalent: the effects, one of which it could also be.
+        together: effects that together explain the data as well, and are among them.
+    """
 
     row: Row
     equivalent: tuple[Effect, ...]
+    together: tuple[Effect, ...] = ()
 
     @property
     def effect(self) -> Effect:
@@ -104,6 +128,7 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
         policy: what to go by.
     """
     best = next((i for i in names.passed() if names.predicts(i)), None)
+    best = best if best is None else _taken_apart(names, best, policy)
     close = [] if best is None else [best, *(i for i in names.cheapest()[: policy.close] if i != best)]
     contest = contest_of([names.rows[i] for i in close])
     nameless = _better_without_name(contest, None if best is None else names.rows[best].effect)
@@ -118,7 +143,17 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
         return _decision(names, curve, [], policy)
     same = next(i for i, row in enumerate(contest.rows) if row.effect is names.rows[best].effect)
     others = [effect for effect in contest.rivals(same, policy) if effect.is_nameless]
-    return _decision(names, best, [*others, *_larger_curves(names, best, policy)], policy)
+    together = tuple(names.rows[i].effect for i in names.parts(best, policy))
+    decision = _decision(names, best, [*together, *others, *_larger_curves(names, best, policy)], policy)
+    return replace(decision, together=together)
+
+
+def _taken_apart(names: CandidateTable, best: int, policy: Policy) -> int:
+    """Return the likeliest of plainer effects that together explain more than the best does; the best if they don't."""
+    parts = names.parts(best, policy)
+    if not parts or names.left_beside(parts, [best]) > policy.adds_nothing:
+        return best
+    return next((i for i in names.passed() if i in parts and names.predicts(i)), best)
 
 
 def _better_without_name(contest: CandidateTable, best: Effect | None) -> int | None:

@@ -150,7 +150,7 @@ def decided(fit: Fit, decision: Decision, search: Search) -> Step:
     if isinstance(effect, Settling):
         # What is left of its time constant is found once nothing else is missing.
         after, effect = linearised_about_itself(after, effect, most=_MOST_WHILE_SEARCHING, until=Until.CLOSE)
-    return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate)
+    return Step((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate, decision.together)
 
 
 def listed(effects: Sequence[Effect]) -> str:

@@ -26,6 +26,7 @@ class Step:
         before, after: the fit before it entered, and with it.
         tested: the effect in the form in which it was tested; a curve may be finer in the end.
         estimate: what its parameters were by this test, shape (K,).
+        together: effects that together explain the data as well.
     """
 
     effects: tuple[Effect, ...]
@@ -35,6 +36,7 @@ class Step:
     after: Fit
     tested: Effect
     estimate: np.ndarray
+    together: tuple[Effect, ...] = ()
 
     @property
     def effect(self) -> Effect:

@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 
 from pincal.discover.elastic_rivals import instead_of, without_compliance
 from pincal.discover.history import History, Step
+from pincal.discover.lines import told_of_line
 from pincal.discover.power import ABSORBED, deciding_measurement
 from pincal.discover.scatter import find_excess
 from pincal.discover.shrink import PartialResidual, period_of
@@ -29,7 +30,7 @@ from pincal.io.discovery_file import (
     Untestable,
 )
 from pincal.model.catalogue import untestable
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Tone
 from pincal.parameters import Estimate
 from pincal.validate.misfit import MISFIT
 from pincal.validate.verdict import judge
@@ -151,10 +152,11 @@ def _found(
             for sure in sure_compliances(trail.final, step.effects, step.equivalent)
         ]
     else:
-        rivals = step.equivalent[:1]
-        decide = "".join(deciding_measurement(step.before, step.tested, step.estimate, rival) for rival in rivals)
-        estimate = known.take(trail.final.names_of([step.effect]))
+        decide = _deciding(step)
+        whole = step.effects if isinstance(step.effect, Tone) else step.effects[:1]
+        estimate = known.take(trail.final.names_of(whole))
         found = [(step.effect, estimate, estimate.sigma, step.score.p_value, step.equivalent, decide)]
+    line = told_of_line(trail, step)
     for effect, estimate, sigma, p_value, equivalent, decide in found:
         if step.is_elastic and trail.is_held_up and p_value > trail.policy.false_name:
             # Beside all other compliances, which few rows leave to what is known beforehand, nothing is left of it.
@@ -170,7 +172,18 @@ def _found(
             gap_after_mrad=after.mean_mrad,
             equivalent=tuple(EffectName.of(other) for other in equivalent),
             tell_apart=decide,
+            **line,
         )
+
+
+def _deciding(step: Step) -> str:
+    """Return what would tell an effect from the first that could stand in its place, or from several that together could."""
+    told = (step.before, step.tested, step.estimate)
+    if not step.together:
+        return "".join(deciding_measurement(*told, rival) for rival in step.equivalent[:1])
+    names = [f"{effect.name} of order {at.order}" if (at := effect.locus).order else effect.name for effect in step.together]
+    words = f"{', '.join(names[:-1])} and {names[-1]} of {step.effect.locus.joint} together do as much"
+    return f"{words}; {deciding_measurement(*told, *step.together)}"
 
 
 def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:

@@ -48,7 +48,7 @@ class Place:
     Attributes:
         joint: the joint, None for the whole arm.
         acts_on: "drive" (about or along the joint's own axis), "gamma_x" or "gamma_y" (across it), "base" or "lengths".
-        depends_on: a joint's name, "approach", "load", "payload", "temperature" or "time".
+        depends_on: a joint's name, "approach", "move", "load", "payload", "temperature" or "time".
         share: part of the excess of the squared residuals that it explains, 0 to 1.
         size: rms of the motion that a refit does not take up [rad; m of sliding joints; 1 for "lengths"; none for "base"].
         window: the narrow range of the variable in which most of it sits, None if it is spread.
@@ -314,7 +314,7 @@ def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place
 
 
 def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield what a drive may follow beside positions: fine waves of its gear, direction of approach, load."""
+    """Yield what a drive may follow beside positions: fine waves of its gear, direction of approach, last move, load."""
     conditions = fit.station.conditions
     q = _variable(fit, joint, joint)
     for size in _OWN_SIZES:
@@ -322,6 +322,8 @@ def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
             yield joint, _basis(q, size)
     if conditions.approach is not None and varies(approach := _variable(fit, joint, "approach")):
         yield "approach", approach[None]
+    if conditions.move is not None and varies(move := _variable(fit, joint, "move")):
+        yield "move", move[None]
     yield "load", _basis(_variable(fit, joint, "load"), _SIZE)
 
 

@@ -14,6 +14,7 @@ from pincal.discover.decisions import each_heading_once, is_own_curve
 from pincal.discover.forward import add_effects, add_hidden_waves, bent, hold_up_elasticity, judge_outliers_again
 from pincal.discover.history import History, State
 from pincal.discover.joint_noise import joint_noise, weighed
+from pincal.discover.lines import name_lines
 from pincal.discover.moment_frames import (
     best_frame,
     elastic_ways,
@@ -237,4 +238,5 @@ PASSES: tuple[Callable[[State, Search], State], ...] = (
     suggest_whole_curves,
     add_hidden_waves,
     judge_outliers_again,
+    name_lines,
 )

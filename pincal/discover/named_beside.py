@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, addable, explanation, nameless_near, spare_compliances, table_of
+from pincal.discover.candidate_tests import Search, addable, explanation, nameless_beside, spare_compliances, table_of
 from pincal.discover.decisions import CandidateTable, Decision
 from pincal.discover.information import Information
 from pincal.discover.nuisance import BesideNuisances
@@ -44,8 +44,8 @@ def named_beside(fit: Fit, effects: Sequence[Effect], search: Search) -> Iterato
         # Whether an effect predicts is asked before it goes, not when it is named.
         names = table_of(rest, search, test, some, predicting=effect)
         tables.append(names)
-        others += [names.rows[i].effect for i in names.cheapest()[: search.policy.close]]
-        others += nameless_near(rest, effect.locus.joint, search)
+        close = [names.rows[i].effect for i in names.cheapest()[: search.policy.close]]
+        others += [*close, *nameless_beside(rest, [effect, *close], search)]
     shared.test([*others, *spare])
     for effect, rest, test, names in zip(effects, rests, tests, tables, strict=True):
         yield rest, explanation(rest, search, test, names, predicting=effect)

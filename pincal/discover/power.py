@@ -209,8 +209,8 @@ def _power_curve(test: Test) -> tuple[np.ndarray, np.ndarray]:
     return grid, np.array([power_of(value, test) for value in np.maximum(grid, 1e-9)])
 
 
-def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Effect) -> str:
-    """Return, in words, the cheapest further measurement that would tell an effect from a rival.
+def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, *rivals: Effect) -> str:
+    """Return, in words, the cheapest further measurement that would tell an effect from a rival, or several together.
 
     For each kind of further run the power to tell them apart is computed from the Jacobian at its poses.
 
@@ -218,14 +218,14 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
         fit: the fit before the effect was added.
         effect: the effect.
         value: its parameters, shape (K,).
-        rival: the other one.
+        rivals: the other one, or those that together do as much.
     """
     few, _ = sampled(fit, POLICY)
     stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
 
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
         problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        return score_test(replace(few, problem=problem), [effect, rival])
+        return score_test(replace(few, problem=problem), [effect, *rivals])
 
     here = tests_at(station.conditions for station in stations)
     designs = [_designs(few.problem.chain.robot, station.conditions) for station in stations]
@@ -244,14 +244,15 @@ def deciding_measurement(fit: Fit, effect: Effect, value: np.ndarray, rival: Eff
 
 
 def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) -> float:
-    """Return the signal of the first effect that the second can't take over, squared, in units of the noise.
+    """Return the signal of the first effect that the others can't take over, squared, in units of the noise.
 
     Args:
-        runs: the tests of both at the poses of each run.
+        runs: the tests of all at the poses of each run.
         weight: of each row.
         value: the parameters of the first.
     """
-    (c, g), products = runs[0].columns, [run.products for run in runs]
+    (c, *others), products = runs[0].columns, [run.products for run in runs]
+    g = np.concatenate(others)
     whole, cross, inner = (
         np.asarray(weight * sum(of))
         for of in ((run.model.S for run in runs), (of.cross for of in products), (of.inner for of in products))

@@ -139,8 +139,8 @@ def merge_parts(state: State, search: Search) -> State:
 def _is_part(effect: Effect, nameless: Effect, fit: Fit) -> bool:
     """Return whether a name follows the same variable, on the same joint or a neighbour, as a term without a name."""
     at, term, names = effect.locus, nameless.locus, fit.problem.chain.robot.joint_names
-    if not _follows_a_position(effect, fit) or at.joint is None or term.joint is None:
-        return False
+    if not _follows_a_position(effect, fit) or isinstance(effect, Tone) or at.joint is None or term.joint is None:
+        return False  # Waves many a turn are no part of a smooth function.
     if isinstance(nameless, Resolvable) and nameless.resolutions(situation_of(fit)):
         # A map is a function of its own joint's position as well.
         return {term.joint, term.follows} >= {at.joint, at.follows}

@@ -19,7 +19,7 @@ import numpy as np
 from pincal.discover.levers import Motions
 from pincal.identify.fit import Fit
 from pincal.identify.normal import block_rows
-from pincal.model.conditions import TURN
+from pincal.model.catalogue.tones import resolution_of
 from pincal.model.effect import Candidate, Tone
 
 # Steps of a periodogram in periods over the whole range: the highest is then seen at 95 % of its square or more.
@@ -87,12 +87,12 @@ def seen_along(fit: Fit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _strongest(fit: Fit, tone: Tone, q: np.ndarray, along: np.ndarray, lever: np.ndarray, near: float) -> Iterator[Tone]:
     """Yield the wave that explains most of what a joint leaves, if it is worth a test, and its like."""
     assert tone.band is not None
-    turns = float(np.ptp(q)) / TURN
-    step = _STEP / turns
+    resolution = resolution_of(q)
+    step = _STEP * resolution
     orders, gains = _on_steps(q, along, lever, start=tone.band[0], step=step, end=tone.band[1])
     for known in fit.problem.effects:
         if isinstance(known, Tone) and known.locus.joint == tone.locus.joint:
-            gains[np.abs(orders - (known.locus.order or 0.0)) < 1.0 / turns] = 0.0
+            gains[np.abs(orders - (known.locus.order or 0.0)) < resolution] = 0.0
     least = 2.0 * np.log(tone.looks / _WORTH_A_TEST)
     for _ in range(1 + _MOST_ALIASES):
         highest = int(np.argmax(gains))
@@ -104,7 +104,7 @@ def _strongest(fit: Fit, tone: Tone, q: np.ndarray, along: np.ndarray, lever: np
         best = int(np.argmax(finer))
         least = max(least, float(finer[best]) - near)
         yield tone.tuned(round(float(close[best]), _DIGITS), tone.looks)
-        gains[np.abs(orders - orders[highest]) < 1.0 / turns] = 0.0
+        gains[np.abs(orders - orders[highest]) < resolution] = 0.0
 
 
 def _on_steps(

@@ -206,6 +206,7 @@ def _sure_together(fit: Fit, doubtful: Sequence[Sure]) -> Iterator[tuple[float, 
 _FOLLOWED = {
     "approach": "depending on the direction from which it arrives",
     "load": "following the load on its axis",
+    "move": "in proportion to its last move",
     "payload": "following the payload",
     "temperature": "following the temperature",
     "time": "as time goes by",

@@ -11,6 +11,7 @@ from string import Template
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.compensate.compensation import ORTHONORMAL
 from pincal.compensate.frames import in_base_frame
 from pincal.errors import BadInputError
 from pincal.export.formulas import Formulas, sides_following
@@ -44,6 +45,7 @@ def filled(template: str, formulas: Formulas, **words: str) -> str:
     common = {
         "n": str(len(formulas.joints)),
         "length": repr(max(_LEVER * robot.reach, 1e-3)),
+        "orthonormal": repr(ORTHONORMAL),
         "payload_centre": "({:g}, {:g}, {:g})".format(*formulas.calibrated.payload_centre),
     }
     text = files("pincal.export").joinpath("templates", template).read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -117,8 +118,8 @@ def _seen(fit: Fit) -> Iterator[_Seen]:
     problem, solution = fit.problem, fit.solution
     for (station, places, blocks), rows in zip(fit.stations, problem.rows, strict=True):
         sigma = np.repeat(solution.estimated[blocks], problem.block_sizes[blocks])[:, None]
-        of = (vector[places] for vector in (solution.values, solution.free, fit.priors.sizes))
-        yield _Seen(station, *of, solution.weights[rows] > 0.0, sigma)
+        values, free, sizes = (vector[places] for vector in (solution.values, solution.free, fit.priors.sizes))
+        yield _Seen(station, values, free, sizes, solution.weights[rows] > 0.0, sigma)
 
 
 def _of_station(seen: _Seen) -> Serial | None:
@@ -170,13 +171,8 @@ def _likeliest(
             return 1e300
         gained = float((scale * pull) @ cho_solve(factor, scale * pull))
         determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]) / scale)))
-        return (
-            m * n * at[0]
-            - 2.0 * float(np.sum(np.log(serial._recursion[3])))
-            + determinant
-            + float(z[0] @ z[0]) / noise
-            - gained
-        )
+        left = float(z[0] @ z[0]) / noise - gained
+        return float(m * n * at[0] + serial.log_determinant + determinant + left)
 
     white = min(misfit(np.array([log, -30.0, 0.1])) for log in _SIZES)
     starts = [np.array([0.0, np.log(s / (1.0 - s)), -np.log(1.0 - phi)]) for s, phi in _STARTS]
@@ -184,14 +180,18 @@ def _likeliest(
     best = min(tried, key=lambda found: float(found.fun))
     if white - float(best.fun) < _ENOUGH:
         return None
-    for memory in np.log(_MEMORIES):
+    for memory in np.log(_MEMORIES).tolist():
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
-        longer = _least(lambda at, memory=memory: misfit(np.append(at[:2], memory)), np.append(best.x[:2], memory))
+        longer = _least(partial(_at_memory, misfit, memory), best.x[:2])
         if memory > best.x[2] and float(longer.fun) < float(best.fun) + _AS_LIKELY:
             return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
     return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 
 
+def _at_memory(misfit: Callable[[np.ndarray], float], memory: float, at: np.ndarray) -> float:
+    return misfit(np.append(at, memory))
+
+
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:
     limits, options = [(-6.0, 6.0), (-6.0, 9.0), (0.01, np.log(_LONGEST))], {"xatol": 0.05, "fatol": 0.1, "maxfev": 120}
-    return minimize(misfit, start, method="Nelder-Mead", bounds=limits, options=options)
+    return minimize(misfit, start, method="Nelder-Mead", bounds=limits[: len(start)], options=options)

@@ -36,7 +36,9 @@ def rounding(problem: Problem) -> np.ndarray:
 def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
     """Return whether the information of the readings, the diagonal of G, is too much for the rounding of what priors say."""
     known = np.isfinite(sizes)
-    return bool(np.max(G[known] * sizes[known] ** 2, initial=0.0) * np.finfo(float).eps > _COARSE)
+    # By roots: squares of sizes that follow from an absurd mass have no place in a float.
+    told = np.sqrt(np.maximum(G[known], 0.0)) * sizes[known]
+    return bool(np.max(told, initial=0.0) > np.sqrt(_COARSE / np.finfo(float).eps))
 
 
 def polish(

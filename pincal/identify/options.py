@@ -8,11 +8,13 @@ from typing import Literal
 
 import numpy as np
 
+from pincal.errors import BadInputError
 from pincal.identify.noise import Loss
 from pincal.measure.setup import Setup
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import ELASTIC, Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate
+from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity
 
 Stages = Literal["joint", "paper"]
 Tools = dict[str, tuple[float, float, float] | np.ndarray]
@@ -34,6 +36,9 @@ class StationOptions:
     base: np.ndarray | None = None
     tools: Tools | None = None
     setup: Setup | None = None
+
+    def __post_init__(self) -> None:
+        _check_numbers(self)
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,9 @@ class Options:
     earlier: Estimate | None = None
     serial: bool = True
 
+    def __post_init__(self) -> None:
+        _check_numbers(self)
+
     @property
     def first_frame(self) -> MomentFrame:
         """The convention of moments to begin with."""
@@ -90,6 +98,25 @@ class Options:
         own = self.stations[station]
         given = {f.name: getattr(own, f.name) for f in fields(own) if getattr(own, f.name) is not None}
         return replace(self, **given, stations={})
+
+
+def _check_numbers(options: Options | StationOptions) -> None:
+    """Refuse numbers that can't be meant, before the arithmetic fails on them.
+
+    Raises:
+        BadInputError: naming the attribute.
+    """
+    held = {name: value for name, value in vars(options).items() if value is not None}
+    coordinates = {name: held[name] for name in ("gravity", "payload_centre", "base") if name in held}
+    coordinates |= {f"tool {target!r}": place for target, place in held.get("tools", {}).items()}
+    for name, value in coordinates.items():
+        if not (np.abs(np.asarray(value, float)) <= LARGEST).all():
+            raise BadInputError(f"{name} is {np.asarray(value).tolist()}; expected finite numbers of at most {LARGEST:g}")
+    for name in ("sigma", "sigma_orientation", "length_bound"):
+        if name in held and not SMALLEST <= held[name] <= LARGEST:
+            raise BadInputError(f"{name} is {held[name]}; expected a number from {SMALLEST:g} to {LARGEST:g}")
+    if "gravity" in held and not is_gravity(held["gravity"]):
+        raise BadInputError(f"gravity is {list(held['gravity'])}; expected {GRAVITIES}")
 
 
 def known_frames(options: Options) -> set[str]:

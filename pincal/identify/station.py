@@ -116,7 +116,7 @@ class Station:
             return columns
         # Rows that are surer have less of both kinds of noise.
         weights = self.weights[piece]
-        return self.serial.select(piece).innovations(columns * weights) / weights
+        return np.asarray(self.serial.select(piece).innovations(columns * weights) / weights)
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return noise of all rows, shape (m, N), that is independent and even, as readings have it."""
@@ -268,4 +268,5 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         time=measurements.time,
         approach=measurements.approach,
         droop=measurements.droop,
+        move=measurements.move,
     )

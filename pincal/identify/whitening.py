@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_COMPILE = {"cache": True, "nogil": True}
+from pincal.compiled import compiled
+
 # Poses worked on at once, so that what is needed of them stays in the cache.
 _TILE = 512
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def whitened(whitening, columns):
     """Return columns, shape (D, m, N), times the lower triangular matrix of each row, shape (m, m, N)."""
     n_columns, m, n = columns.shape
@@ -30,7 +30,7 @@ def whitened(whitening, columns):
     return out
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def recursion(phi, share, gaps, counted):
     """Return decay, gain and scale, shape (m, N), of an autoregression beside white noise, as :func:`filtered` wants them.
 
@@ -51,7 +51,7 @@ def recursion(phi, share, gaps, counted):
     return decay, gain, scale
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def filtered(columns, order, decay, gain, scale):
     """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its scale.
 
@@ -72,7 +72,7 @@ def filtered(columns, order, decay, gain, scale):
     return out
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def unfiltered(columns, order, decay, gain, scale):
     """Return columns whose innovations these are; arguments as of :func:`filtered`."""
     n_columns, m, n = columns.shape

@@ -161,6 +161,9 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
 
     Attributes:
         period: of a periodic dependence without a name, in units of its variable.
+        resolution: of an order of fine waves, by how much it may be off [1/turn]: one over the turns of the joint.
+        beside: orders of further waves that are no further away: with them the line waxes and wanes over the span.
+        origin: what the order suggests of where the waves come from, in words; empty if nothing.
         parameters: its parameters by name.
         p_value: chance that sound data look like this.
         gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and with it.
@@ -171,6 +174,9 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     period: float | None = None
+    resolution: float | None = None
+    beside: tuple[float, ...] = ()
+    origin: str = ""
     parameters: dict[str, FoundParameter]
     p_value: float
     gap_before_mm: float

@@ -1,4 +1,4 @@
-"""From which side joints arrived, where rows stand in the order in which they were measured."""
+"""How joints arrived, from which side and how far, where rows stand in the order in which they were measured."""
 
 from __future__ import annotations
 
@@ -13,16 +13,33 @@ from pincal.errors import PincalWarning
 _LEAST = 1e-3
 # How tables say where sides come from, if their own columns tell them.
 BY_COLUMNS = "what the columns approach_<joint> say"
-# One that moved by less stood still [rad, m].
+# One that moved by less stood still [rad, m]: rounding of the same position.
 _STILL = 1e-9
+
+
+def moves_by_order(q: np.ndarray) -> np.ndarray:
+    """Return each joint's last move with its sign, as the row before tells it, 0 in the first row (unknown), shape (N, n).
+
+    A joint that stands where it stood keeps its move, as where several targets are measured in one pose. An arm that went by
+    another pose on its way made another move.
+
+    Args:
+        q: joint positions in the order of measurement [rad], prismatic [m], shape (N, n).
+
+    Example:
+        >>> moves_by_order(np.array([[0.0], [0.5], [0.5], [0.25]])).ravel()
+        array([ 0.  ,  0.5 ,  0.5 , -0.25])
+    """
+    move = np.diff(q, axis=0, prepend=q[:1])
+    last = np.maximum.accumulate(np.where(np.abs(move) > _STILL, np.arange(len(q))[:, None], 0), axis=0)
+    return np.take_along_axis(move, last, axis=0)
 
 
 def sides_by_order(q: np.ndarray) -> np.ndarray:
     """Return the sign of each joint's last move, as the row before tells it, -1, 0 (unknown) or 1, shape (N, n).
 
-    A joint that stands where it stood keeps its side, as where several targets are measured in one pose. The side of the
-    first row is unknown, and so is that after a move that play may have swallowed. An arm that went by another pose on its
-    way came from another side: the sign is a proxy, which no play is seen with if it tells nothing.
+    The side of the first row is unknown, and so is that after a move that play may have swallowed. The sign is a proxy,
+    which no play is seen with if it tells nothing: see :func:`moves_by_order`.
 
     Args:
         q: joint positions in the order of measurement [rad], prismatic [m], shape (N, n).
@@ -31,50 +48,75 @@ def sides_by_order(q: np.ndarray) -> np.ndarray:
         >>> sides_by_order(np.array([[0.0], [0.5], [0.5], [0.2], [0.2001]])).ravel()
         array([ 0.,  1.,  1., -1.,  0.])
     """
-    move = np.diff(q, axis=0, prepend=q[:1])
-    sides = np.where(np.abs(move) >= _LEAST, np.sign(move), 0.0)
-    moved = np.abs(move) > _STILL
-    last = np.maximum.accumulate(np.where(moved, np.arange(len(q))[:, None], 0), axis=0)
-    return np.take_along_axis(sides, last, axis=0)
+    return _sides_of(moves_by_order(q))
+
+
+def _sides_of(moves: np.ndarray) -> np.ndarray:
+    return np.where(np.abs(moves) >= _LEAST, np.sign(moves), 0.0)
+
+
+def moves_of_table(q: np.ndarray, *, time: np.ndarray | None, station: np.ndarray | None) -> np.ndarray:
+    """Return each joint's last move with its sign in the rows of a table, shape (N, n).
+
+    Args:
+        q: joint positions [rad], prismatic [m], shape (N, n).
+        time: of the rows [s], shape (N,), which then says the order, as of poses that were measured again and put back in
+            their place; None for the order of the rows.
+        station: of the rows, shape (N,), each with an order and a zero of time of its own; None for one.
+    """
+    order = np.arange(len(q)) if time is None else np.argsort(time, kind="stable")
+    where = np.zeros(len(q), int) if station is None else np.unique(station, return_inverse=True)[1]
+    moves = np.empty_like(q)
+    for k in np.unique(where):
+        own = order[where[order] == k]
+        moves[own] = moves_by_order(q[own])
+    return moves
+
+
+def tells_order(time: np.ndarray | None, q: np.ndarray) -> bool:
+    """Return whether times, shape (N,), say in which order poses were taken: no two of different joints share one."""
+    if time is None or not np.ptp(time):
+        return False
+    order = np.argsort(time, kind="stable")
+    moved = np.abs(np.diff(q[order], axis=0)).max(axis=1) > _STILL
+    return not np.any(moved & (np.diff(time[order]) == 0.0))
 
 
 def completed(
-    given: Mapping[str, np.ndarray],
-    joints: Sequence[str],
-    q: np.ndarray,
-    *,
-    time: np.ndarray | None,
-    station: np.ndarray | None,
-    source: str,
+    given: Mapping[str, np.ndarray], joints: Sequence[str], moves: np.ndarray, *, by_time: bool, source: str
 ) -> tuple[dict[str, np.ndarray], str]:
-    """Return the sides of all joints: those of their columns, and of the others by the order of the rows.
+    """Return the sides of all joints: those of their columns, and of the others by their last moves.
 
     Args:
         given: the columns that there are, shape (N,) each, by joint.
         joints: the n joints.
-        q: their positions, shape (N, n).
-        time: of the rows [s], shape (N,), which then says the order, as of poses that were measured again and put back in
-            their place; None if unknown.
-        station: of the rows, shape (N,), each with an order and a zero of time of its own; None for one.
+        moves: their last moves, shape (N, n).
+        by_time: whether times said the order.
         source: the table's name.
 
     Returns:
         Sides by joint, shape (N,) each, and where they come from, in words.
     """
-    order = np.arange(len(q)) if time is None else np.argsort(time, kind="stable")
-    where = np.zeros(len(q), int) if station is None else np.unique(station, return_inverse=True)[1]
-    sides = np.empty_like(q)
-    for k in np.unique(where):
-        own = order[where[order] == k]
-        sides[own] = sides_by_order(q[own])
     origin = BY_COLUMNS
     if missing := [joint for joint in joints if joint not in given]:
-        origin = f"the sign of the move {'from the row before' if time is None else 'since the time before'}"
+        origin = f"the sign of the move {'since the time before' if by_time else 'from the row before'}"
         text = f"{source}: the side from which {', '.join(missing)} arrived is {origin}"
         warnings.warn(text, PincalWarning, stacklevel=2)
         others = ", ".join(joint for joint in joints if joint in given)
         origin += f"; of {others} what columns say" if others else ""
-    return dict(zip(joints, sides.T, strict=True)) | dict(given), origin
+    return dict(zip(joints, _sides_of(moves).T, strict=True)) | dict(given), origin
+
+
+def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequence[str]) -> np.ndarray:
+    """Return last moves, shape (N, n), without those of joints that came from another side by their own column.
+
+    Such a joint went by another pose on its way, so that the rows do not tell its move; it is 0 then.
+    """
+    found = moves.copy()
+    for i, joint in enumerate(joints):
+        if joint in sides and np.any(sides[joint] * _sides_of(moves[:, i]) < 0.0):
+            found[:, i] = 0.0
+    return found
 
 
 def note_on_sides(source: str, origin: str) -> str | None:

@@ -1,56 +1,61 @@
-"""Excel workbooks (.xlsx) as sheets: their first worksheet with cells."""
+"""Excel workbooks (.xlsx) as sheets: their first visible worksheet with cells."""
 
 from __future__ import annotations
 
 import contextlib
 import datetime
+import re
 import warnings
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
+from pincal.measure.packed import check_unpacked
 from pincal.measure.sheet import FrameSheet, Sheet
 
 if TYPE_CHECKING:
     import polars as pl
 
 ENDINGS = (".xlsx", ".xlsm")
+# Lines of a worksheet in Excel.
+_MOST_LINES = 1_048_576
+# Size of a cell in memory at least, a reference [bytes], and cells from one look at that to the next.
+_BYTES, _CELLS = 8, 100_000
+# Lines that a note names.
+_LISTED = 3
+_ROW = re.compile(rb"<(?:\w+:)?row\b([^>]*)>")
+_HIDDEN = re.compile(rb"\bhidden\s*=\s*[\"'](?:1|true)[\"']")
+_NUMBER = re.compile(rb"\br\s*=\s*[\"'](\d+)[\"']")
 # What stands in the cell of a formula that failed.
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
 
 def open_excel(path: Path) -> Sheet:
-    """Read the first worksheet of a workbook that has cells; the first row with cells is the header.
+    """Read the first worksheet of a workbook that has cells, a visible one before those that are hidden.
+
+    The first row with cells is the header. Worksheets that are left out, and rows that are hidden, cause a `PincalWarning`.
 
     Raises:
-        MeasurementError: without the library openpyxl, or for a workbook that is empty or can't be read.
+        MeasurementError: without the library openpyxl, or for a workbook that is empty, holds far more than fits into its
+            size, or can't be read.
     """
     import polars as pl
 
-    lines, others = _lines(path)
+    lines = _lines(path)
     if not lines:
         raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
-    if others:
-        warnings.warn(f"{path.name}: worksheets {', '.join(others)} are not read", PincalWarning, stacklevel=2)
-    (top, header), *body = lines
-    width = max(i for i, cell in enumerate(header, start=1) if cell is not None)
-    labels = tuple("" if cell is None else str(cell).strip() for cell in header[:width])
-    for row, cells in body:
-        if any(cell is not None for cell in cells[width:]):
-            count = max(i for i, cell in enumerate(cells, start=1) if cell is not None)
-            raise MeasurementError(
-                f"{path.name}, line {row}: {count} cells; expected {width} as in the header, line {top}; "
-                "delete what stands above it, or begin it with #"
-            )
-    columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(width)]
+    (_, header), *body = lines
+    labels = tuple("" if cell is None else str(cell).strip() for cell in header)
+    columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(len(labels))]
     return FrameSheet(path, labels, False, pl.DataFrame(columns), np.array([row for row, _ in body], int))
 
 
-def _lines(path: Path) -> tuple[list[tuple[int, tuple[Any, ...]]], list[str]]:
-    """Return number and cells of each line that has some, comments left out, and the names of other worksheets."""
+def _lines(path: Path) -> list[tuple[int, tuple[Any, ...]]]:
+    """Return number and cells of each line that has some, comments left out; tell of what else the workbook has."""
     try:
         import openpyxl
     except ImportError as error:
@@ -58,20 +63,77 @@ def _lines(path: Path) -> tuple[list[tuple[int, tuple[Any, ...]]], list[str]]:
             f"{path.name}: Excel files need openpyxl; run pip install 'pincal[excel]', or save the table as CSV"
         ) from error
     try:
+        with zipfile.ZipFile(path) as parts:
+            check_unpacked(path, sum(part.file_size for part in parts.infolist()))
         with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
-            found: list[tuple[int, tuple[Any, ...]]] = []
-            names = list(book.sheetnames)
-            for sheet in book.worksheets:
-                names.pop(0)
-                numbered = enumerate(sheet.iter_rows(values_only=True), start=1)
-                found = [(row, tuple(cells)) for row, cells in numbered if _has_cells(cells)]
-                if found:
-                    break
-            return found, names
-    except OSError:
+            sheets = sorted(book.worksheets, key=lambda sheet: bool(sheet.sheet_state != "visible"))
+            for k, sheet in enumerate(sheets):
+                if found := list(_filled(sheet, path)):
+                    _tell_hidden(sheet, {row for row, _ in found}, path.name)
+                    _tell_others(sheets[k + 1 :], path.name)
+                    return found
+            return []
+    except (OSError, MeasurementError):
         raise
     except Exception as error:  # Whatever a broken archive does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected an Excel workbook") from error
+
+
+def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
+    """Yield number and cells of each line that has some, none of them wider than the first, which is the header.
+
+    Raises:
+        MeasurementError: for a line that is, more lines than Excel has, or blank cells beyond measure.
+    """
+    # What a file says of its own size may be wrong, and rows beyond it would be lost.
+    sheet.reset_dimensions()
+    name, top, width, cells = path.name, 0, 0, 0
+    for row, values in enumerate(sheet.iter_rows(values_only=True), start=1):
+        if row > _MOST_LINES:
+            raise MeasurementError(f"{name}: has more than the {_MOST_LINES} lines of Excel; save the table as CSV")
+        if not _has_cells(values):
+            continue
+        cells += len(values)
+        if cells % _CELLS < len(values):
+            check_unpacked(path, _BYTES * cells)
+        count = max(i for i, cell in enumerate(values, start=1) if cell is not None)
+        top, width = (top, width) if top else (row, count)
+        if count > width:
+            raise MeasurementError(
+                f"{name}, line {row}: {count} cells; expected {width} as in the header, line {top}; "
+                "delete what stands above it, or begin it with #"
+            )
+        yield row, tuple(values[:count])
+
+
+def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
+    """Warn of a worksheet that is hidden, and of those of its rows that are."""
+    if sheet.sheet_state != "visible":
+        text = f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read"
+        warnings.warn(text, PincalWarning, stacklevel=4)
+    # In this mode openpyxl keeps none of the attributes of rows.
+    with sheet._get_source() as source:
+        text = source.read()
+    hidden = []
+    for place, tag in enumerate(_ROW.finditer(text) if b"hidden" in text else (), start=1):
+        number = _NUMBER.search(tag[1])
+        if _HIDDEN.search(tag[1]) and (row := int(number[1]) if number else place) in rows:
+            hidden.append(row)
+    if hidden:
+        first = ", ".join(map(str, hidden[:_LISTED])) + (", ..." if len(hidden) > _LISTED else "")
+        warnings.warn(
+            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a filter perhaps (line {first}), and "
+            "read like the others; delete them to leave them out",
+            PincalWarning,
+            stacklevel=4,
+        )
+
+
+def _tell_others(sheets: Sequence[Any], name: str) -> None:
+    """Warn of the worksheets that are not read."""
+    if sheets:
+        listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in sheets)
+        warnings.warn(f"{name}: worksheets {listed} are not read", PincalWarning, stacklevel=4)
 
 
 def _has_cells(cells: Sequence[Any]) -> bool:

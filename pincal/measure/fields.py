@@ -8,6 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from pincal.units import SMALLEST
+
 
 @dataclass(frozen=True)
 class Rule:
@@ -20,7 +22,7 @@ class Rule:
 
 
 FINITE = Rule("a finite number", np.isfinite)
-POSITIVE = Rule("a number > 0", lambda value: np.isfinite(value) & (value > 0))
+POSITIVE = Rule(f"a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & (value >= SMALLEST))
 SIGN = Rule("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
 
 

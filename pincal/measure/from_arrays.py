@@ -32,6 +32,7 @@ def measurements(
     station: ArrayLike | None = None,
     approach: ArrayLike | None = None,
     droop: ArrayLike | None = None,
+    move: ArrayLike | None = None,
     sigma: ArrayLike | None = None,
     source: str = "arrays",
     **columns: ArrayLike | None,
@@ -58,6 +59,7 @@ def measurements(
         station: name of the set-up that a row belongs to, shape (N,).
         approach: direction from which each joint arrived, -1, 0 (unknown) or 1, shape (N, n).
         droop: commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n).
+        move: last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n).
         sigma: standard deviation of the row [m], shape (N,).
         source: name of the data for messages.
         columns: fields of sensors of your own.

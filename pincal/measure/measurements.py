@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, nearest_first
 from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field
+from pincal.measure.quantities import expected_number, is_possible
 from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensor import Sensor
 
 # What a table has beside its readings.
-_OF_JOINTS = ("q", "approach", "droop")
+_OF_JOINTS = ("q", "approach", "droop", "move")
 _ARRAYS = (*_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 
 
@@ -56,6 +57,8 @@ class Measurements:
     """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
     droop: np.ndarray | None = None
     """Commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n)."""
+    move: np.ndarray | None = None
+    """Last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n)."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
     readings_per_row: np.ndarray | None = None
@@ -170,9 +173,9 @@ def measurements_from_arrays(
         rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: name of the data for messages.
         units: units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: target, payload, temperature, time, station, approach, droop, sigma, point and the fields of a sensor
-            (position, quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`; None is
-            absent.
+        **columns: target, payload, temperature, time, station, approach, droop, move, sigma, point and the fields of a
+            sensor (position, quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`;
+            None is absent.
 
     Returns:
         The measurements; target is "tool" (of a camera's readings "camera") unless given, quaternions are normalised.
@@ -277,10 +280,13 @@ def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.
     if values.dtype.kind not in "fi":
         return
     rule = SIGN if name == "approach" else FINITE if known is None else known.rule
-    right = rule.is_met(values)
+    quantity = known.quantity if known is not None else "angle" if name in ("q", "droop") else "number"
+    right, expected = is_possible(values, quantity), expected_number(quantity)
+    if right.all():
+        right, expected = rule.is_met(values), rule.expected
     if not right.all():
         wrong = np.flatnonzero(~right.reshape(len(right), -1).all(axis=1))
         raise MeasurementError(
             f'{source}, line {lines[wrong[0]]}, "{name}": {values[wrong[0]].tolist()}; '
-            f"expected {rule.expected}; rows like this: {wrong.size}; correct or delete them"
+            f"expected {expected}; rows like this: {wrong.size}; correct or delete them"
         )

@@ -1,8 +1,10 @@
-"""Units that a column may have, by what it holds, and the way to SI."""
+"""Units that a column may have, by what it holds, the way to SI, and which values can be meant."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from pincal.units import LARGEST
 
 # SI value = factor * value + offset.
 _LENGTHS: dict[str, tuple[float, float]] = {
@@ -25,6 +27,27 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "name": {},
 }
 """Factor and offset by physical quantity and unit; what has no unit in the header is in SI units."""
+
+
+# What has its own size: counts, indices and times, which some clocks count from 1970 in nanoseconds.
+_UNBOUNDED = ("time", "number", "name")
+
+
+def is_possible(values: np.ndarray, quantity: str) -> np.ndarray:
+    """Return which values of a quantity in SI units can be meant: finite ones, no larger than anything about a robot is."""
+    return np.isfinite(values) if quantity in _UNBOUNDED else np.abs(values) <= LARGEST
+
+
+def expected_number(quantity: str) -> str:
+    """Return in words which values can be meant.
+
+    Example:
+        >>> expected_number("length"), expected_number("time")
+        ('a finite number (at most 1e+07 m)', 'a finite number')
+    """
+    if quantity in _UNBOUNDED:
+        return "a finite number"
+    return f"a finite number (at most {LARGEST:g} {next(iter(UNITS[quantity]))})"
 
 
 def in_si(values: np.ndarray, quantity: str, unit: str) -> np.ndarray:

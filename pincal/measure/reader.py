@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.approach import BY_COLUMNS, completed
+from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
 from pincal.measure.fields import CONDITIONS, Field
 from pincal.measure.files import open_sheet, typed_errors
 from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
 from pincal.measure.joined import Log, join
 from pincal.measure.labels import is_named, renamed, spelled, without
 from pincal.measure.options import TableOptions
-from pincal.measure.quantities import in_si
 from pincal.measure.schema import OTHERS, Schema
 from pincal.measure.sheet import Column, ParquetSheet, Sheet, read_cells
 
@@ -35,8 +34,8 @@ class Cells:
     """What a table of N rows holds.
 
     Attributes:
-        arrays: values in SI units by the names of the fields, shape (N,) or (N, k); joint positions as "q" and directions of
-            approach as "approach", shape (N, n), where there are any.
+        arrays: values in SI units by the names of the fields, shape (N,) or (N, k); joint positions as "q", directions of
+            approach as "approach" and last moves as "move", shape (N, n), where there are any.
         rows: shape (N,), line of each row in its file, the header being line 1.
         units: the units that the header gave, by column.
         approach_from: where directions of approach come from, in words; empty where there are none.
@@ -84,9 +83,12 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
         arrays["droop"] = droop
     sides = {name: values.pop(f"approach_{name}") for name in joints if f"approach_{name}" in values}
     origin = BY_COLUMNS if sides else ""
-    if schema.options.rows_in_order and joints:
-        when = {name: values.get(name) for name in ("time", "station")}
-        sides, origin = completed(sides, joints, arrays["q"], **when, source=path.name)
+    time, in_order = values.get("time"), schema.options.rows_in_order
+    if joints and (in_order or tells_order(time, arrays["q"])):
+        moves = moves_of_table(arrays["q"], time=time, station=values.get("station"))
+        arrays["move"] = agreeing(moves, sides, joints)
+        if in_order:
+            sides, origin = completed(sides, joints, moves, by_time=time is not None, source=path.name)
     if sides:
         unknown = np.zeros(len(rows))
         arrays["approach"] = np.column_stack([sides.get(name, unknown) for name in joints])
@@ -217,4 +219,4 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
 def _in_si(series: pl.Series, column: Column) -> np.ndarray:
     if column.is_name:
         return np.array(series.to_list(), dtype=str)
-    return in_si(series.to_numpy(), column.quantity, column.unit)
+    return column.in_si(series)

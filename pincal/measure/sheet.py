@@ -14,12 +14,18 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.measure.packed import check_unpacked
+from pincal.measure.quantities import expected_number, in_si, is_possible
 
 if TYPE_CHECKING:
     import polars as pl
 
 # A date and a time of day as in ISO 8601.
 _DATE = r"^\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}"
+# Longest name [bytes]: that of a file on most systems.
+_LONGEST = 255
+# Size of a cell in memory [bytes], a number's.
+_BYTES = 8
 # Cells that show whether a column holds numbers or words.
 _SHOWN = 50
 
@@ -38,6 +44,10 @@ class Column:
     def is_name(self) -> bool:
         """Whether it holds names, not numbers."""
         return self.quantity == "name"
+
+    def in_si(self, cells: pl.Series) -> np.ndarray:
+        """Return numbers of the column in SI units, shape (N,)."""
+        return in_si(cells.to_numpy(), self.quantity, self.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +132,18 @@ class ParquetSheet(Sheet):
 
     Attributes:
         part: the rows to read, the first being 0; default: all.
+        nested: labels of the columns whose cells are lists or the like, of any size.
     """
 
     part: range | None = None
+    nested: frozenset[str] = frozenset()
 
     def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
         """Return the cells; of a part no others are read."""
         import polars as pl
 
+        if wrong := [column.label for column in columns if self.labels[column.index] in self.nested]:
+            raise MeasurementError(f'{self.path.name}, column "{wrong[0]}": lists; expected one number or name a cell')
         lazy = pl.scan_parquet(self.path, glob=False)
         start, count = (0, None) if self.part is None else (self.part.start, len(self.part))
         cells = (pl.col(self.labels[column.index]).alias(column.name) for column in columns)
@@ -140,16 +154,25 @@ class ParquetSheet(Sheet):
         """Return the first cells."""
         import polars as pl
 
+        if self.labels[index] in self.nested:
+            return []
         cells = pl.read_parquet(self.path, columns=[self.labels[index]], n_rows=count, glob=False).to_series()
         return ["" if cell is None else str(cell) for cell in cells]
 
 
 def open_parquet(path: Path) -> Sheet:
-    """Read the header of a Parquet file."""
+    """Read the header of a Parquet file.
+
+    Raises:
+        MeasurementError: if it holds far more than fits into its size.
+    """
     import polars as pl
 
-    labels = tuple(pl.scan_parquet(path, glob=False).collect_schema())
-    return ParquetSheet(path, labels, decimal_comma=True)
+    lazy = pl.scan_parquet(path, glob=False)
+    schema = lazy.collect_schema()
+    check_unpacked(path, _BYTES * len(schema) * int(lazy.select(pl.len()).collect().item()))
+    nested = frozenset(label for label, kind in schema.items() if kind.is_nested())
+    return ParquetSheet(path, tuple(schema), decimal_comma=True, nested=nested)
 
 
 def read_cells(sheet: Sheet, columns: Sequence[Column]) -> tuple[dict[str, pl.Series], np.ndarray]:
@@ -161,9 +184,25 @@ def read_cells(sheet: Sheet, columns: Sequence[Column]) -> tuple[dict[str, pl.Se
     frame, rows = sheet.read(columns)
     if frame.height == 0:
         raise MeasurementError(f"{sheet.path.name}: has a header and no rows; expected one line a pose")
+    for column in columns:
+        _check_lengths(frame[column.name], rows, column, source=sheet.path.name)
     cells = {column.name: _clean(frame[column.name], column, decimal_comma=sheet.decimal_comma) for column in columns}
     _check_cells(cells, frame, rows, columns=columns, source=sheet.path.name)
     return cells, rows
+
+
+def _check_lengths(series: pl.Series, rows: np.ndarray, column: Column, *, source: str) -> None:
+    """Refuse a cell that is no name and no number for its length: in an array, all names take the room of the longest."""
+    import polars as pl
+
+    if series.dtype == pl.String:
+        lengths = series.str.len_bytes()
+        if (lengths.max() or 0) > _LONGEST:
+            row = int(lengths.arg_max() or 0)
+            raise MeasurementError(
+                f'{source}, line {rows[row]}, column "{column.label}": a cell of {lengths[row]} bytes; '
+                f"expected {'a name' if column.is_name else 'a number'} of at most {_LONGEST}"
+            )
 
 
 def _clean(series: pl.Series, column: Column, *, decimal_comma: bool) -> pl.Series:
@@ -198,16 +237,17 @@ def _check_cells(
     total, faults = 0, list[tuple[int, Column]]()
     for column in columns:
         series = cells[column.name]
-        right = series.is_not_null() if column.is_name else series.is_finite().fill_null(False)
+        # An empty cell is null, as numbers nan.
+        right = series.is_not_null().to_numpy() if column.is_name else is_possible(column.in_si(series), column.quantity)
         if not right.all():
-            wrong = np.flatnonzero(~right.to_numpy())
+            wrong = np.flatnonzero(~right)
             total += wrong.size
             faults.append((int(wrong[0]), column))
     if faults:
         row, column = min(faults, key=lambda found: found[0])
         value = raw[column.name][row]
         found = "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
-        expected = "a name" if column.is_name else "a finite number"
+        expected = "a name" if column.is_name else expected_number(column.quantity)
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
             f"cells like this in the table: {total}; correct them, delete their rows, or leave the "

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_COMPILE = {"cache": True, "nogil": True}
+from pincal.compiled import compiled
+
 # Below this angle [rad] series are exact to rounding.
 _SMALL = 1e-3
 # Poses worked on at once, so that what is needed of them stays in the cache.
 _TILE = 512
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def turns(measured, poses):
     """Return the rotation vectors from predicted to measured orientations, shape (3, N) [rad].
 
@@ -54,7 +54,7 @@ def turns(measured, poses):
     return out
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def turned(turn, motion):
     """Return motions, shape (D, 6, N), with their rotations as they change rotation vectors of residuals, shape (3, N).
 

@@ -16,11 +16,12 @@ from pincal.model.latest import Latest
 from pincal.model.symbols import are_symbols
 
 # Variables that have a column of their own in a table, with their units; positions of joints are the others.
-COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s", "droop": "rad"}
-# Those that a table has for each joint, as they are called there.
-OF_JOINTS = {"approach": "approach_<joint>", "droop": "commanded_<joint>"}
+COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s", "droop": "rad", "move": "rad"}
+# Those that are of a joint, and the column of a table that tells them.
+OF_JOINTS = {"approach": "approach_<joint>", "droop": "commanded_<joint>", "move": "time"}
 # What else tells them.
-INSTEAD = {"approach": "where rows stand in the order in which they were measured, --rows-in-order says so"}
+_IN_ORDER = "where rows stand in the order in which they were measured, --rows-in-order says so"
+INSTEAD = {"approach": _IN_ORDER, "move": _IN_ORDER}
 # A joint that turns is at the same place after a turn [rad].
 TURN = 2.0 * np.pi
 # What else an effect may follow: the static moment on a joint.
@@ -46,6 +47,7 @@ class Conditions:
         setup: shape (N,), index of the set-up of instrument and targets, where there are several; else None.
         droop: shape (N, n), by how much the position that each joint was commanded exceeds the one that was read back
             [rad or m], or None.
+        move: shape (N, n), the last move of each joint with its sign [rad or m], 0 where it is not known, or None.
     """
 
     q: np.ndarray
@@ -57,6 +59,7 @@ class Conditions:
     approach: np.ndarray | None = None
     setup: np.ndarray | None = None
     droop: np.ndarray | None = None
+    move: np.ndarray | None = None
 
     @classmethod
     def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
@@ -70,7 +73,8 @@ class Conditions:
 
     def select(self, rows: slice | np.ndarray) -> Conditions:
         """Return the conditions of some rows."""
-        pick = [None if v is None else v[rows] for v in (self.temperature, self.time, self.approach, self.setup, self.droop)]
+        columns = self.temperature, self.time, self.approach, self.setup, self.droop, self.move
+        pick = [None if v is None else v[rows] for v in columns]
         return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
 
     def column(self, name: str) -> np.ndarray | None:
@@ -100,7 +104,7 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
     """Return the poses of several set-ups, one after the other.
 
     Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
-    so are temperatures and droops that some lack. Directions of approach are unknown where they were not recorded.
+    so are temperatures and droops that some lack. Directions of approach and moves are unknown where they were not recorded.
     """
     if len(parts) == 1:
         return parts[0]
@@ -108,6 +112,7 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
     known = [part.temperature for part in parts if part.temperature is not None]
     droops = [part.droop for part in parts if part.droop is not None]
     sides = [np.zeros_like(part.q, np.int8) if part.approach is None else part.approach for part in parts]
+    moves = [np.zeros_like(part.q) if part.move is None else part.move for part in parts]
     return Conditions(
         q,
         np.zeros(len(q), int),
@@ -116,6 +121,7 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
         temperature=np.concatenate(known) if len(known) == len(parts) else None,
         approach=np.concatenate(sides) if any(part.approach is not None for part in parts) else None,
         droop=np.concatenate(droops) if len(droops) == len(parts) else None,
+        move=np.concatenate(moves) if any(part.move is not None for part in parts) else None,
     )
 
 
@@ -188,7 +194,9 @@ def recorded_variable(
         return q if span is None or chain.robot.joint_types[i] == "prismatic" else into_range(q, *span)
     column = conditions.column(name) if name in COLUMN_UNITS else None
     if column is None:
-        raise BadInputError(f"an effect follows {name}, which these poses do not have; add the column")
+        raise BadInputError(
+            f"an effect follows {name}, which these poses do not have; add the column {OF_JOINTS.get(name, name)}"
+        )
     return np.asarray(column if joint is None or column.ndim < 2 else column[:, names.index(joint)])
 
 

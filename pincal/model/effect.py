@@ -11,7 +11,7 @@ itself. All that discovery, reports, the viewer and the design of measurements k
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
@@ -282,6 +282,25 @@ class Tone(Discoverable):
     def same(self) -> tuple[Tone, ...]:
         """Other causes of this very wave, which no data can tell from it."""
         return ()
+
+    @property
+    def orders(self) -> tuple[float, ...]:
+        """The waves a turn that it consists of."""
+        return () if self.locus.order is None else (self.locus.order,)
+
+    def suggested(self, resolution: float) -> Tone:
+        """Return the cause that the order of this wave suggests, known to so many waves a turn; itself if none does."""
+        return self
+
+    def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
+        """Return what an order suggests of where a wave comes from, in words; empty if nothing, or as well by chance.
+
+        Args:
+            order: waves a turn.
+            resolution: by how much they may be off, either way.
+            wheels: what may turn so many times a turn, in words by this number.
+        """
+        return ""
 
 
 class Settling(Discoverable):

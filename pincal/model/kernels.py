@@ -28,6 +28,8 @@ import numpy as np
 from numba import njit
 from numba.core import event
 
+from pincal.compiled import compiled
+
 log = logging.getLogger(__name__)
 
 # Coordinates a joint, a frame (base or tool).
@@ -590,7 +592,7 @@ def _note_moments(g, H, start, m, out):
             out[l, start + i] = H[l, 0, i] * g[0] + H[l, 1, i] * g[1] + H[l, 2, i] * g[2]
 
 
-@njit(cache=True, **_WHOLE)
+@compiled(**_WHOLE)
 def evaluate(layout, values, rigid, places, payload, terms, compliances, bodies, n_parameters, rows, sweeps):
     """Return poses, static moments and columns, as far as they are asked for: one loop, as each takes seconds to compile.
 

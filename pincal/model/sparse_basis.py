@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
 
-_COMPILE = {"cache": True, "nogil": True}
+from pincal.compiled import compiled
+
 # Poses worked on at once, so that what is needed of them stays in the cache.
 _TILE = 128
 
@@ -72,7 +72,7 @@ def _poses(basis: SparseBasis) -> np.ndarray:
     return np.repeat(np.arange(len(basis.starts) - 1), np.diff(basis.starts))
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def _without_zeros(basis):
     """Return where the entries of each pose start, their functions in order, and their values."""
     size, n = basis.shape
@@ -90,7 +90,7 @@ def _without_zeros(basis):
     return starts, place, value
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def sparse_across(basis, matrix):
     """Return the sums over a thin basis of its functions times the rows of a matrix, shape (S, D); shape (n, D)."""
     out = np.zeros((len(basis.starts) - 1, matrix.shape[1]))
@@ -103,7 +103,7 @@ def sparse_across(basis, matrix):
     return out
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def sparse_times(basis, matrix):
     """Return a thin basis times a row-major matrix of shape (n, D), shape (S, D)."""
     n, n_columns = matrix.shape
@@ -116,7 +116,7 @@ def sparse_times(basis, matrix):
     return out
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def sparse_times_dense(basis, column, dense):
     """Return products of the functions of a thin basis on a column, shape (m, n), with D others, shape (D, m, n): (S, D)."""
     n_dense, m, n = dense.shape
@@ -144,7 +144,7 @@ def sparse_times_dense(basis, column, dense):
     return out
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def add_product(G, rows, left, weights, columns, right, below):
     """Add left diag(weights) right^T of two thin bases at rows and columns of G; or ``below`` its diagonal, of one once."""
     is_same = below and rows[0] == columns[0]
@@ -160,7 +160,7 @@ def add_product(G, rows, left, weights, columns, right, below):
                     G[column, row] += scaled * right.value[b]
 
 
-@njit(**_COMPILE)
+@compiled(nogil=True)
 def mirror(G, places):
     """Copy what stands below the diagonal of G, at ascending rows and columns, above it."""
     n = len(places)

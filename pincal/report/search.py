@@ -12,7 +12,15 @@ from pincal.report.blocks import Block, Section, bullets, card, code, group, hea
 from pincal.report.illustrations import discovery_drawings, figures, stability_drawings
 from pincal.report.subject import Subject
 from pincal.report.tables import by_reason, location_table, show_chance, stage_table
-from pincal.report.words import HINTS, bootstrap_words, effect_meaning, effect_words, gain_words, only_in_halves_words
+from pincal.report.words import (
+    HINTS,
+    bootstrap_words,
+    effect_meaning,
+    effect_words,
+    gain_words,
+    line_words,
+    only_in_halves_words,
+)
 from pincal.units import format_digits, small_unit
 
 # An effect with more parameters than this is a curve; its numbers stand in discovery.json.
@@ -94,6 +102,8 @@ def _card(entry: FoundEffect) -> Markup:
         paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
         paragraph(joined((explained, rich("{}", often)), "")),
     ]
+    if words := line_words(entry):
+        blocks.append(paragraph(f"{words[0].upper()}{words[1:]}."))
     if entry.equivalent:
         others = "; ".join(effect_words(other) for other in entry.equivalent)
         decide = f" To decide between them: {entry.tell_apart}." if entry.tell_apart else ""

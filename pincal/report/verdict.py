@@ -153,5 +153,5 @@ def _after_discovery(discovery: Discovery) -> Iterator[str]:
         lost = (pair for station in stations for pair in untestable(station.model.chain, station.conditions))
         needed = {column for effect, _ in lost for column in effect.needs}
         absent = (column for column in needed if any(getattr(table, column) is None for table in tables))
-        if columns := ", ".join(sorted(OF_JOINTS.get(column, column) for column in absent)):
+        if columns := ", ".join(sorted({OF_JOINTS.get(column, column) for column in absent})):
             yield f"Record {columns} with each pose, so that effects that depend on it can be tested."

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pincal.identify.reasons import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.registry import meaning_of
 from pincal.units import readable_unit
 
+# What became of parameters that the data do not identify, of so many of them.
+_NOT_IDENTIFIED = {
+    Status.UNIDENTIFIABLE: "unidentifiable",
+    Status.PRIOR: "resting on priors",
+    Status.AT_BOUND: "stopped at a bound",
+    Status.FIXED: "fixed",
+}
+# What an effect may follow whose name is not plain.
+_VARIABLES = {"move": "its last move"}
 # What a fit finds beside effects of the robot -> what it is.
 _BESIDE = {"lens_distortion": "the camera's lens bends the image"}
 
@@ -72,11 +83,36 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
         across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
-        of = f"{entry.joint} and {entry.depends_on}" if entry.shape == "map" else entry.depends_on
+        of = (
+            f"{entry.joint} and {entry.depends_on}"
+            if entry.shape == "map"
+            else _VARIABLES.get(entry.depends_on, entry.depends_on)
+        )
         words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")
     elif (entry.order or 1) != 1:
-        words.append(f"order {entry.order}")
+        words.append(_order_words(entry))
     return " ".join(words)
+
+
+def _order_words(entry: EffectName) -> str:
+    if not isinstance(entry, FoundEffect) or entry.resolution is None:
+        return f"order {entry.order}"
+    middle = sum((entry.order or 0.0, *entry.beside)) / (1 + len(entry.beside))
+    return f"order {middle:.1f} \u00b1 {entry.resolution:.1f}"
+
+
+def line_words(entry: FoundEffect) -> str:
+    """Return what is to be said of a line of fine waves beside its order; empty if nothing.
+
+    Example:
+        >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "parameters": {}, "equivalent": (), "tell_apart": ""}
+        >>> entry = FoundEffect(**names, p_value=0.0, gap_before_mm=1.0, gap_after_mm=1.0, order=405.0, beside=(401.4,))
+        >>> line_words(entry)
+        'one line that waxes and wanes over the span of the joint, fitted as waves of order 405 and 401.4'
+    """
+    orders = " and ".join(f"{order:g}" for order in (entry.order or 0.0, *entry.beside))
+    whole = f"one line that waxes and wanes over the span of the joint, fitted as waves of order {orders}"
+    return "; ".join(filter(None, [entry.origin, whole if entry.beside else ""]))
 
 
 HINTS = "Hints: named in less than 60 % of the halves of the poses"
@@ -140,3 +176,23 @@ def noise_words(noise: Mapping[str, Any]) -> str:
     sigma = noise[f"sigma_{unit}"] * factor
     form = ".4g" if unit == "px" else ".4f" if sigma >= 1e-3 else ".2g"
     return f"{sigma:{form}} {name} per coordinate"
+
+
+def rank_words(statuses: Iterable[Status], *, rank: int, condition: float, why: str = "") -> str:
+    """Return how many of all parameters the data identify, what became of the others, and how well it is determined.
+
+    Args:
+        statuses: of every parameter; the numbers of the sentence add up to how many there are.
+        rank: number of independent combinations that are identified.
+        condition: condition number of these.
+        why: where the reasons are told, in words.
+
+    Example:
+        >>> rank_words([Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED], rank=3, condition=52.0)[:69]
+        '2 of 6 parameters identified by themselves, 3 unidentifiable, 1 fixed'
+    """
+    counts = Counter(statuses)
+    others = [f"{counts[status]} {words}" for status, words in _NOT_IDENTIFIED.items() if counts[status]]
+    told = ", ".join([f"{counts[Status.IDENTIFIED]} of {counts.total()} parameters identified by themselves", *others])
+    why = f" ({why})" if why and others else ""
+    return f"{told}{why}; identifiable rank {rank}, condition number {condition:.2g}"

@@ -42,7 +42,9 @@ def robots_alike(robot: Robot) -> Iterator[tuple[str, Robot]]:
 def _files(names: Iterable[str]) -> list[tuple[str, Path]]:
     """Return the files of robots, those first whose own name the file bears: some loaders share one."""
     found = []
-    for name in names:
-        with suppress(BadInputError):
-            found.append((name, find_file(name)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PincalWarning)
+        for name in names:
+            with suppress(BadInputError):
+                found.append((name, find_file(name)))
     return sorted(found, key=lambda one: (not one[1].name.startswith(one[0]), len(one[0]), one[0]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,16 @@ from pincal.errors import BadInputError, PincalWarning, RobotFileError, nearest_
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.inertia import are_placeholders, guessed_masses
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree
-from pincal.robot.urdf import arm_text, parse_urdf, read_urdf
+from pincal.robot.urdf import arm_text, parse_urdf, read_urdf, robot_name
+from pincal.units import LARGEST
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
 # A limit beyond this [rad or m] is how URDFs write "none".
 _NO_LIMIT = 1e3
+# Mass of a robot [kg] below which grams were not meant, but nothing at all.
+_LIGHTEST = 1e-3
 # No serial arm has more joints that move; memory and time grow with their cube.
 _MOST_JOINTS = 50
 
@@ -126,8 +129,8 @@ class Robot:
         tip = tree.default_tip(joints) if tip is None else tip
         base = _default_base(tree, tip, joints) if base is None else base
         path = _checked_path(tree, base, tip)
-        if mass is not None and not 0.0 < mass < np.inf:
-            raise BadInputError(f"mass of the robot is {mass} kg; expected more than 0")
+        if mass is not None and not _LIGHTEST <= mass <= LARGEST:
+            raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
         return _build(cls, tree, path, base, tip, mass=mass)
 
     @property
@@ -256,7 +259,28 @@ def find_file(source: str | os.PathLike[str]) -> Path:
         raise RobotFileError(f"example-robot-data has no URDF for {path.name!r}; give the path of one")
     inside = Path(str(loader.path), str(loader.urdf_subpath), str(loader.urdf_filename))
     folder: str = robots_loader.getModelPath(inside.as_posix())
-    return Path(folder, inside)
+    return _of_this_name(path.name, Path(folder, inside), known=loaders)
+
+
+def _of_this_name(name: str, file: Path, known: Collection[str]) -> Path:
+    """Return the file of a robot, another one beside it where this one calls itself by the name of another known robot.
+
+    The table of example-robot-data mixes some up: its "ur3" is the file of a UR5.
+
+    Raises:
+        RobotFileError: if there is no other.
+    """
+    found = robot_name(file)
+    # A variant, such as "panda_collision", has the name of its robot.
+    if found is None or found not in known or name.startswith(found):
+        return file
+    told = f"example-robot-data has {file.name} under the name {name!r}, whose robot is called {found!r}"
+    other = file.with_name(file.name.replace(found, name))
+    if robot_name(other) != name:
+        near = ", ".join(nearest_first([name], sorted(one for one in known if one != name))[:12])
+        raise RobotFileError(f"{told}; expected {name!r}: give the path of its URDF, or another name, such as {near}")
+    warnings.warn(f"{told}; {other.name} beside it is read instead", PincalWarning, stacklevel=4)
+    return other
 
 
 def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str:

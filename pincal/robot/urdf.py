@@ -14,15 +14,13 @@ from lxml import etree
 from pincal.errors import RobotFileError
 from pincal.robot.tree import MOVING_TYPES, OPEN_LOOPS, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
 from pincal.robot.xacro_file import expand_xacro, is_xacro
-from pincal.units import plain_number
+from pincal.units import LARGEST, plain_number
 
 _UNSUPPORTED_TYPES = ("planar", "floating")
 # Lengths of an axis that can be meant; others lose all digits when they are normalised.
 _AXIS_LENGTHS = (1e-6, 1e6)
 # What Pinocchio calls the world.
 _RESERVED = "universe"
-# Coordinates of an origin [m] beyond which no digit of a micrometre is left; some cells are placed in national grids.
-_FARTHEST = 1e7
 
 
 def parse_xml(text: bytes, source: str) -> Any:
@@ -81,6 +79,16 @@ def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | N
     return parse_urdf(text, source=source)
 
 
+def robot_name(path: Path) -> str | None:
+    """Return the name of a file's robot without a look at the rest of it; None if the file is none of a robot."""
+    try:
+        with path.open("rb") as file:
+            _, root = next(iter(etree.iterparse(file, events=("start",), resolve_entities=False, no_network=True)))
+    except (OSError, etree.XMLSyntaxError, StopIteration):
+        return None
+    return root.get("name") if root.tag == "robot" else None
+
+
 def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     """Check the text of a URDF; see :func:`read_urdf`."""
     root = parse_xml(text, source)
@@ -97,7 +105,7 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
         _numbers(element, "xyz", source)
         _numbers(element, "rpy", source)
-        if np.abs(_numbers(element, "xyz", source)).max() > _FARTHEST:
+        if np.abs(_numbers(element, "xyz", source)).max() > LARGEST:
             raise _fault(element, source, f"<origin xyz={element.get('xyz')!r}> is far beyond any robot; expected metres")
     _check_masses(root, source)
     notes = tuple(_settle_axes(root, source))

@@ -58,6 +58,7 @@ def expand_xacro(path: Path, text: bytes, arguments: Mapping[str, str]) -> bytes
 
 def _expanded(path: Path, values: Mapping[str, str], known: Mapping[str, str | None]) -> Any:
     try:
+        import xacro
         import xacrodoc
     except ImportError:
         raise RobotFileError(
@@ -65,6 +66,9 @@ def _expanded(path: Path, values: Mapping[str, str], known: Mapping[str, str | N
             "install it (pip install 'pincal[xacro]'), or expand the file with xacro first"
         ) from None
     xacrodoc.packages.update_package_cache(packages_beside(path))
+    # Includes are relative to the file that has them; xacrodoc hands xacro the text alone, for which that is the working
+    # folder, or the file at which an earlier expansion failed.
+    xacro.init_stacks(os.fspath(path.absolute()))
     try:
         # Warnings of xacro are about its own history, such as the order of evaluation.
         with contextlib.redirect_stderr(io.StringIO()):

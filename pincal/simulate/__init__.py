@@ -16,6 +16,7 @@ from pincal.simulate.drive import (
     JointCreep,
     JointOffset,
     JointScatter,
+    ShortOfTarget,
     ThermalOffset,
     TransmissionError,
 )
@@ -78,6 +79,7 @@ __all__ = [
     "SensorSetup",
     "ServoDroop",
     "SetupOptions",
+    "ShortOfTarget",
     "ThermalExpansion",
     "ThermalGrowth",
     "ThermalOffset",

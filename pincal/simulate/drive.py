@@ -233,6 +233,31 @@ class Backlash(DriveEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShortOfTarget(DriveEffect):
+    """Drive that is read before it has come to rest; ``size`` is the part of its way that is still ahead of it [-].
+
+    The way is from where the joint really stood in the pose before. One that is not sent anywhere stays where it is.
+    """
+
+    effect: ClassVar[str] = "settling"
+    unit: ClassVar[str] = "1"
+    typical_size: ClassVar[float] = 1e-4
+    column: ClassVar[str | None] = "time"
+    needs_order: ClassVar[bool] = True
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        target, place = poses.q[:, joint], np.empty(len(poses.q))
+        for row, to in enumerate(target):
+            if row == 0:
+                place[row] = to
+            elif to == target[row - 1]:
+                place[row] = place[row - 1]
+            else:
+                place[row] = to - self.size * (to - place[row - 1])
+        return place - target
+
+
+@dataclass(frozen=True, kw_only=True)
 class ThermalOffset(DriveEffect):
     """Joint zero that shifts with temperature; ``size`` is the shift [rad/K]."""
 

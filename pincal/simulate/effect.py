@@ -57,7 +57,8 @@ class HiddenEffect(ABC):
         scope: What the effect acts on.
         column: Column of the table without which the effect is not identifiable; None: no such column.
         typical_size: A size that is typical whatever the arm, in ``unit``.
-        needs_order: Whether what it does in a pose follows from the poses before it, unless the approach was recorded.
+        needs_order: Whether what it does in a pose follows from the poses before it; where its column is the approach, only
+            if that was not recorded.
         joint: Joint on which it acts, None for an effect of the whole arm.
         size: Its size in ``unit``.
     """
@@ -79,7 +80,7 @@ class HiddenEffect(ABC):
 
 def needs_order(effects: Iterable[HiddenEffect], poses: Poses) -> bool:
     """Return whether what effects do in a pose follows from the poses before it."""
-    return poses.approach is None and any(effect.needs_order for effect in effects)
+    return any(e.needs_order and (poses.approach is None or e.column != "approach") for e in effects)
 
 
 class SizedByLoad(ABC):

@@ -28,6 +28,7 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
         drive.JointCoupling,
         drive.AxisWobble,
         drive.Backlash,
+        drive.ShortOfTarget,
         elastic.LoadBacklash,
         elastic.Hysteresis,
         elastic.ServoDroop,

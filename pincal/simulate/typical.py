@@ -37,7 +37,9 @@ def typical_moments(machine: TrueMachine) -> np.ndarray:
     load = _LOAD * float(arm.masses.sum())
     if load <= 0.0:
         raise BadInputError("the arm has no mass, so that nothing bends it; expected inertial data in the URDF")
-    nominal = replace(TrueMachine.of_arm(arm), gravity=machine.gravity)
+    nominal = TrueMachine.of_arm(arm)
+    # A robot without weight, in orbit say, is made for the moments of its accelerations; those on earth stand for them.
+    nominal = replace(nominal, gravity=machine.gravity) if any(machine.gravity) else nominal
     q = plan_poses(arm, _PROBES, np.random.default_rng(0), min_height=None)
     loads = nominal.equilibrium(nominal.poses(q, payload=load, payload_com=(0.0, 0.0, 0.1 * arm.reach))).loads
     moments = np.linalg.norm(loads.before, axis=2).max(axis=0)

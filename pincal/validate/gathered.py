@@ -1,8 +1,8 @@
 """Whether rows that were rejected as outliers gather somewhere: readings go wrong anywhere, a robot in one place.
 
 Rejected rows that lie next to each other in the positions of a joint, or in the order of the rows, are counted in windows
-from one of them to another. The chance that as many of all rejected rows fall into a window of so many rows is
-hypergeometric; all windows are paid for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26, 1481-1496.
+from one of them to another. The chance that as many of all rejected rows fall into a window of so many rows is at
+most binomial; all windows are paid for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26, 1481-1496.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import hypergeom
+from scipy.special import bdtrc
 
 from pincal.identify.station import Station
 
@@ -73,6 +73,6 @@ def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, floa
     first, last = np.searchsorted(order, ends, "left"), np.searchsorted(order, ends, "right")
     i, j = np.triu_indices(len(ends), _FEWEST - 1)
     if len(i):
-        chances = hypergeom.sf(j - i, len(x), len(ends), last[j] - first[i])
+        chances = bdtrc(j - i, len(ends), (last[j] - first[i]) / len(x))
         best = int(np.argmin(chances))
         yield float(chances[best]) * len(i), float(ends[i[best]]), float(ends[j[best]])

@@ -49,8 +49,9 @@ def at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, kn
     """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
     plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
     columns = {name: np.full(len(q), value) for name, value in known.items()}
-    # The direction of approach is unknown: 0, as for a table without it; and joints stand as they are commanded.
-    return replace(plain, approach=np.zeros(q.shape), droop=np.zeros(q.shape), **columns)
+    # How joints arrived is unknown: 0, as for a table that does not tell; and they stand as they are commanded.
+    unknown = np.zeros(q.shape)
+    return replace(plain, approach=unknown, move=unknown, droop=unknown, **columns)
 
 
 def _cell_size(reached: np.ndarray, places: int) -> float:

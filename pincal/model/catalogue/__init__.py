@@ -17,6 +17,7 @@ from pincal.model.catalogue.drives import (
     GearEccentricity,
     GearRatio,
     JointCoupling,
+    ShortOfTarget,
     ThermalOffset,
 )
 from pincal.model.catalogue.elasticity import (
@@ -57,6 +58,7 @@ __all__ = [
     "ObliqueBearing",
     "PayloadError",
     "ServoDroop",
+    "ShortOfTarget",
     "ThermalExpansion",
     "ThermalGrowth",
     "ThermalOffset",
@@ -72,6 +74,7 @@ for _effect in (
     TransmissionError,
     JointCoupling,
     Backlash,
+    ShortOfTarget,
     ThermalOffset,
     JointCreep,
     ServoDroop,

@@ -22,6 +22,8 @@ from pincal.robot.robot import Robot
 _CONSTANT = 1e-9
 # What keeps effects from showing on the latest tables; the effects are held, too.
 _STILL = Latest[tuple[Effect, str]](4)
+# Why a variable that all rows have says nothing of a joint, where it is not for the lack of its column.
+_UNTOLD = {"move": "<joint> stands still, or comes from another side than the rows before tell: see column approach_<joint>"}
 # What can be tested on the latest tables: asked again of each effect that is judged beside the others.
 _TESTABLE = Latest[tuple[Candidate, ...]](4)
 
@@ -90,7 +92,8 @@ def why_not_testable(candidate: Candidate, situation: Situation) -> str:
     for name in effect.needs if joint is not None else ():
         column = conditions.column(name)
         if column is not None and column.ndim == 2 and not np.ptp(column[:, situation.joints.index(str(joint))]):
-            return f"column {OF_JOINTS[name].replace('<joint>', str(joint))} is missing or the same in all rows"
+            reason = _UNTOLD.get(name, f"column {OF_JOINTS[name]} is missing or the same in all rows")
+            return reason.replace("<joint>", str(joint))
     if candidate.obstacle:
         return candidate.obstacle
     known, key = _STILL.of(chain, conditions), key_of(effect)

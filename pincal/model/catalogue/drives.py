@@ -259,6 +259,44 @@ class Backlash(Discoverable):
 
 
 @dataclass(frozen=True)
+class ShortOfTarget(Discoverable):
+    """Drive that has not come to rest when it is measured: the joint moves by c times its last move more.
+
+    A joint that is still short of its target by a share of the way it came has c < 0.
+
+    Told apart by:
+        each pose reached from both sides by long and by short moves, rows in the order of measurement (`--rows-in-order`, or
+        a column `time`): play does not depend on how far the joint came. A pause before each reading does away with it.
+
+    Source:
+        position stabilisation time and overshoot in ISO 9283.
+    """
+
+    joint: str
+    name: ClassVar[str] = "settling"
+    meaning: ClassVar[str] = "the joint has not come to rest: it is short of its target by a share of its last move"
+
+    @property
+    def locus(self) -> Locus:
+        """The drive, in proportion to its last move."""
+        return Locus(self.joint, "drive", "move")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it on every joint."""
+        yield from (Candidate(cls(joint)) for joint in situation.joints)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Share of the last move by which the joint is further [1]."""
+        return parameters_of(self, self.joint, ("settling",), unit="1", size=RATIO)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the last move to the joint's drive."""
+        move = recorded(self, "time (or the word that rows stand in order, --rows-in-order)", conditions.move)
+        return drive_terms(chain, self.joint, (move[:, joint_index(chain, self.joint)],))
+
+
+@dataclass(frozen=True)
 class ThermalOffset(Discoverable):
     """Zero of a joint that shifts with temperature: by c (T - reference).
 

@@ -7,7 +7,7 @@ lines: once and twice a line (Heydemann 1981).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -27,6 +27,10 @@ _BAND = (20.0, 450.0)
 _USUAL, _LINES = 101.0, 1024.0
 # Half of twice the log-likelihood that a wave chosen in the whole band has to gain, about (see ``independent_orders``).
 _GAIN = 18.0
+# Lines a turn of encoders that count in binary: powers of two, from the least that is no curve of the drive.
+_BINARY = tuple(2.0**n for n in range(5, 17))
+# Chance that any order is as near to what is proposed of it, above which nothing is proposed: a hint, as good as one in ten.
+_BY_CHANCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,23 @@ class GearRipple(Tone):
         """An encoder with a line a wave, or with one every two waves."""
         return tuple(EncoderSubdivision(self.joint, order) for order in (self.order, self.order / 2.0))
 
+    def suggested(self, resolution: float) -> Tone:
+        """Return an encoder that counts in binary, if there is one of so many lines and few orders are as near to one."""
+        power, _ = _binary(self.order, resolution)
+        return EncoderSubdivision(self.joint, 2.0**power) if power else self
+
+    def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
+        """Return of which wheel it may be a harmonic: of those that are named, or of a usual strain wave gear."""
+        known = {_USUAL: "the ratio of a usual strain wave gear"} | dict(wheels)
+        near, chance = list[tuple[float, int, str]](), 1.0
+        for turns, whose in known.items():
+            if 2.0 * resolution < turns < order + resolution:
+                chance *= 1.0 - 2.0 * resolution / turns
+                times = round(order / turns)
+                near.append((abs(order - times * turns), times, f"{f'{times} x ' if times > 1 else ''}{turns:g}, {whose}"))
+        off, _, words = min(near, default=(np.inf, 0, ""))
+        return f"{words}{_as_near(1.0 - chance)}" if off <= resolution and 1.0 - chance <= _BY_CHANCE else ""
+
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s and c [rad]."""
         symbols = [f"ripple_{wave}_{_digits(self.order)}" for wave in ("sin", "cos")]
@@ -134,6 +155,16 @@ class EncoderSubdivision(Tone):
         """Return the error of an encoder of other lines; they are known, not chosen."""
         return replace(self, order=order)
 
+    @property
+    def orders(self) -> tuple[float, ...]:
+        """Once and twice a line."""
+        return self.order, 2.0 * self.order
+
+    def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
+        """Return that it is a power of two, if it is one."""
+        power, chance = _binary(order, resolution)
+        return f"2^{power}, as an encoder counts that divides its lines in binary{_as_near(chance)}" if power else ""
+
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s_1, c_1, s_2, c_2 [rad]."""
         orders = self.order, 2.0 * self.order
@@ -155,6 +186,32 @@ def independent_orders(q: np.ndarray, band: tuple[float, float]) -> float:
     """
     spread = float(np.std(q)) / TURN
     return 1.0 + (band[1] - band[0]) * spread * float(np.sqrt(4.0 * np.pi * _GAIN))
+
+
+def resolution_of(q: np.ndarray) -> float:
+    """Return by how much two orders have to differ to be told apart [1/turn]: one over the turns that are covered.
+
+    Args:
+        q: shape (N,), positions [rad].
+
+    Example:
+        >>> resolution_of(np.array([0.0, np.pi]))
+        2.0
+    """
+    return TURN / float(np.ptp(q))
+
+
+def _binary(order: float, resolution: float) -> tuple[int, float]:
+    """Return the power of two that an order is, 0 if none, and the chance that any order of the band is as near to one."""
+    powers = [lines for lines in _BINARY if lines < _BAND[1]]
+    chance = 2.0 * resolution * len(powers) / (_BAND[1] - _BAND[0])
+    power = round(np.log2(order))
+    is_near = 2.0**power in _BINARY and abs(order - 2.0**power) <= resolution
+    return (power if is_near and chance <= _BY_CHANCE else 0), chance
+
+
+def _as_near(chance: float) -> str:
+    return f" (any order is as near to such a number with a chance of {100.0 * chance:.1g} %)"
 
 
 def _digits(order: float) -> str:

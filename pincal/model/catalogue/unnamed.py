@@ -53,7 +53,8 @@ class Unnamed(Resolvable):
         joint: where it acts.
         acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it, behind the joint), "s_x" or "s_y"
             (across it, before the joint).
-        depends_on: name of a joint whose position it follows, or "time", "temperature", "payload".
+        depends_on: name of a joint whose position it follows, or "time", "temperature", "payload", or "move",
+            how far its joint came last.
         shape: "curve" (a cubic spline), "waves" (sine and cosine, ``order`` a turn), "product" (of sine or cosine of the
             joint's own angle and of the other's), "map" (products of cubic splines of both), "step" (at ``place``), or
             "kink" (another slope from there on).
@@ -120,7 +121,7 @@ class Unnamed(Resolvable):
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add the basis functions to the joint's drive, or tilt it."""
         i = joint_index(chain, self.joint)
-        x = recorded_variable(chain, conditions, self.depends_on, span=self.locus.span)
+        x = recorded_variable(chain, conditions, self.depends_on, joint=self.joint, span=self.locus.span)
         own_span = (self.own_lower, self.own_upper) if self.shape == "map" else None
         own = recorded_variable(chain, conditions, self.joint, span=own_span)
         bases = enumerate(self._basis(x, own))
@@ -158,9 +159,11 @@ def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[s
     names = chain.robot.joint_names
     columns = {name: conditions.q[:, i] for i, name in enumerate(names)}
     columns |= {n: c for n, c in (("time", conditions.time), ("temperature", conditions.temperature)) if c is not None}
-    moving = {name: column for name, column in columns.items() if np.ptp(column) > _CONSTANT}
     for joint in joints:
-        for source, column in moving.items():
+        own_move = {} if conditions.move is None else {"move": conditions.move[:, names.index(joint)]}
+        for source, column in (columns | own_move).items():
+            if np.ptp(column) <= _CONSTANT:
+                continue
             lower, upper = float(column.min()), float(column.max())
             own = source == joint
             for acts_on in (*_ACROSS, *_BEFORE) if own else _DRIVE:

@@ -237,6 +237,8 @@ def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
     """Return the variable in the unit of its axis, and the axis' label."""
     if trace.variable == "droop":
         return 1e3 * trace.x, f"commanded minus read back of {plain(trace.joint or '')} [mrad]"
+    if trace.variable == "move":
+        return np.degrees(trace.x), f"last move of {plain(trace.joint or '')} [deg]"
     if trace.unit == "rad":
         return np.degrees(trace.x), f"{plain(trace.variable)} [deg]"
     if trace.variable == "time":
