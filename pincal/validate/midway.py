@@ -118,12 +118,14 @@ class _Rows:
         off: shape (n, 3), how far each target is off its prediction [m], single large ones clipped.
         fitted: shape (n, 3, r), what the fitted parameters can make of it.
         fields: what may have happened.
+        growth: what a robot or an instrument does that warms up: all grows about some point.
         at: shape (n,), the place of each row in the table, 1 apart on average.
     """
 
     off: np.ndarray
     fitted: np.ndarray
     fields: tuple[_Field, ...]
+    growth: _Field
     at: np.ndarray
 
 
@@ -160,7 +162,9 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
         return None
     steps, noise, likelihood = _judged(rows)
     best = max(steps, key=_excess)
-    if min(_excess(best), likelihood - _limit(best)) < 0.0 or best.gain < _drift(rows, best.field, noise):
+    if min(_excess(best), likelihood - _limit(best)) < 0.0 or best.gain < max(
+        _drift(rows, field, noise) for field in (best.field, rows.growth)
+    ):
         return None
     causes: dict[str, Cause] = {}
     for step in sorted(steps, key=_excess, reverse=True):
@@ -181,11 +185,12 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
     sizes, axes = np.linalg.eigh(J.T @ J)
     kept = sizes > _RANK**2 * sizes[-1]
     fitted = (J @ (axes[:, kept] / np.sqrt(sizes[kept]))).reshape(n, 3, -1)
-    return _Rows(station.displacements(values), fitted, tuple(_fields(station, values)), at)
+    growth, *fields = _fields(station, values)
+    return _Rows(station.displacements(values), fitted, tuple(fields), growth, at)
 
 
 def _fields(station: Station, values: np.ndarray) -> Iterator[_Field]:
-    """Yield what may happen between two rows, as motions of the targets as far as their readings tell."""
+    """Yield growth, then what may happen between two rows, as motions of the targets as far as their readings tell."""
     of_model, own = station.split(values)
     sensor, q, robot = station.sensor, station.conditions.q, station.model.chain.robot
     poses = station.model.predict(of_model, station.conditions)
@@ -202,6 +207,7 @@ def _fields(station: Station, values: np.ndarray) -> Iterator[_Field]:
     centred = poses[:, :, 3] - poses[:, :, 3].mean(axis=0)
     shifts = [shifted(axis) for axis in np.eye(3)]
     turns = [shifted(np.cross(axis, centred)) for axis in np.eye(3)]
+    yield _Field("growth", np.stack([*shifts, shifted(centred)], axis=2))
     yield _Field("instrument", np.stack(shifts, axis=2))
     yield _Field("instrument", np.stack([*shifts, *turns], axis=2))
     yield _Field("tool", np.stack([shifted(poses[:, :, a]) for a in range(3)], axis=2))
