@@ -23,7 +23,8 @@ from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot, find_file
 from pincal.validate import agreement
 from pincal.validate.agreement import implausible
-from pincal.validate.rows_apart import in_common, step_in
+from pincal.validate.midway import change_in
+from pincal.validate.rows_apart import in_common
 
 SHARED = next((folder / "shared" for folder in Path(__file__).resolve().parents if (folder / "shared/data").is_dir()), None)
 Change = Callable[[Measurements], Measurements]
@@ -176,11 +177,11 @@ def test_a_touched_instrument_is_noticed(kuka: Robot, table: Measurements, size:
     """From the hundredth row on all readings are shifted: the row and the size are told."""
     shift = np.where(np.arange(len(table))[:, None] < 100, 0.0, np.array([0.6, -0.8, 0.0]) * size)
     fit = fitted(kuka, placed(table, lambda p: p + shift))
-    found = step_in(fit.station, fit.values, fit.solution.free, table.rows)
+    found = change_in(fit.station, fit.values, fit.solution.free, table.rows)
 
-    assert found is not None
+    assert found is not None and found.cause.name == "instrument"
     assert abs(found.line - table.rows[100]) <= (3 if size < 1e-3 else 0)
-    assert found.size == pytest.approx(size, rel=0.25)
+    assert found.cause.size == pytest.approx(size, rel=0.25)
 
 
 def test_an_untouched_instrument_is_not_suspected(machine: sim.TrueMachine, kuka: Robot) -> None:
@@ -191,7 +192,7 @@ def test_an_untouched_instrument_is_not_suspected(machine: sim.TrueMachine, kuka
             table = table.select(np.lexsort(np.round(table.q[:, :2], 0).T))
             table = replace(table, rows=np.sort(table.rows))
         fit = fitted(kuka, table)
-        assert step_in(fit.station, fit.values, fit.solution.free, table.rows) is None
+        assert change_in(fit.station, fit.values, fit.solution.free, table.rows) is None
 
 
 def test_what_outliers_have_in_common_is_told(kuka: Robot, table: Measurements) -> None:
@@ -242,4 +243,4 @@ def test_real_tables(mine: str, file: str, words: str) -> None:
             run_calibration(robot, table, Options(effects=GEOMETRIC))
         return
     found = run_calibration(robot, table, Options(effects=GEOMETRIC)).result
-    assert found.doubt == "" and not any("shifted" in warning.text for warning in found.warnings)
+    assert found.doubt == "" and found.shift == ""

@@ -19,8 +19,9 @@ from pincal.validate.accuracy import pose_errors
 from pincal.validate.agreement import implausible
 from pincal.validate.gathered import Gathering, gathering_of
 from pincal.validate.lack_of_fit import LackOfFit
+from pincal.validate.midway import change_in
 from pincal.validate.misfit import MISFIT
-from pincal.validate.rows_apart import in_common, step_in
+from pincal.validate.rows_apart import in_common
 from pincal.validate.verdict import tells
 
 # A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
@@ -64,10 +65,7 @@ class Kind(Enum):
         "{count} of {rows} rows do not fit the others, which is no calibration: {common}; find out what "
         "they are before using the model. Lines {lines}"
     )
-    STEP = (
-        "from line {line} on readings are shifted by {size:.3g} mm: was the instrument or the target touched? "
-        "If so, make the rows before and after two stations (column station)"
-    )
+    STEP = "from line {line} on {what} If so, make the rows before and after two stations (column station)"
     DEPENDENT_ROWS = (
         "what is left depends on the order of the rows: {what}; look for what changed while they were measured: the "
         "instrument's set-up, temperature, the clamping of robot and target"
@@ -241,8 +239,8 @@ def findings_on_outliers(
         here = table.rows[gathered.rows].tolist()
         figures = {"count": len(here), "rows": len(lines), "where": where, "lines": _listed(here)}
         found.append(Finding(Kind.GATHERED, figures, station.name, tuple(here)))
-    if step := step_in(station, values, free, table.rows):
-        found.append(Finding(Kind.STEP, {"line": step.line, "size": 1e3 * step.size}, station.name, (step.line,)))
+    if change := change_in(station, values, free, table.rows):
+        found.append(Finding(Kind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)))
     return found
 
 

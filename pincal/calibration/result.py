@@ -199,7 +199,7 @@ class _Seen:
 
     @cached_property
     def poses(self) -> list[np.ndarray]:
-        """Numbers of the poses of the fitted rows, and of the held-out ones."""
+        """Numbers of the poses of the fitted rows as they were measured, and of the held-out ones."""
         return replicate_groups(self.rows.measured, within=SCATTER)
 
     @property

@@ -18,7 +18,7 @@ from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
-from pincal.measure.poses import replicate_groups
+from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, Severity
 from pincal.validate.accuracy import error_table, pose_errors
 from pincal.validate.agreement import is_anothers, mix_up, nominal_displacements
@@ -88,7 +88,7 @@ class Validation:
             beside = Beside("the scatter between repeated measurements of a pose", lack.F**0.5, lack.p_value)
         elif self.model.is_noise_declared or self.table.sigma is not None:
             beside = Beside("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
-        distinct = len(np.unique(replicate_groups([self.table])[0])) / len(self.table)
+        distinct = len(np.unique(replicate_groups([self.table], within=SCATTER)[0])) / len(self.table)
         few = not tells(distinct * self.misfit.degrees - self.misfit.found)
         return judge(beside, self.notes, unusable=bool(self.doubt), few=few)
 

@@ -1,0 +1,390 @@
+r"""What changed midway in a table: the instrument stands elsewhere, a joint was remastered, or the tool exchanged.
+
+Each is a motion of the targets from some row on, along a field of directions of its own: all alike for an instrument that
+was touched, the lever of a joint whose zero is another, fixed in the tool's frame for another tool. One scan over rows and
+fields finds the step that explains most. With r the residuals, C their covariance, F what the fitted parameters can make of
+them, and U the step,
+
+.. math:: g = r^T P U (U^T P U)^{-1} U^T P r, \quad P = C^{-1} - C^{-1} F (F^T C^{-1} F)^{-1} F^T C^{-1}
+
+is what it gains. Rows next to each other err alike: a model misses neighbouring poses alike, and instruments drift. So C is
+that of white noise and a process with a correlation that fades along the rows, by maximum likelihood beside the step. There
+is a step only if it and its C are far likelier than the likeliest C without any: a drift or a random walk is no step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.special import chdtri
+
+from pincal.identify.station import Station
+from pincal.measure.rows import some_rows
+
+# Fewest rows on either side of a step.
+_EACH = 10
+# A residual counts as no more than so many times the typical one: single wrong readings make no step.
+_CLIPPED = 5.0
+# The gain, in units of the variance of means of neighbours, from which a step is looked at more closely. Simulated machines
+# have up to 12, real arms measured along a grid 31.
+_LOOKED_AT = 25.0
+# Chance of a step in a table without one, over all rows and fields, if the covariance were known.
+_CHANCE = 1e-4
+# Twice the logarithm of the likelihood ratio, a thousand to one, within which causes are not told apart.
+_TOLD_APART = 13.8
+# A drift is a curve of this degree along the rows: it explains six sevenths of a step in the middle, less of one elsewhere,
+# and nearly all of a robot that warms up.
+_DRIFT = 3
+# Rows that show whether there is a step; around it all are looked at that lie within so many of these.
+_FEW, _AROUND = 400, 3
+# Directions of the fitted parameters that are weaker than this part of the strongest are none.
+_RANK = 1e-5
+# Functions of a curve that follow a step by themselves; of more, neighbours do together, as the curve is smooth: the few
+# rows would not tell so many apart, nor leave anything of a step.
+_FUNCTIONS = 24
+# Differences [rad or m] by which things are moved for a derivative.
+_MOVED = 1e-5
+# Correlation lengths that are tried, in rows, and how far the process goes from one row to the next, in white noise's
+# variances: from what 400 rows would hardly show to nothing but the process. The longest is a random walk.
+_LENGTHS, _WALKS = (3.0, 10.0, 30.0, 100.0, 1000.0), (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
+# Rounds in which a step and the noise beside it are found by turns.
+_TRIES = 4
+# Turns to find a step's size beside rows that are off.
+_TURNS = 20
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What may have happened between two rows.
+
+    Attributes:
+        name: "instrument", "tool", or the joint's.
+        size: how far readings or target moved [m], or the joint [rad, or m if prismatic].
+        unit: of the size: "m" or "rad".
+    """
+
+    name: str
+    size: float
+    unit: str
+
+    def __str__(self) -> str:
+        shown = f"{1e3 * self.size:.3g} m{self.unit}"
+        if self.name == "instrument":
+            return f"readings are shifted by {shown}: was the instrument or the robot's base touched?"
+        if self.name == "tool":
+            return f"the target sits {shown} elsewhere on the tool: was it touched, or the tool exchanged?"
+        return f"{self.name} stands {shown} off: was it remastered?"
+
+
+@dataclass(frozen=True)
+class Change:
+    """A place in a table from which on something is other than before.
+
+    Attributes:
+        line: of the first row after it.
+        cause: what explains it best.
+        others: what explains it as well.
+    """
+
+    line: int
+    cause: Cause
+    others: tuple[Cause, ...] = ()
+
+    def __str__(self) -> str:
+        return " Or: ".join(map(str, (self.cause, *self.others)))
+
+
+@dataclass(frozen=True)
+class _Field:
+    """A motion of the targets: what it is of, and shape (n, 3, m), its directions at each row."""
+
+    name: str
+    directions: np.ndarray
+    unit: str = "m"
+
+    @property
+    def freedoms(self) -> int:
+        return int(self.directions.shape[2])
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows in their order.
+
+    Attributes:
+        off: shape (n, 3), how far each target is off its prediction [m], single large ones clipped.
+        fitted: shape (n, 3, r), what the fitted parameters can make of it.
+        fields: what may have happened.
+        growth: what a robot or an instrument does that warms up: all grows about some point.
+        at: shape (n,), the place of each row in the table, 1 apart on average.
+    """
+
+    off: np.ndarray
+    fitted: np.ndarray
+    fields: tuple[_Field, ...]
+    growth: _Field
+    at: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The best step along a field: its first row, gain and motion, and the gain of all rows."""
+
+    field: _Field
+    row: int
+    gain: float
+    motion: np.ndarray
+
+    @property
+    def step(self) -> np.ndarray:
+        """The field from the step on, shape (n, 3, m)."""
+        return np.where(np.arange(len(self.field.directions))[:, None, None] >= self.row, self.field.directions, 0.0)
+
+
+def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray) -> Change | None:
+    """Return where, in the order of the rows, something changed, and what; None if nothing did.
+
+    Args:
+        station: the calibrated model over the rows.
+        values: shape (P,), of its parameters.
+        free: shape (P,), which of them were fitted.
+        lines: shape (N,), line of each row.
+    """
+    order = np.argsort(lines, kind="stable")
+    if not station.sensor.reads_pose or len(order) < 4 * _EACH:
+        return None
+    few = some_rows(len(order), _FEW)
+    rows = _rows(station.select(order[few]), values, free, few * (len(few) / len(order)))
+    if not _is_loud(rows):
+        return None
+    steps, noise, likelihood = _judged(rows)
+    best = max(steps, key=_excess)
+    if min(_excess(best), likelihood - _limit(best)) < 0.0 or best.gain < max(
+        _drift(rows, field, noise) for field in (best.field, rows.growth)
+    ):
+        return None
+    causes: dict[str, Cause] = {}
+    for step in sorted(steps, key=_excess, reverse=True):
+        if _excess(step) > max(_excess(best) - _TOLD_APART, 0.0):
+            causes.setdefault(step.field.name, _cause(rows, step))
+    first, *others = causes.values()
+    place = order[few[best.row]] if len(few) == len(order) else order[_near(station, values, free, order, few, best)]
+    return Change(int(lines[place]), first, tuple(others))
+
+
+def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray) -> _Rows:
+    """Return what is looked at of rows that stand in order."""
+    # Which way rows moved is a matter of the readings as they are.
+    station, n = replace(station, whitening=None, serial=None), len(station)
+    parts = (jacobian.columns(_FUNCTIONS, slice(3)) for _, _, jacobian in station.linearise_shared(values, free))
+    J = np.concatenate([part.transpose(2, 1, 0) for part in parts]).reshape(3 * n, -1)
+    J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    sizes, axes = np.linalg.eigh(J.T @ J)
+    kept = sizes > _RANK**2 * sizes[-1]
+    fitted = (J @ (axes[:, kept] / np.sqrt(sizes[kept]))).reshape(n, 3, -1)
+    growth, *fields = _fields(station, values)
+    return _Rows(station.displacements(values), fitted, tuple(fields), growth, at)
+
+
+def _fields(station: Station, values: np.ndarray) -> Iterator[_Field]:
+    """Yield growth, then what may happen between two rows, as motions of the targets as far as their readings tell."""
+    of_model, own = station.split(values)
+    sensor, q, robot = station.sensor, station.conditions.q, station.model.chain.robot
+    poses = station.model.predict(of_model, station.conditions)
+    here = sensor.displacement(sensor.residuals(poses, own), poses, own)
+
+    def motion(moved: np.ndarray) -> np.ndarray:
+        return np.asarray(here - sensor.displacement(sensor.residuals(moved, own), moved, own)) / _MOVED
+
+    def shifted(along: np.ndarray) -> np.ndarray:
+        moved = poses.copy()
+        moved[:, :, 3] += _MOVED * along
+        return motion(moved)
+
+    centred = poses[:, :, 3] - poses[:, :, 3].mean(axis=0)
+    shifts = [shifted(axis) for axis in np.eye(3)]
+    turns = [shifted(np.cross(axis, centred)) for axis in np.eye(3)]
+    yield _Field("growth", np.stack([*shifts, shifted(centred)], axis=2))
+    yield _Field("instrument", np.stack(shifts, axis=2))
+    yield _Field("instrument", np.stack([*shifts, *turns], axis=2))
+    yield _Field("tool", np.stack([shifted(poses[:, :, a]) for a in range(3)], axis=2))
+    for j, (name, unit) in enumerate(zip(robot.joint_names, robot.joint_units, strict=True)):
+        moved = q.copy()
+        moved[:, j] += _MOVED
+        field = motion(station.model.predict(of_model, replace(station.conditions, q=moved)))
+        # One that these poses do not see moves nothing.
+        if np.abs(field).max() > _RANK:
+            yield _Field(name, field[:, :, None], unit)
+
+
+def _clipped(off: np.ndarray) -> np.ndarray:
+    long = np.linalg.norm(off, axis=1, keepdims=True)
+    return np.asarray(off * np.minimum(1.0, _CLIPPED * np.median(long) / np.maximum(long, 1e-300)))
+
+
+def _is_loud(rows: _Rows) -> bool:
+    """Return whether some step explains more than means of neighbours differ: it is rare, and costs little to ask."""
+    best = _plain(rows)
+    flat, off = rows.fitted.reshape(rows.off.size, -1), _clipped(rows.off)
+    step = (best.step @ best.motion).ravel()
+    left = (off.ravel() - step - flat @ (flat.T @ (off.ravel() - step))).reshape(-1, 3)
+    width = int(np.sqrt(len(left)))
+    means = left[: len(left) // width * width].reshape(-1, width, 3).mean(axis=1)
+    return best.gain > _LOOKED_AT * max(width * float(np.mean(means**2)), float(np.mean(left**2)))
+
+
+def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
+    """Return the best step along each field, gains in units of the noise, its precision, and the best one's likelihood.
+
+    The precision has shape (n, n); the likelihood is that of the step over none, as twice its logarithm.
+    """
+    best = _plain(rows)
+    for _ in range(_TRIES):
+        precision, likelihood = _noise_beside(rows, best)
+        steps, before = _scan(rows, precision), best
+        best = max(steps, key=_excess)
+        if best.row == before.row and best.field is before.field:
+            break
+    return steps, precision, likelihood
+
+
+def _plain(rows: _Rows) -> _Best:
+    """Return the step that would be found if rows had nothing in common."""
+    return max(_scan(rows, None), key=lambda step: step.gain / _limit(step))
+
+
+def _limit(step: _Best) -> float:
+    """Return what chance gains at most, in units of the noise, over all rows and with all freedoms of a field."""
+    return float(chdtri(step.field.freedoms, _CHANCE / len(step.field.directions)))
+
+
+def _excess(step: _Best) -> float:
+    """Return by how much a step gains more than chance would."""
+    return step.gain - _limit(step)
+
+
+def _scan(rows: _Rows, precision: np.ndarray | None) -> list[_Best]:
+    """Return the best step along each field.
+
+    Args:
+        rows: the rows.
+        precision: shape (n, n), of what is left, the same for each coordinate; default: 1, so that gains are squares.
+    """
+    n, off = len(rows.off), _clipped(rows.off)
+    metric = np.eye(n) if precision is None else precision
+    fitted = rows.fitted.reshape(n, -1)
+    seen = (metric @ fitted).reshape(rows.fitted.shape)
+    inner = np.tensordot(rows.fitted, seen, axes=((0, 1), (0, 1)))
+    sizes, axes = np.linalg.eigh(inner)
+    kept = sizes > _RANK**2 * sizes[-1]
+    basis = axes[:, kept] / np.sqrt(sizes[kept])
+    seen = seen @ basis
+    left = off - (rows.fitted @ basis) @ np.tensordot(seen, off, axes=((0, 1), (0, 1)))
+    weighed = metric @ left
+    return [_best(field, metric, weighed, seen, is_plain=precision is None) for field in rows.fields]
+
+
+def _best(field: _Field, metric: np.ndarray, weighed: np.ndarray, seen: np.ndarray, *, is_plain: bool) -> _Best:
+    """Return the best step along a field, from the weighed residuals, shape (n, 3), and parameters, shape (n, 3, r)."""
+    D = field.directions
+    n, _, m = D.shape
+    sums = _after(np.einsum("nam,na->nm", D, weighed))
+    parts = _after(np.einsum("nam,nar->nmr", D, seen))
+    if is_plain:
+        own = _after(np.einsum("nam,nak->nmk", D, D))
+    else:
+        own = np.empty((n, m, m))
+        for a in range(m):
+            for b in range(a, m):
+                both = metric * (D[:, :, a] @ D[:, :, b].T)
+                own[:, a, b] = own[:, b, a] = np.diag(_after(_after(both).T))
+    normal = own - parts @ parts.transpose(0, 2, 1)
+    # A motion that the fitted parameters make themselves tells nothing.
+    scale = np.sqrt(np.maximum(np.einsum("naa->na", own), 1e-300))
+    normal = normal / (scale[:, :, None] * scale[:, None, :]) + _RANK * np.eye(m)
+    inside = slice(_EACH, n - _EACH + 1)
+    motions = np.linalg.solve(normal[inside], (sums / scale)[inside, :, None])[:, :, 0] / scale[inside]
+    gains = np.sum(motions * sums[inside], axis=1)
+    k = int(np.argmax(gains))
+    return _Best(field, k + _EACH, float(gains[k]), motions[k])
+
+
+def _after(values: np.ndarray) -> np.ndarray:
+    """Return the sums from each row on."""
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
+
+
+def _noise_beside(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
+    """Return the precision of what a step leaves, shape (n, n), and twice the logarithm of its likelihood over no step's.
+
+    The likelihood is that of the readings beside the fitted parameters (restricted).
+    """
+    n, r = len(rows.off), rows.fitted.shape[2]
+    explained = _robust_step(rows, step)
+    off = explained + _clipped(rows.off - explained)
+    scaled = step.step / np.maximum(np.abs(step.step).max(axis=(0, 1)), 1e-300)
+    columns = np.concatenate([rows.fitted, scaled, off[:, :, None]], axis=2).reshape(n, -1)
+    apart = np.abs(rows.at[:, None] - rows.at)
+    degrees, without, beside = 3 * n - r, np.inf, np.inf
+    precision = np.eye(n)
+    for length, walk in ((1.0, 0.0), *((length, walk) for length in _LENGTHS for walk in _WALKS)):
+        C = np.eye(n) + 0.5 * walk * length * np.exp(-apart / length)
+        L = cholesky(C, lower=True, check_finite=False)
+        white = solve_triangular(L, columns, lower=True, check_finite=False).reshape(3 * n, -1)
+        R = np.asarray(np.linalg.qr(white, mode="r"))
+        volume = 6.0 * np.sum(np.log(np.diag(L))) + 2.0 * np.sum(np.log(np.abs(np.diag(R)[:r])))
+        squares = [max(float(np.sum(R[k:, -1] ** 2)), 1e-300) for k in (r, len(R) - 1)]
+        costs = [float(degrees * np.log(square) + volume) for square in squares]
+        without = min(without, costs[0])
+        if costs[1] < beside:
+            variance = squares[1] / (degrees - step.field.freedoms)
+            beside, precision = costs[1], cho_solve((L, True), np.eye(n), check_finite=False) / variance
+    return precision, without - beside
+
+
+def _robust_step(rows: _Rows, step: _Best) -> np.ndarray:
+    """Return what a step explains, shape (n, 3), its size found beside clipped residuals."""
+    X = np.concatenate([step.step, rows.fitted], axis=2).reshape(rows.off.size, -1)
+    inverse = np.linalg.pinv(X)
+    fitted = np.zeros_like(rows.off)
+    for _ in range(_TURNS):
+        fitted = (X @ (inverse @ (fitted + _clipped(rows.off - fitted)).ravel())).reshape(rows.off.shape)
+    m = step.field.freedoms
+    return np.asarray((X[:, :m] @ (inverse[:m] @ (fitted + _clipped(rows.off - fitted)).ravel())).reshape(rows.off.shape))
+
+
+def _cause(rows: _Rows, step: _Best) -> Cause:
+    """Return a step as what happened: how far targets moved, or a joint."""
+    moved, lever = _robust_step(rows, step), step.step
+    if step.field.name in ("instrument", "tool"):
+        after = moved[step.row :]
+        return Cause(step.field.name, float(np.sqrt(np.mean(np.sum(after**2, axis=1)))), "m")
+    return Cause(step.field.name, float(abs(np.sum(moved * lever[:, :, 0]) / np.sum(lever**2))), step.field.unit)
+
+
+def _drift(rows: _Rows, field: _Field, precision: np.ndarray) -> float:
+    """Return what a motion along a field gains that comes and goes smoothly over the rows."""
+    n = len(rows.off)
+    curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _DRIFT)[:, 1:]
+    drift = (field.directions[:, :, :, None] * curves[:, None, None, :]).reshape(n, 3, -1)
+    X = np.concatenate([rows.fitted, drift / np.maximum(np.abs(drift).max(axis=(0, 1)), 1e-300)], axis=2)
+    off, squares = _clipped(rows.off), []
+    for columns in (rows.fitted, X):
+        seen = (precision @ columns.reshape(n, -1)).reshape(columns.shape)
+        inner = np.tensordot(columns, seen, axes=((0, 1), (0, 1)))
+        right = np.tensordot(seen, off, axes=((0, 1), (0, 1)))
+        squares.append(float(right @ np.linalg.lstsq(inner, right, rcond=_RANK**2)[0]))
+    return squares[1] - squares[0]
+
+
+def _near(station: Station, values: np.ndarray, free: np.ndarray, order: np.ndarray, few: np.ndarray, best: _Best) -> int:
+    """Return the first row after a step, looked for among all rows near it."""
+    around = few[max(best.row - _AROUND * _EACH, 0)], few[min(best.row + _AROUND * _EACH, len(few) - 1)]
+    places = np.arange(around[0], around[1] + 1)
+    rows = _rows(station.select(order[places]), values, free, places.astype(float))
+    same = [step for step in _scan(rows, None) if step.field.name == best.field.name]
+    fitting = min(same, key=lambda step: abs(step.field.freedoms - best.field.freedoms))
+    return int(places[fitting.row])
