@@ -269,4 +269,5 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         approach=measurements.approach,
         droop=measurements.droop,
         move=measurements.move,
+        sighted=measurements.position,
     )
