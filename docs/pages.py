@@ -58,6 +58,8 @@ _SOURCES = (
     "industrial robots. [arXiv 1311.6810](https://arxiv.org/abs/1311.6810).",
     "Lightcap, Hamner, Schmitz, Banks (2008): Improved positioning accuracy of the PA10-6CE robot with geometric and "
     "flexibility calibration. IEEE Transactions on Robotics 24.",
+    "Muralikrishnan, Sawyer, Blackburn, Phillips, Borchardt, Estler (2009): ASME B89.4.19 performance evaluation tests and "
+    "geometric misalignments in laser trackers. Journal of Research of NIST 114.",
     "Nubiola, Bonev (2013): Absolute calibration of an ABB IRB 1600 robot using a laser tracker. Robotics and "
     "Computer-Integrated Manufacturing 29.",
     "Radkhah, Hemker, Friedmann, von Stryk: Towards the deployment of industrial robots as measurement instruments.",

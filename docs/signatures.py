@@ -21,6 +21,8 @@ from pincal.model.effects import BaseFrame, ToolFrame
 
 PICTURES = Path(__file__).parent / "pictures" / "effects"
 _POSES = 400
+# Where a tracker stands in the robot's base frame [m].
+_TRACKER = np.array([-4.0, 2.5, 0.4])
 # Compliances of a heavy arm's joints about x, y, z [rad/(N m)].
 _SOFT = (2e-8, 2e-8, 1e-7) * 6
 # The joints on which effects are shown; waves a turn of what has many; poses of a sweep.
@@ -70,8 +72,9 @@ class Signature:
 def situation() -> Situation:
     """Return the arm and its poses."""
     robot, rng = Robot.from_urdf(kuka_urdf_path()), np.random.default_rng(0)
+    q = robot.random_configurations(_POSES, rng)
     conditions = Conditions(
-        robot.random_configurations(_POSES, rng),
+        q,
         np.zeros(_POSES, int),
         rng.choice([0.0, 80.0], _POSES),
         np.array([0.1, 0.0, 0.2]),
@@ -80,6 +83,7 @@ def situation() -> Situation:
         approach=rng.choice([-1.0, 1.0], (_POSES, 6)),
         droop=rng.normal(0.0, 1e-4, (_POSES, 6)),
         move=rng.uniform(-2.0, 2.0, (_POSES, 6)),
+        sighted=robot.forward_kinematics(q)[:, :3, 3] - _TRACKER,
     )
     return Situation(Chain.of(robot, moment_frame="before"), conditions, _SOFT)
 
@@ -196,6 +200,7 @@ def _drawn(effect: Effect, values: np.ndarray, at: Situation) -> _Drawing | None
         return None
     label, variable = "shift [mm]" if at.chain.layout.kind[k] >= 3 else "turn [mrad]", _variable(effect, moved[:, k], at)
     where = f"at {effect.locus.joint}" if effect.locus.joint else "in one place of the arm"
+    where = "along an axis of the instrument" if effect.is_sighted else where
     what = f"the {label.split()[0]} that it adds {where}, against {variable[0].rsplit(' [', 1)[0]}"
     if isinstance(effect, Tone):
         what += f" (drawn with {_WAVES:.0f} waves a turn)"
@@ -213,6 +218,12 @@ def _variable(effect: Effect, moved: np.ndarray, at: Situation) -> tuple[str, np
             values = values[:, at.joints.index(effect.locus.joint)]
         unit = COLUMN_UNITS[follows]
         return f"{follows} [{unit}]" if unit else follows, values
+    if effect.is_sighted and at.conditions.sighted is not None:
+        x, y, z = at.conditions.sighted.T
+        if effect.locus.acts_on == "range":
+            return "x of the target [m]", x
+        angle = np.arctan2(y, x) if effect.locus.acts_on == "azimuth" else np.arctan2(z, np.hypot(x, y))
+        return f"{'azimuth' if effect.locus.acts_on == 'azimuth' else 'elevation'} of the target [deg]", np.rad2deg(angle)
     felt = at.moments.std(axis=0) > _FELT * at.moments.std(axis=0).max()
     rank = [abs(np.corrcoef(at.moments[:, k], moved)[0, 1]) if is_felt else 0.0 for k, is_felt in enumerate(felt)]
     best = int(np.argmax(rank))

@@ -35,6 +35,10 @@ from pincal.model.catalogue import (
     GearRipple,
     GravityCompensator,
     Hysteresis,
+    InstrumentAzimuth,
+    InstrumentElevation,
+    InstrumentRange,
+    InstrumentTilt,
     JointCoupling,
     JointCreep,
     LinkBending,
@@ -117,6 +121,13 @@ EFFECTS: dict[str, Make] = {
     "base_drift": lambda j: BaseDrift(1500.0),
     "base_drift without turning": lambda j: BaseDrift(turns=False),
     "measurement_scale": lambda j: MeasurementScale(),
+    "instrument_azimuth": lambda j: InstrumentAzimuth(),
+    "instrument_azimuth 2": lambda j: InstrumentAzimuth(2),
+    "instrument_elevation": lambda j: InstrumentElevation(),
+    "instrument_elevation 2": lambda j: InstrumentElevation(2),
+    "instrument_tilt": lambda j: InstrumentTilt(),
+    "instrument_tilt with offsets": lambda j: InstrumentTilt(offsets=True),
+    "instrument_range": lambda j: InstrumentRange(),
     "unnamed": lambda j: Unnamed(j[1], "gamma_x", j[2]),
     "unnamed waves": lambda j: Unnamed(j[1], "drive", j[2], "waves", order=3),
     "unnamed product": lambda j: Unnamed(j[1], "drive", j[2], "product"),
@@ -133,6 +144,10 @@ def robot(request: pytest.FixtureRequest) -> Robot:
     return Robot.from_urdf(ARMS[request.param]())
 
 
+# Where a tracker stands in the robot's base frame [m].
+TRACKER = np.array([-3.0, 2.5, 0.4])
+
+
 def conditions_of(robot: Robot, n: int, rng: np.random.Generator, *, heaviest: float = 12.0) -> Conditions:
     """Return random poses of which everything is recorded and varies."""
     q = robot.random_configurations(n, rng)
@@ -146,6 +161,7 @@ def conditions_of(robot: Robot, n: int, rng: np.random.Generator, *, heaviest: f
         approach=rng.choice([-1.0, 1.0], (n, robot.n_joints)),
         droop=1e-3 * np.random.default_rng(n).standard_normal((n, robot.n_joints)),
         move=moves_by_order(q),
+        sighted=robot.forward_kinematics(q)[:, :3, 3] - TRACKER,
     )
 
 

@@ -12,6 +12,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.cli.effect_option import effect_help, parse_effect
 from pincal.errors import BadInputError
 from pincal.simulate import HIDDEN_EFFECTS, TrueMachine, plan_poses
+from pincal.simulate.tracker import ReadingEffect
 from pincal.simulate.typical import draw_typical_elasticity, typical_effect, typical_moments
 
 URDF = str(kuka_urdf_path())
@@ -183,8 +184,8 @@ def test_every_effect_has_a_typical_size(machine, name):
 
     assert f"  {name}" in effect_help()
     assert effect.unit in effect_help()
-    # A scale of the instrument is seen from afar only.
-    assert name == "measurement_scale" or 5e-6 < moved < 3e-3
+    # An error of the instrument moves what it reads, and not the tool.
+    assert moved == 0.0 if isinstance(effect, ReadingEffect) else 5e-6 < moved < 3e-3
 
 
 def test_moments_are_those_of_the_arms_class(machine):

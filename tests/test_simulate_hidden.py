@@ -37,6 +37,10 @@ EFFECTS: list[HiddenEffect] = [
     sim.ThermalGrowth(size=1e-4),
     sim.BaseDrift(size=1e-8),
     sim.MeasurementScale(size=2e-5),
+    sim.InstrumentAzimuth(size=2e-5),
+    sim.InstrumentElevation(size=2e-5),
+    sim.InstrumentTilt(size=2e-5),
+    sim.InstrumentRange(size=2e-5),
     sim.JointScatter(joint="joint_2", size=1e-4),
 ]
 

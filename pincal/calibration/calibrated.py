@@ -246,7 +246,7 @@ class CalibratedModel(Calibrated):
             setup=options.setup,
             nominal_values=fit.nominal.values[places],
             rows=fingerprints(at),
-            is_noise_declared=options.sigma is not None,
+            is_noise_declared=fit.noise.declared[fit.problem.block_spans[k].start] is not None,
         )
 
     @classmethod

@@ -270,6 +270,13 @@ class SetupOptions:
         "Standard deviation of one position or image coordinate.", type=Noise(), metavar="0.05mm|0.1px", words="estimated"
     )
     noise_angle: float | None = option("Standard deviation of one orientation component.", type=ANGLE, words="estimated")
+    instrument: str | None = option(
+        "Noise of positions by range and direction: an instrument (leica_at500), or what its data sheet permits at most "
+        "along and across the line of sight (10um+0.3um/m,15um+6um/m), of which half is the standard deviation. Positions "
+        "are in the instrument's own frame.",
+        metavar="NAME|MPE",
+        words="the same everywhere",
+    )
     tool: Vector | None = option("Target position in the tip frame [m], if known.", words="identified")
     anchor: Vector | None = option(
         "Distances: the instrument's fixed point in the robot's base frame [m], if known.", words="identified"

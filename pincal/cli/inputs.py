@@ -15,6 +15,7 @@ from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_lens, read_mount
+from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.measurements import Measurements
 from pincal.measure.named_points import KnownDistance
 from pincal.measure.options import TableOptions
@@ -175,7 +176,9 @@ def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> Stati
     known: tuple[float, float, float] | np.ndarray | None = setup.tool if mount is None else mount
     tools = None if known is None else {str(table.target[0]): known}
     sigma = setup.noise[0] if setup.noise and setup.noise[1] == _unit_of(table) else None
-    return StationOptions(sigma=sigma, base=base, tools=tools)
+    is_by_range = setup.instrument is not None and table.position is not None
+    instrument = InstrumentNoise.of(str(setup.instrument)) if is_by_range else None
+    return StationOptions(sigma=sigma, base=base, tools=tools, instrument=instrument)
 
 
 def _has_camera(table: Measurements) -> bool:
@@ -188,10 +191,18 @@ def _unit_of(table: Measurements) -> str | None:
 
 
 def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> None:
-    """Refuse a camera that is used at no station, and noise in a unit that no station's readings have."""
+    """Refuse a camera or an instrument that is used at no station, and noise in a unit that no station's readings have."""
     held = " and ".join(f"{table.source} holds {table.kind}" for table in tables.values())
     if setup.camera and not any(map(_has_camera, tables.values())):
         raise BadInputError(f"--camera is for camera readings, but {held}; leave it out")
+    if setup.instrument and setup.noise and setup.noise[1] == "m":
+        raise BadInputError(
+            "--instrument and --noise: both say how large the noise of positions is; expected one of the two"
+        )
+    if setup.instrument and all(table.position is None for table in tables.values()):
+        raise BadInputError(
+            f"--instrument is for positions in the instrument's frame, but {held}; leave it out, give --noise"
+        )
     sensors = [table.sensor for table in tables.values() if table.sensor is not None]
     if setup.noise and sensors and setup.noise[1] not in {sensor.blocks[0].unit for sensor in sensors}:
         block = sensors[0].blocks[0]

@@ -245,10 +245,16 @@ def _addable(fit: Fit, extra: Sequence[Effect], policy: Policy) -> list[Effect]:
 def _of_stations(fit: Fit) -> Iterator[Effect]:
     """Yield what single stations of several may have by themselves; what changed, from the second one on."""
     stations = fit.problem.stations
-    for k, station in enumerate(stations if len(stations) > 1 else ()):
-        situation = Situation(station.model.chain, station.conditions)
-        yield from own_effects(testable(situation), station.name)
-        yield from changed_effects(fit.problem.effects, situation.joints, station.name) if k else ()
+    if len(stations) == 1:
+        return
+    tested = [testable(Situation(station.model.chain, station.conditions)) for station in stations]
+    # The instrument may be one and the same at all of them, and errs at each by itself where it is not.
+    of_each = [[form for of in candidates for form in of.forms if form.is_sighted] for candidates in tested]
+    everywhere = [form for form in of_each[0] if all(form in forms for forms in of_each[1:])]
+    yield from everywhere
+    for k, station in enumerate(stations):
+        yield from (own for own in own_effects(tested[k], station.name) if own.effect not in everywhere)
+        yield from changed_effects(fit.problem.effects, fit.problem.chain.robot.joint_names, station.name) if k else ()
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:

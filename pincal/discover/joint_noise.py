@@ -89,7 +89,7 @@ def weighed(fit: Fit, noise: JointNoise) -> Fit:
 
 def note_on_joints(fit: Fit) -> str | None:
     """Return what to say of a fit whose readings are weighed by this noise; None of any other."""
-    if all(station.whitening is None for station in fit.problem.stations):
+    if fit.is_declared or all(station.whitening is None for station in fit.problem.stations):
         return None
     noise, robot = joint_noise(fit), fit.problem.chain.robot
     joints = np.zeros(robot.n_joints) if noise is None else noise.joints

@@ -278,6 +278,13 @@ def _designs(robot: Robot, c: Conditions) -> dict[str, Conditions]:
 
 def _runs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
     rng = np.random.default_rng(0)
+    if c.sighted is not None:
+        # A quarter of the way around the poses, its axes as they are; that its place is found anew costs six readings.
+        x, y, _ = c.sighted.mean(axis=0)
+        yield (
+            "the same poses with the instrument on another side of the robot, as a second station",
+            replace(c, sighted=c.sighted - [x + y, y - x, 0.0]),
+        )
     load = 0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
     if np.ptp(c.payload) == 0.0:
         yield "the same poses with a second payload", replace(c, payload=np.full(len(c), load))
@@ -289,4 +296,4 @@ def _runs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
     temperature = np.full(len(c), 20.0) if c.temperature is None else c.temperature
     if np.ptp(temperature) < _WARMER:
         yield "the same poses warm and cold, with the column temperature", replace(c, temperature=temperature + _WARMER)
-    yield "poses over the whole range of the joints", replace(c, q=robot.random_configurations(len(c), rng))
+    yield "poses over the whole range of the joints", replace(c, q=robot.random_configurations(len(c), rng), sighted=None)

@@ -11,7 +11,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.export.formulas import Formulas, formulas_of
 from pincal.export.numpy_source import numpy_source, refuse_wrong
-from pincal.export.source import NOTES, filled, header, identifier, placed_in, plain
+from pincal.export.source import filled, header, identifier, notes_on, placed_in, plain
 from pincal.export.statements import Language, Number, Writer
 
 _C = Language(
@@ -43,7 +43,7 @@ class CSource(Format):
         name = identifier(calibrated.model.chain.robot.name)
         files = {f"{name}.{kind}": _file(formulas, name, kind=kind, frame=self.frame).encode() for kind in "hc"}
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame=self.frame))
-        return Exported(files, NOTES, worst)
+        return Exported(files, notes_on(calibrated), worst)
 
 
 def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:

@@ -12,7 +12,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.export.formulas import Formulas, formulas_of
-from pincal.export.source import NOTES, checked_poses, filled, header, placed_in
+from pincal.export.source import checked_poses, filled, header, notes_on, placed_in
 from pincal.export.statements import Language, Number, Writer
 
 # Largest distance of the formulas' poses from the model's [m, and elements of the rotation matrix].
@@ -55,7 +55,7 @@ class NumpySource(Format):
         """Return the file."""
         formulas = formulas_of(placed_in(calibrated, self.frame))
         text = numpy_source(formulas, frame=self.frame)
-        return Exported({"": text.encode()}, NOTES, refuse_wrong(formulas.calibrated, text=text))
+        return Exported({"": text.encode()}, notes_on(calibrated), refuse_wrong(formulas.calibrated, text=text))
 
 
 def numpy_source(formulas: Formulas, *, frame: str) -> str:

@@ -29,14 +29,23 @@ NOTES = (
 
 
 def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
-    """Return a calibrated model that predicts in a frame, "instrument" or "base".
+    """Return a calibrated model that predicts in a frame, "instrument" or "base": where targets are, not how they are read.
 
     Raises:
         BadInputError: for another name.
     """
     if frame not in ("instrument", "base"):
         raise BadInputError(f"frame {frame!r}; expected instrument or base")
-    return in_base_frame(calibrated) if frame == "base" else calibrated
+    if frame == "base":
+        return in_base_frame(calibrated)
+    is_read_wrong = any(effect.is_sighted for effect in calibrated.model.effects)
+    return calibrated.with_effects(lambda effect: not effect.is_sighted) if is_read_wrong else calibrated
+
+
+def notes_on(calibrated: CalibratedModel) -> tuple[str, ...]:
+    """Return what source code can't carry of a calibrated model, in words."""
+    read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
+    return (*NOTES, f"{read}: an error of what the instrument reads; it is in model.json only") if read else NOTES
 
 
 def filled(template: str, formulas: Formulas, **words: str) -> str:

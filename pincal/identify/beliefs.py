@@ -71,5 +71,7 @@ def noise_of(problem: Problem, options: Options) -> Noise:
     declared: list[float | None] = []
     for station in problem.stations:
         own = options.at(station.name)
-        declared += [own.sigma_orientation if b.unit == "rad" else own.sigma for b in station.sensor.blocks]
+        sighted = station.conditions.sighted
+        sigma = own.sigma if own.instrument is None or sighted is None else own.instrument.sigma(sighted)
+        declared += [own.sigma_orientation if b.unit == "rad" else sigma for b in station.sensor.blocks]
     return Noise(tuple(declared))

@@ -132,7 +132,8 @@ class Fit:
         """Return the calibrated model of a station, by its name if there are several, over other measurements."""
         options = self.options.at(station)
         model = next(of.model for of in self.problem.stations if of.name == station)
-        return station_of(model, measurements, np.array(options.payload_centre), options.setup, name=station)
+        centre, instrument = np.array(options.payload_centre), options.instrument
+        return station_of(model, measurements, centre, options.setup, name=station, instrument=instrument)
 
 
 def _part(solution: Solution, places: np.ndarray, blocks: slice, rows: slice) -> Solution:

@@ -124,7 +124,8 @@ def _candidates(
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     targets = tuple(str(t) for t in np.unique(measurements.target))
     arm = models.arm(arm, targets)
-    rows = station_of(arm, measurements, np.array(options.payload_centre), options.setup, name=name)
+    centre, instrument = np.array(options.payload_centre), options.instrument
+    rows = station_of(arm, measurements, centre, options.setup, name=name, instrument=instrument)
     some = rows.sample(_ROWS)
     tips = np.ascontiguousarray(arm.predict(values, some.conditions))
     found = some.sensor.starts(tips, some.conditions.target, len(targets))

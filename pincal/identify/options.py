@@ -10,6 +10,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.noise import Loss
+from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.setup import Setup
 from pincal.model.chain import MomentFrame
 from pincal.model.effects import ELASTIC, Effect
@@ -36,6 +37,7 @@ class StationOptions:
     base: np.ndarray | None = None
     tools: Tools | None = None
     setup: Setup | None = None
+    instrument: InstrumentNoise | None = None
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -62,6 +64,8 @@ class Options:
         length_bound: largest deviation of a length [m].
         setup: named points and the camera, as far as they are known.
         stations: station name -> what it has different, where there are several.
+        instrument: the noise of positions by range and direction, in place of ``sigma``: positions are in the instrument's
+            own frame then.
         earlier: what an earlier fit found of the robot's own parameters; it takes the place of their priors.
         serial: whether noise that is correlated along the rows is looked for, and rows are weighed by it.
     """
@@ -80,6 +84,7 @@ class Options:
     length_bound: float = LENGTH_BOUND
     setup: Setup = field(default_factory=Setup)
     stations: Mapping[str, StationOptions] = field(default_factory=dict)
+    instrument: InstrumentNoise | None = None
     earlier: Estimate | None = None
     serial: bool = True
 

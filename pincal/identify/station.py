@@ -12,6 +12,7 @@ from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.serial import Serial
 from pincal.identify.whitening import whitened
+from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements
 from pincal.measure.rows import some_rows
 from pincal.measure.sensing import sensor_of
@@ -218,6 +219,7 @@ def station_of(
     setup: Setup | None = None,
     *,
     name: str = "",
+    instrument: InstrumentNoise | None = None,
 ) -> Station:
     """Return the station of a table of measurements under a model.
 
@@ -227,11 +229,15 @@ def station_of(
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
         setup: the named points and the camera; default: that of :func:`pincal.measure.sensing.sensor_of`.
         name: of the station, where there are several.
+        instrument: the noise of its positions by range and direction, if it is declared so.
     """
     sigma = measurements.sigma
     weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
     conditions = conditions_of(model, measurements, payload_centre)
-    return Station(model, conditions, sensor_of(measurements, setup), weights, name, position=_positions(measurements))
+    sensor, whitening = sensor_of(measurements, setup), None
+    if instrument is not None:
+        whitening = instrument.whitening(seen_by(measurements), sum(block.size for block in sensor.blocks))
+    return Station(model, conditions, sensor, weights, name, whitening, position=_positions(measurements))
 
 
 def _positions(measurements: Measurements) -> np.ndarray:
@@ -269,4 +275,5 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         approach=measurements.approach,
         droop=measurements.droop,
         move=measurements.move,
+        sighted=measurements.position,
     )

@@ -161,7 +161,8 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
         for effect in model.effects
         if effect.uses_moments or effect.family is Family.ELASTICITY or effect.bodies(model.chain)
     ]
-    others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic)]
+    read = [effect.name for effect in model.effects if effect.is_sighted]
+    others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic, *read)]
     notes = []
     if elastic:
         notes.append(
@@ -172,6 +173,8 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
         notes.append(
             f"{', '.join(others)}: varies from pose to pose; the {what} has its value at q = 0, model.json all of it"
         )
+    if read:
+        notes.append(f"{', '.join(read)}: an error of what the instrument reads, not of the robot; it is in model.json only")
     if "base_frame" in names:
         notes.append(f"base_frame: the pose of {model.chain.robot.base} in the instrument's frame is in model.json only")
     if "tool_frame" in names:

@@ -46,6 +46,11 @@ class AtStation(Effect):
         at = self.effect.locus
         return replace(at, joint=at.joint or self.joint, station=self.station, cause=self.effect.name)
 
+    @property
+    def is_sighted(self) -> bool:
+        """As the effect."""
+        return self.effect.is_sighted
+
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Those of the effect that belong to its joint."""
         of_effect, mark = self.effect.parameters(chain), "" if self.effect.scope == "station" else "_here"
@@ -63,7 +68,7 @@ class AtStation(Effect):
         return [i for i, name in enumerate(names) if self.joint is None or name.rsplit(".", 1)[0] == self.joint]
 
 
-def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[Effect]:
+def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[AtStation]:
     """Yield those of a station's candidates that belong to stations, such as a drift, about its own times."""
     for candidate in candidates:
         yield from (AtStation(form, station) for form in candidate.forms if form.scope == "station")

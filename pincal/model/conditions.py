@@ -48,6 +48,7 @@ class Conditions:
         droop: shape (N, n), by how much the position that each joint was commanded exceeds the one that was read back
             [rad or m], or None.
         move: shape (N, n), the last move of each joint with its sign [rad or m], 0 where it is not known, or None.
+        sighted: shape (N, 3), where the instrument sees the target in its own frame [m]; None where nothing was read yet.
     """
 
     q: np.ndarray
@@ -60,6 +61,7 @@ class Conditions:
     setup: np.ndarray | None = None
     droop: np.ndarray | None = None
     move: np.ndarray | None = None
+    sighted: np.ndarray | None = None
 
     @classmethod
     def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
@@ -73,7 +75,7 @@ class Conditions:
 
     def select(self, rows: slice | np.ndarray) -> Conditions:
         """Return the conditions of some rows."""
-        columns = self.temperature, self.time, self.approach, self.setup, self.droop, self.move
+        columns = self.temperature, self.time, self.approach, self.setup, self.droop, self.move, self.sighted
         pick = [None if v is None else v[rows] for v in columns]
         return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
 
@@ -104,13 +106,15 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
     """Return the poses of several set-ups, one after the other.
 
     Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
-    so are temperatures and droops that some lack. Directions of approach and moves are unknown where they were not recorded.
+    so are temperatures, droops and sights that some lack. Directions of approach and moves are unknown where they were not
+    recorded.
     """
     if len(parts) == 1:
         return parts[0]
     q, payload = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload"))
     known = [part.temperature for part in parts if part.temperature is not None]
     droops = [part.droop for part in parts if part.droop is not None]
+    sights = [part.sighted for part in parts if part.sighted is not None]
     sides = [np.zeros_like(part.q, np.int8) if part.approach is None else part.approach for part in parts]
     moves = [np.zeros_like(part.q) if part.move is None else part.move for part in parts]
     return Conditions(
@@ -122,6 +126,7 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
         approach=np.concatenate(sides) if any(part.approach is not None for part in parts) else None,
         droop=np.concatenate(droops) if len(droops) == len(parts) else None,
         move=np.concatenate(moves) if any(part.move is not None for part in parts) else None,
+        sighted=np.concatenate(sights) if len(sights) == len(parts) else None,
     )
 
 

@@ -133,6 +133,11 @@ class Effect(ABC):
         """Where it acts and what it follows."""
 
     @property
+    def is_sighted(self) -> bool:
+        """Whether its terms need where the instrument sees the target: ``Conditions.sighted``."""
+        return False
+
+    @property
     def least_moment(self) -> float:
         """Part of the largest moment on the arm that a moment it follows is taken as at least, when its size is judged."""
         return 0.1

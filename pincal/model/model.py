@@ -227,8 +227,8 @@ class Model:
         at_zero = Conditions.at(np.zeros((1, self.chain.robot.n_joints)))
         constant = self.chain.nominal.copy()
         for span, effect in zip(self.spans, self.effects, strict=True):
-            terms = () if effect.uses_moments or effect.needs else effect.terms(self.chain, at_zero, None)
-            for term in terms:
+            is_varying = effect.uses_moments or effect.needs or effect.is_sighted
+            for term in () if is_varying else effect.terms(self.chain, at_zero, None):
                 if term.basis is None:
                     constant[term.coordinate] += values[span][term.parameter]
         return constant
@@ -252,6 +252,7 @@ class State:
     @classmethod
     def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> State:
         """Return the state of a model at values of its parameters, shape (P,) or (P, S), at some poses."""
+        conditions = _sighted(model, values, conditions)
         target = np.require(conditions.target, np.int64, ["C", "W"])
         if target.max(initial=0) >= len(model.chain.targets):
             raise ValueError(f"target {target.max()} of a chain with {len(model.chain.targets)} targets")
@@ -352,6 +353,16 @@ class State:
             moment=np.array([term.moment for _, term in elastic], np.int64),
             rate=rate,
         )
+
+
+def _sighted(model: Model, values: np.ndarray, conditions: Conditions) -> Conditions:
+    """Return poses with where the instrument sees the target: where it was read, or where a model that needs it has it."""
+    pairs = zip(model.effects, model.spans, strict=True)
+    sighted = np.array([effect.is_sighted for effect, of in pairs for _ in range(of.start, of.stop)], bool)
+    if conditions.sighted is not None or not sighted.any():
+        return conditions
+    without = model.with_effects([effect for effect in model.effects if not effect.is_sighted])
+    return replace(conditions, sighted=without.predict(values[~sighted], conditions)[:, :, 3])
 
 
 def _plain(model: Model, conditions: Conditions) -> Plain:

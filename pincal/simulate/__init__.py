@@ -41,7 +41,8 @@ from pincal.simulate.planning import plan_poses
 from pincal.simulate.sensors import SENSORS, SetupOptions, draw_setup
 from pincal.simulate.setup import SensorSetup
 from pincal.simulate.state import Poses
-from pincal.simulate.surroundings import BaseDrift, MeasurementScale, PayloadError, ThermalExpansion, ThermalGrowth
+from pincal.simulate.surroundings import BaseDrift, PayloadError, ThermalExpansion, ThermalGrowth
+from pincal.simulate.tracker import InstrumentAzimuth, InstrumentElevation, InstrumentRange, InstrumentTilt, MeasurementScale
 
 __all__ = [
     "HIDDEN_EFFECTS",
@@ -64,6 +65,10 @@ __all__ = [
     "HiddenEffect",
     "Hysteresis",
     "Instrument",
+    "InstrumentAzimuth",
+    "InstrumentElevation",
+    "InstrumentRange",
+    "InstrumentTilt",
     "JointCoupling",
     "JointCreep",
     "JointElasticity",

@@ -16,7 +16,7 @@ from pincal.simulate.lens import Lens
 from pincal.simulate.planning import collect_poses, is_clear, plan_poses, reach
 from pincal.simulate.setup import Machine, Reading, SensorSetup, draw_noise, refuse_scale, tips_of
 from pincal.simulate.state import Poses
-from pincal.simulate.surroundings import as_read
+from pincal.simulate.tracker import as_read
 
 # Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be made out.
 _OBLIQUE = 0.25

@@ -13,7 +13,7 @@ from pincal.simulate.effect import HiddenEffect
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.setup import Machine, SensorSetup, Table, draw_scatter, tips_of
 from pincal.simulate.state import Conditions
-from pincal.simulate.surroundings import as_read
+from pincal.simulate.tracker import as_read
 
 # Time from one pose to the next: drive, settle, measure [s].
 _INTERVAL = 40.0

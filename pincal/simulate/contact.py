@@ -22,7 +22,7 @@ from pincal.simulate.planning import (
 )
 from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_noise, refuse_scale, tips_of, transformed
 from pincal.simulate.state import Poses
-from pincal.simulate.surroundings import as_read
+from pincal.simulate.tracker import as_read
 
 Point = tuple[float, float, float]
 # Chord steps on the true arm, of which each gains about three digits, and the distance that may be left [m].

@@ -6,7 +6,7 @@ from dataclasses import fields
 from typing import Any
 
 from pincal.errors import BadInputError, nearest_first
-from pincal.simulate import drive, elastic, surroundings
+from pincal.simulate import drive, elastic, surroundings, tracker
 from pincal.simulate.effect import HiddenEffect
 
 HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
@@ -37,7 +37,11 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
         drive.ThermalOffset,
         drive.JointCreep,
         surroundings.BaseDrift,
-        surroundings.MeasurementScale,
+        tracker.MeasurementScale,
+        tracker.InstrumentAzimuth,
+        tracker.InstrumentElevation,
+        tracker.InstrumentTilt,
+        tracker.InstrumentRange,
         drive.JointScatter,
     )
 }

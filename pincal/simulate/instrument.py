@@ -13,7 +13,7 @@ from pincal.simulate.arm import Arm, transform
 from pincal.simulate.planning import plan_poses
 from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, tips_of, transformed
 from pincal.simulate.state import Poses
-from pincal.simulate.surroundings import as_read
+from pincal.simulate.tracker import as_read
 
 KINDS = ("position", "pose", "distance")
 """What an instrument beside the robot can measure."""

@@ -13,7 +13,7 @@ from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
 from pincal.simulate.effect import HiddenEffect, ReadBackEffect, needs_order
 from pincal.simulate.state import Conditions, Equilibrium, Poses
-from pincal.simulate.surroundings import MeasurementScale
+from pincal.simulate.tracker import ReadingEffect
 
 Table = dict[str, np.ndarray]
 """Columns of a table of measurements, by name."""
@@ -152,8 +152,8 @@ def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | 
 def refuse_scale(machine: Machine, why: str) -> None:
     """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` says what is read instead."""
     for effect in machine.effects:
-        if isinstance(effect, MeasurementScale):
-            raise BadInputError(f"{effect.effect}: it is an error of lengths that are read, and {why}; leave it out")
+        if isinstance(effect, ReadingEffect):
+            raise BadInputError(f"{effect.effect}: an error of an instrument that reads lengths, and {why}; leave it out")
 
 
 def transformed(transform: np.ndarray, points: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Hidden effects of temperature, time, payload and instrument on the whole arm."""
+"""Hidden effects of temperature, time and payload on the whole arm."""
 
 from __future__ import annotations
 
@@ -109,21 +109,3 @@ class PayloadError(HiddenEffect, SizedByLoad):
         """Return the true mass [kg], shape (N,), and centre of mass [m, tip frame], shape (N, 3), for those of the table."""
         carried = mass > 0.0 if np.any(mass > 0.0) else np.ones(len(mass), bool)
         return mass + self.size * carried, com + np.asarray(self.com_shift)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasurementScale(HiddenEffect):
-    """Instrument with a wrong scale; ``size`` is the relative error of every length [-]."""
-
-    effect: ClassVar[str] = "measurement_scale"
-    unit: ClassVar[str] = "1"
-    typical_size: ClassVar[float] = 2e-5
-    scope: ClassVar[Scope] = Scope.ARM
-
-
-def as_read(effects: tuple[HiddenEffect, ...], position: np.ndarray) -> np.ndarray:
-    """Return what an instrument with its errors among the effects reads for true positions [m], shape (N, 3)."""
-    for effect in effects:
-        if isinstance(effect, MeasurementScale):
-            position = (1.0 + effect.size) * position
-    return position

@@ -30,6 +30,7 @@ from pincal.model.catalogue.elasticity import (
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
 from pincal.model.catalogue.friction import Hysteresis, ServoDroop
+from pincal.model.catalogue.instrument import InstrumentAzimuth, InstrumentElevation, InstrumentRange, InstrumentTilt
 from pincal.model.catalogue.masses import LinkMass
 from pincal.model.catalogue.settling import JointCreep, ThermalGrowth
 from pincal.model.catalogue.tones import EncoderSubdivision, GearRipple
@@ -48,6 +49,10 @@ __all__ = [
     "GearRipple",
     "GravityCompensator",
     "Hysteresis",
+    "InstrumentAzimuth",
+    "InstrumentElevation",
+    "InstrumentRange",
+    "InstrumentTilt",
     "JointCoupling",
     "JointCreep",
     "LinkBending",
@@ -96,6 +101,10 @@ for _effect in (
     LinkBending,
     BaseDrift,
     MeasurementScale,
+    InstrumentAzimuth,
+    InstrumentElevation,
+    InstrumentTilt,
+    InstrumentRange,
     Unnamed,
 ):
     EFFECTS.register(_effect)

@@ -1,0 +1,157 @@
+"""How the noise of an instrument that reads ranges and angles grows with the distance, as data sheets say it.
+
+A laser tracker is most exact along its line of sight; across it, an error of an angle counts the more the farther the target
+is. A row's covariance follows from where the target is seen, so positions have to be in the instrument's own frame.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from pincal.errors import BadInputError, MeasurementError
+from pincal.measure.measurements import Measurements
+
+# Data sheets state largest errors (MPE). "Typical measurement results are half of the relevant MPE values": Leica AT500 User
+# Manual, 2.8.1. Half of it is taken as the standard deviation.
+_OF_MPE = 0.5
+# Units of a term: of a constant [m], and of one in proportion to the range [m/m].
+_CONSTANT = {"um": 1e-6, "µm": 1e-6, "mm": 1e-3}
+_PER_METRE = {"um/m": 1e-6, "µm/m": 1e-6, "mm/m": 1e-3, "ppm": 1e-6, "urad": 1e-6, "mrad": 1e-3}
+_TERM = re.compile(r"(?P<number>[0-9]*\.?[0-9]+(?:[eE]-?[0-9]+)?)\s*(?P<unit>\S+)")
+_EXAMPLE = "10um+0.3um/m,15um+6um/m"
+
+
+class _Sheet(NamedTuple):
+    """What a maker states: MPE along and across the line of sight, and where."""
+
+    mpe: str
+    source: str
+
+
+INSTRUMENTS = {
+    # e_ADM +- 10 um + 0.3 um/m and e_T +- 15 um + 6 um/m, MPE by ISO 10360-10:2021, Annex D.
+    "leica_at500": _Sheet("10um+0.3um/m,15um+6um/m", "Leica Absolute Tracker AT500 User Manual, section 2.8.2"),
+}
+"""Instruments by name, with their data sheets; of all others the numbers can be given."""
+
+
+@dataclass(frozen=True)
+class InstrumentNoise:
+    """Standard deviations of what an instrument reads at a range r: along + along_per_m r, and across + across_per_m r.
+
+    Attributes:
+        along: along the line of sight [m].
+        along_per_m: in proportion to the range [m/m].
+        across: across it, each way [m].
+        across_per_m: in proportion to the range [m/m], or of an angle [rad].
+
+    Example:
+        >>> noise = InstrumentNoise.of("leica_at500")
+        >>> [round(1e6 * float(sigma), 2) for sigma in noise.sigmas(np.array(3.0))]
+        [5.45, 16.5]
+        >>> InstrumentNoise.of("20um") == InstrumentNoise(1e-5, 0.0, 1e-5, 0.0)
+        True
+    """
+
+    along: float
+    along_per_m: float
+    across: float
+    across_per_m: float
+
+    def __post_init__(self) -> None:
+        """Refuse noise that is none."""
+        numbers = (self.along, self.along_per_m, self.across, self.across_per_m)
+        is_some = max(self.along, self.along_per_m) > 0.0 and max(self.across, self.across_per_m) > 0.0
+        if not (np.all(np.isfinite(numbers)) and min(numbers) >= 0.0 and is_some):
+            raise BadInputError(f"noise of an instrument {numbers}; expected finite numbers, more than 0 along and across")
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Return the noise of an instrument, half of its largest permissible errors.
+
+        Args:
+            text: a name of ``INSTRUMENTS``, or MPE along and across the line of sight, separated by a comma, each a constant
+                and a part in proportion to the range, such as ``10um+0.3um/m,15um+6um/m``; one alone holds both ways.
+
+        Raises:
+            BadInputError: for a name or a number that is invalid.
+        """
+        sheet = INSTRUMENTS.get(text.strip().lower())
+        parts = (text if sheet is None else sheet.mpe).split(",")
+        try:
+            along, across = [_terms(part) for part in (parts if len(parts) == 2 else parts * 2)]
+        except ValueError:
+            known = ", ".join(INSTRUMENTS)
+            raise BadInputError(
+                f"instrument {text!r}; expected {known}, or the largest permissible errors of its data sheet along and "
+                f"across the line of sight, such as {_EXAMPLE}"
+            ) from None
+        return cls(*(_OF_MPE * number for number in (*along, *across)))
+
+    def sigmas(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard deviations along and across the line of sight at some ranges [m]."""
+        return self.along + self.along_per_m * distance, self.across + self.across_per_m * distance
+
+    def covariance(self, position: np.ndarray) -> np.ndarray:
+        """Return the covariance of readings at positions in the instrument's frame, shape (N, 3, 3) for (N, 3) [m]."""
+        distance = np.linalg.norm(position, axis=1)
+        along, across = self.sigmas(distance)
+        way = position / np.maximum(distance, 1e-9)[:, None]
+        return np.asarray(
+            across[:, None, None] ** 2 * np.eye(3)
+            + (along**2 - across**2)[:, None, None] * way[:, :, None] * way[:, None, :]
+        )
+
+    def sigma(self, position: np.ndarray) -> float:
+        """Return the standard deviation of one coordinate, the root mean square over positions, shape (N, 3) [m]."""
+        along, across = self.sigmas(np.linalg.norm(position, axis=1))
+        return float(np.sqrt(np.mean(along**2 + 2.0 * across**2) / 3.0))
+
+    def whitening(self, position: np.ndarray, size: int) -> np.ndarray:
+        """Return what makes the noise of each row independent and even, in units of :meth:`sigma`, shape (size, size, N).
+
+        Args:
+            position: shape (N, 3) [m].
+            size: components of a reading, the position first; the others stay as they are.
+        """
+        found = np.tile(np.eye(size)[:, :, None], (1, 1, len(position)))
+        inverse = np.linalg.inv(np.linalg.cholesky(self.covariance(position)))
+        found[:3, :3] = self.sigma(position) * inverse.transpose(1, 2, 0)
+        return np.ascontiguousarray(found)
+
+
+def seen_by(table: Measurements) -> np.ndarray:
+    """Return the positions of a table that the noise of an instrument follows, shape (N, 3) [m].
+
+    Raises:
+        MeasurementError: if it holds none, or says how large the noise of its rows is.
+    """
+    if table.position is None:
+        raise MeasurementError(
+            f"{table.source}: --instrument is for positions or poses in the instrument's own frame, but this table holds "
+            f"{table.kind}; leave it out and give --noise"
+        )
+    if table.sigma is not None:
+        raise MeasurementError(f"{table.source}: --instrument, but the table has the column sigma; expected one of the two")
+    return table.position
+
+
+def _terms(text: str) -> tuple[float, float]:
+    """Return the constant [m] and the part in proportion to the range [m/m]; ValueError for anything else."""
+    constant = per_metre = 0.0
+    for term in text.split("+"):
+        found = _TERM.fullmatch(term.strip())
+        if found is None:
+            raise ValueError(term)
+        number, unit = float(found["number"]), found["unit"]
+        if unit in _CONSTANT:
+            constant += number * _CONSTANT[unit]
+        elif unit in _PER_METRE:
+            per_metre += number * _PER_METRE[unit]
+        else:
+            raise ValueError(term)
+    return constant, per_metre

@@ -1,0 +1,282 @@
+r"""Effects of a laser tracker: its encoders, its axes, its distance meter.
+
+A tracker reads azimuth A, elevation E and range r of its target; the table has what it makes of them,
+
+.. math:: x = r \cos E \cos A, \quad y = r \cos E \sin A, \quad z = r \sin E .
+
+An error of a reading moves the target across or along the line of sight, by what it is where the target is seen: from the
+reading itself, or from the model where nothing was read yet. All of them belong to the station. They ask for positions in
+the tracker's own frame: its origin where the axes of the tracker meet, its z along the standing axis. In a frame that was
+moved (onto the robot, or onto points of the hall) they are other functions; where its origin is where no tracker can stand,
+they are not tested.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Candidate, Discoverable, Locus, Term
+from pincal.model.model import Model
+from pincal.model.places import TILT, parameters_of, waves
+from pincal.parameters import Parameter, Scope
+
+Orders = Literal[1, 2]
+_ORDERS: tuple[Orders, ...] = (1, 2)
+# Nearer to the standing axis, or to the tracker, than this no direction across it is told [m].
+_AT_AXIS = 1e-9
+
+
+class Sight(NamedTuple):
+    """How targets are seen.
+
+    Attributes:
+        range: from the tracker, shape (N,) [m].
+        azimuth: about its standing axis, shape (N,) [rad].
+        elevation: above the horizon, shape (N,) [rad].
+        along: unit vector of the line of sight, shape (3, N).
+        level: unit vector to the left of it, along growing azimuth.
+        up: unit vector along growing elevation.
+    """
+
+    range: np.ndarray
+    azimuth: np.ndarray
+    elevation: np.ndarray
+    along: np.ndarray
+    level: np.ndarray
+    up: np.ndarray
+
+    @classmethod
+    def of(cls, sighted: np.ndarray) -> Sight:
+        """Return how targets are seen at positions of shape (N, 3) [m]."""
+        x, y, z = np.asarray(sighted, float).T
+        across, r = np.maximum(np.hypot(x, y), _AT_AXIS), np.maximum(np.sqrt(x**2 + y**2 + z**2), _AT_AXIS)
+        cos, sin, zero = x / across, y / across, np.zeros_like(x)
+        return cls(
+            r,
+            np.arctan2(y, x),
+            np.arctan2(z, across),
+            np.array([x, y, z]) / r,
+            np.array([-sin, cos, zero]),
+            np.array([-z * cos, -z * sin, across]) / r,
+        )
+
+
+class _Reading(ABC):
+    """What errors of a tracker's reading share."""
+
+    name: ClassVar[str]
+    scope: ClassVar[Scope] = "station"
+
+    @property
+    def is_sighted(self) -> bool:
+        """It follows where the target is seen."""
+        return True
+
+    @abstractmethod
+    def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
+        """Return by how much a unit of each parameter moves the reading, shape (3, N) each [m]."""
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Move all that is seen, in the instrument's axes."""
+        if conditions.sighted is None:
+            raise BadInputError(f"{self.name} needs where the instrument sees the target; expected positions in its frame")
+        moves = enumerate(self._moves(Sight.of(conditions.sighted)))
+        return tuple(Term(p, chain.base(axis), way[k]) for p, way in moves for k, axis in enumerate("xyz") if way[k].any())
+
+
+@dataclass(frozen=True)
+class _Circle(_Reading):
+    """What errors of a tracker's graduated circles share.
+
+    Attributes:
+        orders: 1 for an eccentric circle, 2 for one that is oval as well.
+    """
+
+    orders: Orders = 1
+    axis: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        """Refuse other orders."""
+        if self.orders not in _ORDERS:
+            raise BadInputError(f"{self.name}: orders {self.orders}; expected 1 or 2")
+
+    @property
+    def locus(self) -> Locus:
+        """The circle."""
+        return Locus(acts_on=self.axis)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Amplitudes s and c of each order [rad]."""
+        symbols = [f"{self.axis}_{wave}{k}" for k in _ORDERS[: self.orders] for wave in ("sin", "cos")]
+        return tuple(Parameter(f"instrument.{symbol}", "rad", self.name, 0.0, TILT) for symbol in symbols)
+
+    @abstractmethod
+    def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the circle reads [rad], shape (N,), and how the target moves with it, shape (3, N) [m]."""
+
+    def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
+        angle, lever = self._read(sight)
+        return [wave * lever for k in _ORDERS[: self.orders] for wave in waves(k * angle)]
+
+
+@dataclass(frozen=True)
+class InstrumentAzimuth(_Circle, Discoverable):
+    r"""Azimuth circle of a tracker off centre (k = 1) or oval, too (k = 2): it reads :math:`s \sin kA + c \cos kA` more.
+
+    Told apart by:
+        the same poses with the tracker elsewhere: its error goes with its own azimuth, the robot's stays with the robot.
+        From one place, the first joint's drive does much the same to a target that goes around with it.
+
+    Source:
+        Muralikrishnan et al. (2009), x6 and x9, the geometric error model of laser trackers.
+
+    Attributes:
+        orders: 1 for an eccentric circle, 2 for one that is oval as well.
+    """
+
+    name: ClassVar[str] = "instrument_azimuth"
+    meaning: ClassVar[str] = "the tracker's azimuth circle is off centre or oval: it errs in a wave, once or twice a turn"
+    axis: ClassVar[str] = "azimuth"
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once: eccentric, or oval as well."""
+        yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
+
+    def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
+        return sight.azimuth, sight.range * np.cos(sight.elevation) * sight.level
+
+
+@dataclass(frozen=True)
+class InstrumentElevation(_Circle, Discoverable):
+    r"""Elevation circle of a tracker off centre (k = 1) or oval, too (k = 2): it reads :math:`s \sin kE + c \cos kE` more.
+
+    Told apart by:
+        the same poses with the tracker elsewhere, nearer or farther, higher or lower: its error goes with its own elevation,
+        the robot's stays with the robot.
+
+    Source:
+        Muralikrishnan et al. (2009), x7 and x9, the geometric error model of laser trackers.
+
+    Attributes:
+        orders: 1 for an eccentric circle, 2 for one that is oval as well.
+    """
+
+    name: ClassVar[str] = "instrument_elevation"
+    meaning: ClassVar[str] = "the tracker's elevation circle is off centre or oval: it errs in a wave, once or twice a turn"
+    axis: ClassVar[str] = "elevation"
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once: eccentric, or oval as well."""
+        yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
+
+    def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
+        return sight.elevation, sight.range * sight.up
+
+
+@dataclass(frozen=True)
+class InstrumentTilt(_Reading, Discoverable):
+    r"""Axes of a tracker that are not square, or pass each other.
+
+    The transit axis (about which it looks up) is not square to the standing axis by t, the beam not to the transit axis by
+    c, and the zero of the elevation is off by i: :math:`\Delta A = t \tan E + c / \cos E`, :math:`\Delta E = i`. With
+    offsets, the transit axis passes the standing axis by f, and the beam the point where they meet by l (to the left) and u
+    (upwards). How the standing axis itself stands is the place of the base. Two-face readings are free of t, c, i, l, u.
+
+    Told apart by:
+        the same target in both faces of the tracker. From another place the robot's poses are seen under other elevations,
+        and what the robot does stays.
+
+    Source:
+        Muralikrishnan et al. (2009), x1, x2, x4, x5, the geometric error model of laser trackers.
+
+    Attributes:
+        offsets: whether the axes pass each other, too.
+    """
+
+    offsets: bool = False
+    name: ClassVar[str] = "instrument_tilt"
+    meaning: ClassVar[str] = "the tracker's axes are not square to each other, or pass each other"
+
+    @property
+    def locus(self) -> Locus:
+        """The axes of the instrument."""
+        return Locus(acts_on="axes")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once: angles alone, and angles with offsets."""
+        yield Candidate(cls(), variants=(cls(), cls(offsets=True)), obstacle=_obstacle(situation))
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Angles t, c, i [rad], and offsets f, l, u [m]."""
+        angles = parameters_of(self, "instrument", ("transit_tilt", "beam_tilt", "index"), unit="rad", size=TILT)
+        ways = ("transit_offset", "beam_left", "beam_up") if self.offsets else ()
+        return angles + parameters_of(self, "instrument", ways, unit="m", size=TILT)
+
+    def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
+        r, sine, cosine = sight.range, np.sin(sight.elevation), np.cos(sight.elevation)
+        moves = [r * sine * sight.level, r * sight.level, r * sight.up]
+        # Outwards and level, whatever the elevation.
+        return [*moves, cosine * sight.along - sine * sight.up, sight.level, sight.up] if self.offsets else moves
+
+
+@dataclass(frozen=True)
+class InstrumentRange(_Reading, Discoverable):
+    """Zero of a tracker's distance meter: every range is read longer by the same length.
+
+    Its scale is ``measurement_scale``.
+
+    Told apart by:
+        the same target seen from both ends of a line and from between them; or poses near the tracker and far from it, as
+        from a second place.
+
+    Source:
+        Muralikrishnan et al. (2009), x8 ("bird bath"); R0 of ISO 10360-10.
+    """
+
+    name: ClassVar[str] = "instrument_range"
+    meaning: ClassVar[str] = "the zero of the tracker's distance meter is off"
+
+    @property
+    def locus(self) -> Locus:
+        """The range."""
+        return Locus(acts_on="range")
+
+    @classmethod
+    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+        """Yield it once."""
+        yield Candidate(cls(), obstacle=_obstacle(situation))
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """The zero [m]."""
+        return parameters_of(self, "instrument", ("range_zero",), unit="m", size=TILT)
+
+    def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
+        return (sight.along,)
+
+
+def _obstacle(situation: Situation) -> str:
+    """Return why readings can't be judged as those of a tracker, empty if they can."""
+    chain, conditions = situation.chain, situation.conditions
+    if conditions.sighted is None:
+        return "no position is read in the frame of an instrument"
+    tips = Model(chain, ()).predict(np.zeros(0), conditions)[:, :, 3]
+    base = np.median(conditions.sighted - tips, axis=0)
+    away, reach = np.linalg.norm(base), np.median(np.linalg.norm(conditions.sighted - base, axis=1))
+    # Amid the poses no tracker can stand: the frame of the readings is the robot's or the cell's.
+    if away >= reach:
+        return ""
+    return (
+        f"the frame of the readings has its origin {away:.2g} m from the robot's base, where no tracker stands: give them "
+        "in the tracker's own frame"
+    )

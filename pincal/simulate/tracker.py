@@ -1,0 +1,164 @@
+"""Errors of a laser tracker, as its parts make them: what it says of a target follows from how its parts really stand.
+
+A tracker turns its head until its beam meets the target, and reads its circles and its distance meter there. An effect takes
+true positions in the frame of a perfect tracker (its origin where the axes meet, z the standing axis) and returns those that
+the readings of the imperfect one come to.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.simulate.effect import HiddenEffect, Scope
+
+# Rounds in which the head finds the target, each a thousandth of the one before.
+_ROUNDS = 6
+
+
+class ReadingEffect(HiddenEffect):
+    """An error of what an instrument reads."""
+
+    scope: ClassVar[Scope] = Scope.ARM
+
+    @abstractmethod
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        """Return what is read for true positions in the instrument's frame [m], shape (N, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementScale(ReadingEffect):
+    """Instrument with a wrong scale; ``size`` is the relative error of every length [-]."""
+
+    effect: ClassVar[str] = "measurement_scale"
+    unit: ClassVar[str] = "1"
+    typical_size: ClassVar[float] = 2e-5
+
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        """Return longer positions."""
+        return (1.0 + self.size) * position
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Circle(ReadingEffect):
+    """A graduated circle that does not turn about its centre, or is not round.
+
+    Attributes:
+        order: 1 for a circle off centre by ``size`` radii, 2 for an oval one.
+        phase: Direction of the offset on the circle [rad].
+    """
+
+    typical_size: ClassVar[float] = 2e-5
+    order: int = 1
+    phase: float = 0.6
+
+    def _read(self, angle: np.ndarray) -> np.ndarray:
+        """Return what one reading head sees at true angles [rad]."""
+        return np.asarray(angle + np.arcsin(self.size * np.sin(self.order * angle - self.phase)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentAzimuth(_Circle):
+    """Azimuth circle of a tracker off centre or oval; ``size`` is the amplitude of its error [rad]."""
+
+    effect: ClassVar[str] = "instrument_azimuth"
+
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        """Return positions at the azimuth that is read."""
+        azimuth, elevation, distance = spherical(position)
+        return cartesian(self._read(azimuth), elevation, distance)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentElevation(_Circle):
+    """Elevation circle of a tracker off centre or oval; ``size`` is the amplitude of its error [rad]."""
+
+    effect: ClassVar[str] = "instrument_elevation"
+
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        """Return positions at the elevation that is read."""
+        azimuth, elevation, distance = spherical(position)
+        return cartesian(azimuth, self._read(elevation), distance)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentTilt(ReadingEffect):
+    """Axes of a tracker that are not square; ``size`` scales the fields, which are in radians and metres.
+
+    Attributes:
+        transit: Turn of the transit axis about the line of sight at the horizon, out of the square to the standing axis.
+        beam: Turn of the beam to the right, out of the square to the transit axis.
+        index: Elevation that is read where the beam is level.
+        behind: Transit axis behind the standing axis, seen from the target.
+        right: Beam to the right of where the axes meet.
+        below: Beam below it.
+    """
+
+    effect: ClassVar[str] = "instrument_tilt"
+    typical_size: ClassVar[float] = 2e-5
+    transit: float = 1.0
+    beam: float = 0.5
+    index: float = 0.0
+    behind: float = 0.0
+    right: float = 0.0
+    below: float = 0.0
+
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        """Return positions at the angles and the range at which the beam meets the target."""
+        read = position
+        for _ in range(_ROUNDS if self.size else 0):
+            read = read + position - self._met(*spherical(read))
+        return read
+
+    def _met(self, azimuth: np.ndarray, elevation: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        """Return where the beam ends when head and circles stand so, shape (N, 3) [m]."""
+        along = np.multiply.outer(distance, np.array([1.0, 0.0, 0.0]))
+        beam = _turned("z", -self.size * self.beam, along) - self.size * np.array([0.0, self.right, self.below])
+        risen = _turned("y", self.size * self.index - elevation, beam)
+        tilted = _turned("x", self.size * self.transit, risen) - self.size * np.array([self.behind, 0.0, 0.0])
+        return _turned("z", azimuth, tilted)
+
+
+def _turned(axis: str, angle: float | np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return points, shape (N, 3), turned about an axis by one angle or one each [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler(axis, np.reshape(angle, (-1, 1))).apply(points))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentRange(ReadingEffect):
+    """Distance meter of a tracker that reads every range too long; ``size`` is by how much [m]."""
+
+    effect: ClassVar[str] = "instrument_range"
+    unit: ClassVar[str] = "m"
+    typical_size: ClassVar[float] = 2e-5
+
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        """Return positions farther away."""
+        azimuth, elevation, distance = spherical(position)
+        return cartesian(azimuth, elevation, distance + self.size)
+
+
+def spherical(position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return azimuth and elevation [rad] and range [m] of positions, shape (N, 3)."""
+    x, y, z = position.T
+    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)), np.linalg.norm(position, axis=1)
+
+
+def cartesian(azimuth: np.ndarray, elevation: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Return the positions of these, shape (N, 3) [m]."""
+    level = np.cos(elevation)
+    way = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    return np.asarray(distance[:, None] * way)
+
+
+def as_read(effects: tuple[HiddenEffect, ...], position: np.ndarray) -> np.ndarray:
+    """Return what an instrument with its errors among the effects reads for true positions [m], shape (N, 3)."""
+    for effect in effects:
+        if isinstance(effect, ReadingEffect):
+            position = effect.as_read(position)
+    return position
