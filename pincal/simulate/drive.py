@@ -254,7 +254,7 @@ class ShortOfTarget(DriveEffect):
                 place[row] = place[row - 1]
             else:
                 place[row] = to - self.size * (to - place[row - 1])
-        return place - target
+        return np.asarray(place - target)
 
 
 @dataclass(frozen=True, kw_only=True)
