@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pincal import GEOMETRIC, Options, Robot, run_discovery
+from pincal import GEOMETRIC, Options, Robot, calibrate, run_discovery
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.discover.loop import discover_effects
 from pincal.errors import PincalWarning
-from pincal.measure.approach import BY_COLUMNS, note_on_sides, sides_by_order
+from pincal.identify.split import row_groups
+from pincal.measure.approach import BY_COLUMNS, moves_by_order, note_on_sides, sides_by_order
 from pincal.measure.measurements import Measurements, concatenate
 from pincal.measure.table import read_measurements, write_table
-from pincal.model.catalogue import Backlash, ThermalExpansion
+from pincal.model.catalogue import Backlash, ShortOfTarget, ThermalExpansion
 from pincal.model.catalogue.candidates import untestable
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions
+from pincal.model.conditions import INSTEAD, Conditions
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -78,7 +81,41 @@ def test_the_order_tells_only_what_has_no_column(machine: sim.TrueMachine, tmp_p
     assert alone.approach_from == BY_COLUMNS and note_on_sides("rows.csv", BY_COLUMNS) is None
     assert untold is not None and not np.delete(untold, 2, axis=1).any()
     plain = read(table(machine, tmp_path / "plain.csv"), in_order=False)
-    assert plain.approach is None and not plain.approach_from
+    assert plain.approach is None and plain.move is None and not plain.approach_from
+
+
+def test_moves_are_those_that_rows_or_times_tell(machine: sim.TrueMachine, tmp_path: Path) -> None:
+    """Times tell the order by themselves unless poses share one; a joint that came from another side has no known moves."""
+    plain = table(machine, tmp_path / "rows.csv")
+    in_order, shuffled = read(plain), np.random.default_rng(5).permutation(N)
+    time = np.empty(N)
+    time[shuffled] = 20.0 * np.arange(N)
+    timed = read(table(machine, tmp_path / "timed.csv", time=time), in_order=False)
+    shared = read(table(machine, tmp_path / "shared.csv", time=time // 40.0), in_order=False)
+    other = read(table(machine, tmp_path / "other.csv", approach_joint_3=np.resize([1.0, -1.0], N)))
+
+    assert in_order.move is not None and timed.move is not None and other.move is not None
+    np.testing.assert_array_equal(in_order.move, np.diff(in_order.q, axis=0, prepend=in_order.q[:1]))
+    np.testing.assert_array_equal(timed.move[shuffled], moves_by_order(timed.q[shuffled]))
+    assert timed.approach is None and shared.move is None
+    assert not other.move[:, 2].any() and np.delete(other.move, 2, axis=1)[1:].all()
+    joined = concatenate([timed, shared])
+    assert joined.move is not None and not joined.move[N:].any()
+
+
+@pytest.mark.parametrize(
+    ("hidden", "name"),
+    [(sim.ShortOfTarget(joint="joint_3", size=1e-4), "settling"), (sim.Backlash(joint="joint_3", size=2e-4), "backlash")],
+)
+def test_what_follows_the_last_move_is_told_from_play(
+    machine: sim.TrueMachine, tmp_path: Path, hidden: sim.HiddenEffect, name: str
+) -> None:
+    """A drive that has not come to rest is no play, nor is play a drive that has not come to rest."""
+    rows = read(table(replace(machine, effects=(hidden,)), tmp_path / "rows.csv"))
+    fit = calibrate(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, Options(effects=GEOMETRIC, sigma=SIGMA))
+    (step,) = discover_effects(fit, row_groups(rows, split="blocked", seed=0) % 8).steps
+
+    assert (step.effect.name, step.effect.locus.joint) == (name, "joint_3")
 
 
 def test_times_say_the_order(machine: sim.TrueMachine, tmp_path: Path) -> None:
@@ -105,6 +142,7 @@ def test_the_reason_names_the_option() -> None:
     reasons = dict(untestable(chain, Conditions.at(np.random.default_rng(0).uniform(-1.0, 1.0, (30, 6)))))
 
     assert reasons[Backlash("joint_2")].startswith("column approach_<joint> is missing (")
+    assert reasons[ShortOfTarget("joint_2")] == f"column time is missing ({INSTEAD['move']})"
     assert "--rows-in-order" in reasons[Backlash("joint_2")]
     assert "--rows-in-order" not in reasons[ThermalExpansion()]
 

@@ -218,7 +218,7 @@ def test_zero_shift_and_drift_follow_temperature_and_time() -> None:
 
 def test_a_drive_is_short_by_a_share_of_its_way() -> None:
     """The way is from where the joint stood; not sent anywhere, it stays there; the first pose it has reached."""
-    q = np.array([[0.0, 0.0], [0.0, 1.0], [0.5, 1.0], [0.5, 0.4]])
+    q = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5], [0.4, 0.5]])
     machine = planar(effects=(sim.ShortOfTarget(joint="lift", size=0.1),))
     short = np.array([0.0, -0.1, -0.1, 0.1 * (0.9 - 0.4)])
     sides = np.ones((4, 2))

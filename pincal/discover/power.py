@@ -41,6 +41,8 @@ TOLD_APART = 30.0
 _TELLING = 1.5
 # Change of temperature that another run could make [K].
 _WARMER = 10.0
+# Moves by which another run could come to its poses [rad, m]: a turn of the hand, and one as short as a programme has.
+_MOVES = (-1.5, -0.1, 0.1, 1.5)
 # The runs that could be made instead of the latest poses, by what they are.
 _DESIGNS = Latest[dict[str, Conditions]](16)
 
@@ -292,6 +294,12 @@ def _runs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
         yield (
             "the same poses approached from both directions, with the columns approach_<joint>",
             replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape)),
+        )
+    if c.move is not None:
+        moves = np.random.default_rng(1).choice(_MOVES, c.q.shape)
+        yield (
+            "the same poses, each reached by long and by short moves from both sides",
+            replace(c, move=moves, approach=np.sign(moves)),
         )
     temperature = np.full(len(c), 20.0) if c.temperature is None else c.temperature
     if np.ptp(temperature) < _WARMER:

@@ -217,6 +217,9 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
         raise MeasurementError("no table to join; expected at least one")
     if any(table.readings_per_row is not None for table in tables):
         tables = [table if table.readings_per_row is not None else _single(table) for table in tables]
+    if any(table.move is not None for table in tables):
+        # No column of a file: of rows whose order nobody told the last moves are unknown.
+        tables = [table if table.move is not None else replace(table, move=np.zeros(table.q.shape)) for table in tables]
     first = tables[0]
     for other in tables[1:]:
         if other.joint_names != first.joint_names:
