@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays
 from pincal import simulate as sim
+from pincal.measure.approach import moves_by_order, sides_by_order
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MomentFrame
 from pincal.simulate.effect import HiddenEffect
@@ -192,7 +193,8 @@ class _Whitened(_Absorber):
     """As its base, by the true covariance of the noise."""
 
     def __init__(self, setting: _Setting, options: Options, covariance: np.ndarray) -> None:
-        super().__init__(setting, options)
+        # What noise-free tables leave is none that depends on the order.
+        super().__init__(setting, replace(options, serial=False))
         self.jacobian = self.jacobian * SIGMA
         self.covariance = covariance
 
@@ -331,7 +333,7 @@ class _Campaign:
             arrived[:, self.joint] = -_PER_MOVE * (q - last)[:, self.joint]
         if self.kind == "remastered":
             arrived[after, self.joint] = _REMASTERED
-        conditions = {"payload": payload, "time": part * self.span, "approach": _side(q - last)}
+        conditions = {"payload": payload, "time": part * self.span, "approach": np.sign(q - last)}
         warmer = {"heat": _WARMING}.get(self.kind, _WARMING_OF_TABLES if "temperature" in self.columns else 0.0)
         conditions["temperature"] = 20.0 - warmer * np.expm1(-conditions["time"] / self.warming)
         tool, shift = (np.outer(after, change) for change in (self.tool_change, self.shift))
@@ -346,15 +348,15 @@ class _Campaign:
     def table(self, world: World, positions: np.ndarray, q: np.ndarray | None = None) -> Measurements:
         """Return the table of poses and readings, shape (N, 3) [m]."""
         columns = {name: world.conditions[name] for name in ("payload", *sorted(self.columns))}
-        names = self.setting.machine.names
-        table = measurements_from_arrays(names, world.q if q is None else q, position=positions, **columns)
+        names, q = self.setting.machine.names, world.q if q is None else q
+        if "approach" in self.columns:
+            # As --rows-in-order tells it.
+            columns["approach"] = sides_by_order(q)
+        if self.columns & {"approach", "time"}:
+            columns["move"] = moves_by_order(q)
+        table = measurements_from_arrays(names, q, position=positions, **columns)
         said = "the sign of the move from the row before" if "approach" in self.columns else ""
         return replace(table, approach_from=said)
-
-
-def _side(move: np.ndarray) -> np.ndarray:
-    """Return the side from which joints arrived, as rows in order tell it."""
-    return np.where(np.abs(move) >= 1e-3, np.sign(move), 0.0)
 
 
 def _floor(setting: _Setting) -> float:
@@ -429,7 +431,7 @@ def _draw(
     )
     frame = frames[int(rng.integers(len(frames)))]
     elastic = hidden not in ELASTICITY
-    drawn: dict[str, Any] = {"elastic": elastic, "masses": 0.03, "one_payload": True, "columns": set()}
+    drawn: dict[str, Any] = {"elastic": elastic, "masses": 0.03, "one_payload": True, "columns": set(), "in_order": False}
     setting = _setting(rng, n, arm=arm, moment_frame=frame, **drawn)
     # The load throughout, or nothing and then the load.
     load = float(setting.conditions["payload"][0])
@@ -452,9 +454,7 @@ def _draw(
     got = seen = 0.0
     if hidden is not None:
         columns = {name: world.conditions[name] for name in ("payload", *campaign.columns)}
-        moments = setting.moments
-        where = setting.machine, setting.robot, world.q, setting.hall, setting.tool, columns, setting.com, arm, moments
-        taken = _Taken(*where, campaign=campaign, world=world)
+        taken = _Taken(**{**vars(setting), "q": world.q, "conditions": columns, "known": {}}, campaign=campaign, world=world)
         options = Options(payload_centre=setting.com)
         absorber = _Whitened(taken, _plain(options, moment_frame=frame, elastic=elastic), noise.covariance)
         effect, got, raw = _scaled(_named(hidden, rng, taken), strength, taken, absorber)

@@ -29,6 +29,7 @@ from test_discovery_rates import CI as INDEPENDENT
 from pincal.discover.run import Discovery, run_discovery
 from pincal.errors import PincalError, PincalWarning
 from pincal.model.conditions import Conditions
+from pincal.spread import end_with_parent
 
 # Poses never measured at which intervals are held against the truth.
 FRESH = 300
@@ -99,7 +100,7 @@ def _said(case: RowsCase, found: Discovery) -> dict[str, Any]:
     at = fit.readings(table).conditions
     error, sigma = fit.predict(at)[:, :, 3] - clean, fit.position_sigma(at)
     return {
-        "refused": "" if result.converged and not result.doubt else result.doubt or "did not converge",
+        "refused": result.doubt or result.shift or ("" if result.converged else "did not converge"),
         "names": names,
         "verdict": str(findings.verdict),
         "scatter": [entry.joint for entry in findings.scatter],
@@ -192,7 +193,8 @@ def _said_of_all(tasks: Sequence[Task], workers: int) -> Iterator[dict[str, Any]
     if workers == 1:
         yield from map(said_of, tasks)
     elif tasks:
-        with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
+        # Workers end with this process, however that ends.
+        with ProcessPoolExecutor(workers, mp_context=get_context("forkserver"), initializer=end_with_parent) as pool:
             yield from (future.result() for future in as_completed([pool.submit(said_of, task) for task in tasks]))
 
 

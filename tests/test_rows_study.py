@@ -16,8 +16,6 @@ from rows_study import CI_HIDDEN, CI_TABLES, CORRELATED, Task, append, read, stu
 from scipy.linalg import toeplitz
 from scipy.stats import binom, chi2
 
-from pincal.measure.approach import sides_by_order
-
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
 
@@ -132,14 +130,14 @@ def test_an_eccentric_encoder_turns_what_is_read_about_the_plumb_axis() -> None:
 
 
 @pytest.mark.parametrize("kind", ["moves", "repeats"])
-def test_sides_are_those_that_rows_in_order_tell(kind: str) -> None:
-    """Where the table has them, whatever else it is."""
+def test_sides_are_those_from_which_drives_came(kind: str) -> None:
+    """All that rows in order tell, in the later readings of a visit, too; they tell nearly all."""
     cases = [draw_rows_case(kind, seed, arm="kuka", poses=8) for seed in range(6)]
-    tables = [case.rows for case in cases if case.rows.approach is not None]
+    tables = [(case.rows.approach, case.world.conditions["approach"]) for case in cases if case.rows.approach is not None]
 
     assert tables
-    # Readings of one visit keep the side; that of the first is unknown.
-    assert all(np.array_equal(rows.columns()["approach"], sides_by_order(rows.q)) for rows in tables)
+    for told, true in tables:
+        assert np.all((told == true) | (told == 0)) and np.mean(told == 0) < 0.2
 
 
 @pytest.mark.parametrize("kind", KINDS)
