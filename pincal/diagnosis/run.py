@@ -137,7 +137,7 @@ def diagnose(
         gap={"before": error_table(placed.station, placed.values), "after": after},
         station=_moved(calibrated, mended),
         rows=len(measurements),
-        warnings=doubts_first(_notes(verdict, measurements)),
+        warnings=doubts_first([*placed.notes, *_notes(verdict, measurements)]),
     )
     return Diagnosis(found, mended)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.day import rows_with_means
 from pincal.calibration.stations import CalibratedStations
 from pincal.diagnosis.run import ALPHA, placed_anew, verdict_of
 from pincal.errors import ChangedRobotError
@@ -70,6 +71,7 @@ def _taken_in(model: CalibratedModel, measurements: Measurements, *, sigma: floa
         setup=replace(model.setup, points={}),
         earlier=model.robot_estimate,
     )
-    found = CalibratedModel.of(calibrate(arm.chain.robot, measurements, options))
-    covered, rows = model.covered.over(found.covered), together(model.rows, found.rows)
-    return replace(found, covered=covered, rows=rows, provenance=model.provenance)
+    rows = rows_with_means(measurements, arm, model.covered.days)
+    found = CalibratedModel.of(calibrate(arm.chain.robot, rows, options))
+    covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
+    return replace(found, covered=covered, rows=marks, provenance=model.provenance)
