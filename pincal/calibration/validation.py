@@ -67,7 +67,7 @@ class Validation:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What the user should know beside the errors; all but what the day lacks are doubts: such rows do not speak for the model."""
+        """What the user should know beside the errors; doubts are why such rows do not speak for the model."""
         rest = (
             f"{self.table.source}: off by {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
         )
