@@ -11,8 +11,9 @@ import pytest
 from test_diagnosis import calibrated, rows
 
 import pincal
-from pincal import ELASTIC, CalibratedModel, Conditions, Measurements, Model, Options, Robot
+from pincal import ELASTIC, GEOMETRIC, CalibratedModel, Conditions, Measurements, Model, Options, Robot
 from pincal.cli import main
+from pincal.discover.run import run_discovery
 from pincal.errors import BadInputError, IdentificationError
 from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.chain import Chain
@@ -176,3 +177,18 @@ def test_a_touched_instrument_is_no_change(first: CalibratedModel) -> None:
 
     assert "shifted by 2" in found.found.warnings[0].text and f"line {table.rows[40]}" in found.found.warnings[0].text
     assert not found.changed
+
+
+@pytest.mark.parametrize("curve", [7, pytest.param(1, marks=pytest.mark.long)])
+def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int) -> None:
+    """With the day, beside the curves that both days have; where none has changed, no day has one of its own."""
+    robot = Robot.from_urdf("ur10")
+    monday = session(robot, 400, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0)
+    tuesday = session(robot, 300, {DRIVES[0]: curve, DRIVES[1]: 2}, seed=1)
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    found = run_discovery(robot, {"monday": monday, "tuesday": tuesday}, options).findings
+    named = {(e.effect, e.joint) for e in found.effects if not e.station}
+
+    assert named == {("transmission_error", joint) for joint in DRIVES}
+    own = [(e.effect, e.joint, e.station) for e in found.effects if e.station]
+    assert own == ([("transmission_error", DRIVES[0], "tuesday")] if curve == 7 else [])

@@ -248,7 +248,7 @@ def _of_stations(fit: Fit) -> Iterator[Effect]:
     for k, station in enumerate(stations if len(stations) > 1 else ()):
         situation = Situation(station.model.chain, station.conditions)
         yield from own_effects(testable(situation), station.name)
-        yield from changed_effects(fit.problem.effects, situation.joints, station.name) if k else ()
+        yield from changed_effects(fit.problem.effects, situation, station.name) if k else ()
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:
