@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -56,14 +57,14 @@ def standing_in(model: Model, days: Days, is_recorded: Callable[[str], bool]) ->
 def with_means(conditions: Conditions, model: Model, days: Days) -> Conditions:
     """Return conditions with the means of columns of the day that they lack, as far as they are known."""
     means = standing_in(model, days, lambda column: conditions.column(column) is not None)
-    columns = {name: np.full(len(conditions), mean) for name, mean in means.items()}
+    columns: dict[str, Any] = {name: np.full(len(conditions), mean) for name, mean in means.items()}
     return replace(conditions, **columns) if columns else conditions
 
 
 def rows_with_means(rows: Measurements, model: Model, days: Days) -> Measurements:
     """Return a table with the means of columns of the day that it lacks, as far as they are known."""
     means = standing_in(model, days, lambda column: getattr(rows, column) is not None)
-    columns = {name: np.full(len(rows), mean) for name, mean in means.items()}
+    columns: dict[str, Any] = {name: np.full(len(rows), mean) for name, mean in means.items()}
     return replace(rows, **columns) if columns else rows
 
 
@@ -90,7 +91,7 @@ def varied_by(effect: Effect, model: Model, values: np.ndarray, conditions: Cond
         for side in (1.0, -1.0):
             at = {name: np.full(len(conditions), days[name][0] + side * days[name][1]) for name in columns}
             ends.append(_without_others(effect, model, values, replace(conditions, **at)))
-        return 0.5 * (ends[0] - ends[1])
+        return np.asarray(0.5 * (ends[0] - ends[1]))
     way = _without_others(effect, model, values, conditions)
     # A shift that all poses share is the new place of the instrument.
     return np.asarray(way - way.mean(axis=0))
