@@ -65,6 +65,13 @@ def test_rows_that_were_fitted_are_not_called_held_out(
     told = capsys.readouterr()
     assert "held out" not in told.out and "fitted to 100 of these 100 rows" in " ".join(told.out.split())
 
+    both = tmp_path / "fitted.csv", written(tmp_path / "new.csv", new)
+    assert run("validate", tmp_path / "model.json", *both, "--json", "--quiet") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["mean_mm"] == found["stations"][1]["error"]["mean_mm"] and found["rows"]["test"] == len(new)
+    assert run("validate", tmp_path / "model.json", *both) == 0
+    assert f"never seen by the model: new: mean {found['mean_mm']:.4f} mm" in capsys.readouterr().out
+
 
 @pytest.mark.parametrize("way", [2e-4, 5.0])
 def test_a_moved_instrument_is_told(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel, way: float) -> None:

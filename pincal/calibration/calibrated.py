@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from pincal.atomic import write_whole
 from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, outside_curves, turned_curves
+from pincal.calibration.day import rows_with_means, unrecorded, varied_by, with_means, words_of
 from pincal.calibration.left import Left
 from pincal.calibration.tables import estimate_table
 from pincal.errors import BadInputError, MeasurementError, OutputError
@@ -115,7 +116,8 @@ class Calibrated(ABC):
 
         Args:
             at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N poses, for models that need
-                temperature, time or the direction of approach.
+                temperature, time or the direction of approach. Temperature and time that they lack are those of the mean of
+                the calibration's rows, for what follows them.
             payload: mass at the tip [kg]; not with conditions.
             target: name of the target; default: the first one; not with conditions.
             return_sigma: whether to return the standard deviation of the position, too.
@@ -129,15 +131,19 @@ class Calibrated(ABC):
         """
         model = self._predictor()
         conditions = at if isinstance(at, Conditions) else model.conditions_at(at, payload=payload, target=target)
-        poses = model.model.predict(model.model_values, conditions)
+        poses = model.model.predict(model.model_values, model.of_its_day(conditions))
         return (poses, self.position_sigma(conditions)) if return_sigma else poses
 
     def position_sigma(self, conditions: Conditions) -> np.ndarray:
         r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the instrument's axes.
 
-        :math:`\sqrt{\mathrm{diag}(J C J^T)}`: what the calibration leaves unknown, without the noise of a measurement.
+        :math:`\sqrt{\mathrm{diag}(J C J^T)}`: what the calibration leaves unknown, without the noise of a measurement; and
+        what is unknown beside that, where an effect follows temperature or time and the conditions lack them: as much as it
+        varied over the calibration's rows.
         """
         found = self._predictor()
+        unknown = found.unknown_motion(conditions)
+        conditions = found.of_its_day(conditions)
         n = found.model.n_parameters
         C = found.covariance[:n, :n]
         out = np.empty((len(conditions), 3))
@@ -145,7 +151,7 @@ class Calibrated(ABC):
             rows = slice(start, start + _PIECE)
             _, J = found.model.linearise(found.model_values, conditions.select(rows))
             out[rows] = np.einsum("nip,nip->ni", J @ C, J)
-        return np.sqrt(np.maximum(out, 0.0))
+        return np.sqrt(np.maximum(out, 0.0) + unknown)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -265,7 +271,7 @@ class CalibratedModel(Calibrated):
             estimate=estimate,
             sensor_kind=entry.sensor_kind,
             payload_centre=entry.payload_centre,
-            covered=Covered(entry.covered.q, entry.covered.payload),
+            covered=Covered(entry.covered.q, entry.covered.payload, entry.covered.days or {}),
             sigma=entry.sigma,
             provenance=provenance,
             setup=entry.setup.setup(),
@@ -354,7 +360,28 @@ class CalibratedModel(Calibrated):
                 f"{measurements.source}: measurements of kind {measurements.kind}; expected {self.sensor_kind}, "
                 "as this model was calibrated with"
             )
-        return station_of(self.model, measurements, self.payload_centre, self.setup)
+        rows = rows_with_means(measurements, self.model, self.covered.days)
+        return station_of(self.model, rows, self.payload_centre, self.setup)
+
+    def of_its_day(self, conditions: Conditions) -> Conditions:
+        """Return conditions with the calibration's mean temperature and time, where effects need them and they lack them."""
+        return with_means(conditions, self.model, self.covered.days)
+
+    def unknown_motion(self, conditions: Conditions) -> np.ndarray:
+        """Return the variance of the target's position by effects that follow what conditions lack, shape (N, 3) [m^2]."""
+        lacking = unrecorded(self.model, lambda column: conditions.column(column) is not None)
+        at, days = self.of_its_day(conditions), self.covered.days
+        ways = [varied_by(effect, self.model, self.model_values, at, days) for effect in lacking]
+        return np.sum(np.square(ways), axis=0) if ways else np.zeros((len(conditions), 3))
+
+    def notes_on_day(self, rows: Measurements) -> tuple[str, ...]:
+        """Return what is done about effects that follow a temperature or time that rows lack."""
+        full, days, notes = self.of_its_day(self.conditions(rows)), self.covered.days, []
+        for effect in unrecorded(self.model, lambda column: getattr(rows, column) is not None):
+            way = varied_by(effect, self.model, self.model_values, full, days)
+            size = float(np.sqrt(np.mean(np.sum(way**2, axis=1))))
+            notes.append(words_of(effect, rows.source, size=size, is_left_out=effect.scope == "station"))
+        return tuple(notes)
 
     def reads(self, measurements: Measurements) -> bool:
         """Return whether it predicts measurements of this kind: its own, or any if it needs no sensor's parameters."""
@@ -412,11 +439,11 @@ class CalibratedModel(Calibrated):
 
         A curve found in one range says nothing of another (it may even do harm there), so it keeps its end value.
         """
-        return outside_curves(self.model, conditions)
+        return outside_curves(self.model, self.of_its_day(conditions))
 
     def turned_curves(self, conditions: Conditions) -> list[Turned]:
         """Return the curves that some rows ask for a turn away from where they were seen, taken as if they repeated."""
-        return turned_curves(self.model, conditions)
+        return turned_curves(self.model, self.of_its_day(conditions))
 
     def with_effects(self, is_kept: Callable[[Effect], bool]) -> CalibratedModel:
         """Return the same model without some effects; nothing is fitted again."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pincal.calibration.day import pooled, recorded_days
 from pincal.model.conditions import Conditions, into_range, recorded_variable
 from pincal.model.effect import Effect
 from pincal.model.model import Model
@@ -66,22 +67,30 @@ class Turned(NamedTuple):
 
 @dataclass(frozen=True)
 class Covered:
-    """What the training rows cover: ``q``, shape (n, 2), least and largest joint positions, and ``payload``, shape (2,)."""
+    """What the training rows cover.
+
+    Attributes:
+        q: shape (n, 2), least and largest joint positions [rad or m].
+        payload: shape (2,), least and largest payload [kg].
+        days: mean and standard deviation of temperature [deg C] and time [s] over these rows, as far as they were recorded.
+    """
 
     q: np.ndarray
     payload: np.ndarray
+    days: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, conditions: Conditions) -> Covered:
         """Return what some rows cover."""
         q, payload = conditions.q, conditions.payload
-        return cls(np.column_stack([q.min(axis=0), q.max(axis=0)]), np.array([payload.min(), payload.max()]))
+        spans = np.column_stack([q.min(axis=0), q.max(axis=0)]), np.array([payload.min(), payload.max()])
+        return cls(*spans, recorded_days(conditions))
 
     def over(self, other: Covered) -> Covered:
         """Return what rows of both cover."""
         spans = [np.stack([one, two]) for one, two in ((self.q, other.q), (self.payload, other.payload))]
         q, payload = (np.stack([both[..., 0].min(axis=0), both[..., 1].max(axis=0)], axis=-1) for both in spans)
-        return Covered(q, payload)
+        return Covered(q, payload, pooled(self.days, other.days))
 
     def carries(self, payload: np.ndarray) -> np.ndarray:
         """Return which payloads [kg] lie within those of the training rows, shape (N,)."""

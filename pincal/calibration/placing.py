@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_of
+from pincal.calibration.day import of_the_day, rows_with_means, unrecorded, varied_by, with_means, words_of
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import bounds_of
 from pincal.identify.initial import place_arm
@@ -28,6 +29,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.registry import blocks_of
 from pincal.measure.sensor import Block
 from pincal.measure.setup import Setup
+from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate
 from pincal.robot.se3 import placed as frame_at
 from pincal.robot.se3 import rotation_vectors
@@ -78,12 +80,14 @@ class Placed:
         station: that model over the station's rows.
         solution: the fit of the station's own parameters.
         moved: how far instrument and target are from where they were.
+        notes: what of the calibration's day or set-up could not be taken along.
     """
 
     model: CalibratedModel
     station: Station
     solution: Solution
     moved: Moved
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Placed({self.model!r}, {len(self.station)} rows)"
@@ -136,6 +140,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     known = calibrated.robot_predictor()
     setup = _setup_over(known.setup, measurements)
     check_placeable(measurements, setup)
+    measurements, as_recorded = rows_with_means(measurements, known.model, known.covered.days), measurements
     arm = known.with_effects(lambda effect: effect.scope == "robot")
     x, y, z = map(float, known.payload_centre)
     options = Options(payload_centre=(x, y, z), setup=setup)
@@ -143,7 +148,10 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     problem = Problem((station,))
     free = station.is_own.copy()
     station.split(free)[1][:] = ~station.sensor.fixed
-    sigma = expected_noise(known, station.sensor.blocks, measurements)
+    unknown, notes = _of_another_day(known, station, as_recorded)
+    in_metres = [block.unit == "m" for block in station.sensor.blocks]
+    noise = expected_noise(known, station.sensor.blocks, measurements)
+    sigma = np.where(in_metres, np.hypot(noise, unknown), noise) if unknown else noise
     priors = Priors(np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options))
     solution = solve(problem, start, free, priors, Noise(tuple(map(float, sigma))))
     of_arm = _of_arm(station, arm.estimate)
@@ -157,7 +165,32 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         nominal_values=None,
     )
     _refuse_untold(model, station, solution, source=measurements.source)
-    return Placed(model, station, solution, moved(known, model))
+    return Placed(model, station, solution, moved(known, model), notes)
+
+
+def _of_another_day(known: CalibratedModel, station: Station, rows: Measurements) -> tuple[float, tuple[str, ...]]:
+    """Return what a model does not know of rows of another day or set-up, per axis [m], and that in words.
+
+    It is as much as effects that are not taken along, and those that follow what the rows lack, did to the target.
+    """
+    lacking = set(unrecorded(known.model, lambda column: getattr(rows, column) is not None))
+    left = [effect for effect in known.model.effects if effect in lacking or _is_of_instrument(effect)]
+    days, square, notes = known.covered.days, 0.0, []
+    for effect in left:
+        told = set(effect.needs) <= set(days)
+        size = None
+        if told:
+            at = with_means(replace(station.conditions, target=np.zeros(len(station), int)), known.model, days)
+            way = varied_by(effect, known.model, known.model_values, at, days)
+            size = float(np.sqrt(np.mean(np.sum(way**2, axis=1))))
+            square += size**2 / 3.0
+        notes.append(words_of(effect, rows.source, size=size, is_left_out=effect.scope == "station"))
+    return float(np.sqrt(square)), tuple(notes)
+
+
+def _is_of_instrument(effect: Effect) -> bool:
+    """Return whether an effect is the instrument's own, beside its place, drift and targets."""
+    return effect.scope == "station" and effect.locus.station is None and effect.locus.acts_on not in ("base", "tool")
 
 
 def _setup_over(setup: Setup, measurements: Measurements) -> Setup:
@@ -239,20 +272,19 @@ def _refuse_untold(model: CalibratedModel, station: Station, solution: Solution,
 def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[CalibratedModel, tuple[str, ...]]:
     """Return the model without what belonged to its station and can't be told of rows, such as a drift without times.
 
+    What followed a column whose mean the model knows stays, and is taken at that mean.
+
     Returns:
-        The model, and notes on what was left out.
+        The model, and notes on what the rows lack.
     """
-    absent = {
-        effect: [column for column in effect.needs if getattr(rows, column) is None]
-        for effect in calibrated.model.effects
-        if effect.scope == "station"
-    }
-    gone = [effect for effect, columns in absent.items() if columns]
-    notes = tuple(
-        f"{effect.name} of the calibration's station is left out: {rows.source} has no column {', '.join(absent[effect])}"
-        for effect in gone
-    )
-    return (calibrated.with_effects(lambda effect: effect not in gone) if gone else calibrated), notes
+    gone = [
+        effect
+        for effect in unrecorded(calibrated.model, lambda column: getattr(rows, column) is not None)
+        if effect.scope == "station" and not set(of_the_day(effect)) <= set(calibrated.covered.days)
+    ]
+    notes = tuple(words_of(effect, rows.source, size=None, is_left_out=True) for effect in gone)
+    found = calibrated.with_effects(lambda effect: effect not in gone) if gone else calibrated
+    return found, (*notes, *found.notes_on_day(rows))
 
 
 def moved(before: CalibratedModel, after: CalibratedModel) -> Moved:

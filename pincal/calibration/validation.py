@@ -49,6 +49,7 @@ class Validation:
         doubt: why these rows can't be of the robot as it was calibrated; empty if they can.
         note: what else the user should know of the place; empty for nothing.
         fitted: fingerprints of the rows that the model was fitted to, at all stations.
+        of_day: what of the calibration's day or set-up could not be taken along.
     """
 
     name: str
@@ -62,10 +63,11 @@ class Validation:
     doubt: str = ""
     note: str = ""
     fitted: str = ""
+    of_day: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What the user should know beside the errors; all doubts, as such rows do not speak for the model."""
+        """What the user should know beside the errors; doubts are why such rows do not speak for the model."""
         rest = (
             f"{self.table.source}: off by {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
         )
@@ -77,7 +79,8 @@ class Validation:
             "how well it was fitted, not how well it predicts; validate on rows measured apart"
         )
         told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
-        return tuple(Note(Severity.DOUBT, text) for text in filter(None, told))
+        doubts = (Note(Severity.DOUBT, text) for text in filter(None, told))
+        return (*doubts, *(Note(Severity.NOTE, text) for text in self.of_day))
 
     @property
     def verdict(self) -> Verdict:
@@ -182,7 +185,7 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     except BadInputError as error:
         return _where_it_was(name, here, why=str(error), refit=refit)
     robust = (placed.solution.weights > 0.0).astype(float)
-    before = here.misfit(robust)
+    before = replace(here, sigma=placed.model.sigma).misfit(robust)
     is_moved = has_moved(before, placed.misfit)
     if is_moved and refit:
         if len(here.table) < len(measurements):
@@ -204,6 +207,7 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
         misfit=before,
         doubt=doubt_of(here.table, placed),
         note=note if is_moved else "",
+        of_day=placed.notes,
     )
 
 
@@ -230,7 +234,18 @@ def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> It
 def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
     found = placed.solution.free
     doubt = doubt_of(table, placed)
-    return Validation(name, "refitted", table, placed.model, placed.station, found, placed.moved, placed.misfit, doubt=doubt)
+    return Validation(
+        name,
+        "refitted",
+        table,
+        placed.model,
+        placed.station,
+        found,
+        placed.moved,
+        placed.misfit,
+        doubt=doubt,
+        of_day=placed.notes,
+    )
 
 
 def _where_it_was(name: str, here: _Stand, *, why: str, refit: bool) -> Validation:

@@ -11,7 +11,7 @@ import click
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, model_argument
 from pincal.cli.outputs import print_doubts, print_json, print_notes, provenance
-from pincal.errors import Exit
+from pincal.errors import Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class DiagnoseArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(DiagnoseArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
+@verb(DiagnoseArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
 def diagnose(arguments: DiagnoseArguments) -> Exit:
     """Find out whether a calibrated robot has changed, and what.
 
@@ -51,8 +51,10 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
     """
     from pincal.calibration.stations import load_stations
     from pincal.cli.inputs import load_table
+    from pincal.cli.progress import console
     from pincal.diagnosis.run import diagnose as run
-    from pincal.report.diagnosis import lines
+    from pincal.notes import doubts_of
+    from pincal.report.diagnosis import curve_table, lines
 
     calibrated = load_stations(arguments.model)
     table = load_table(calibrated.robot_model().model.chain.robot, arguments.data, options=arguments.table.options)
@@ -65,8 +67,12 @@ def diagnose(arguments: DiagnoseArguments) -> Exit:
         print_doubts(found.found.warnings)
         for line in lines(found.found):
             click.echo(line)
+        if found.found.curves is not None:
+            console().print(curve_table(found.found.curves))
         click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
     print_notes(found.found.warnings, quiet=arguments.general.quiet)
+    if not found.found.is_judged:
+        raise IdentificationError(f"not to be judged: {'; '.join(map(str, doubts_of(found.found.warnings)))}")
     return Exit.CHANGED if found.changed else Exit.DONE
 
 

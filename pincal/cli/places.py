@@ -73,7 +73,7 @@ def _placed(model: CalibratedModel, path: Path, reading: TableOptions) -> Place:
     found = place_station(model, table)
     words = f"placed by {len(table)} rows of {path.name}: {found.moved}"
     contents = {"placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()}
-    return Place(found.model, (words,), contents, doubt_of(table, found))
+    return Place(found.model, (words, *found.notes), contents, doubt_of(table, found))
 
 
 def tell_doubt(doubt: str, path: Path) -> None:

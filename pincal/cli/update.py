@@ -9,9 +9,15 @@ import click
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, model_argument
-from pincal.cli.outputs import print_json, provenance
+from pincal.cli.outputs import print_json, print_notes, provenance
 from pincal.errors import Exit
 from pincal.io.result_folder import output_folder
+
+_EXAMPLES = """
+Examples:
+  pincal update results/model.json new.csv --out updated
+  pincal update results/model.json new.csv --anew transmission_error:joint_1 --out updated
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,16 +32,21 @@ class UpdateArguments:
         type=LENGTH,
         words="as declared for the calibration, else estimated",
     )
+    anew: tuple[str, ...] = option(
+        "An effect of the model that is found anew, as diagnose named it; whether anything has changed is not asked then.",
+        (),
+        metavar="EFFECT[:JOINT]",
+    )
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
 
-@verb(UpdateArguments, examples="Example:\n  pincal update results/model.json new.csv --out updated", exits=(Exit.CHANGED,))
+@verb(UpdateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
 def update(arguments: UpdateArguments) -> Exit:
     """Take new measurements into a calibrated model for good.
 
     The result is that of a calibration with the old and the new rows, without the old ones. Rows of a robot that has changed
-    are refused (exit code 6): see diagnose.
+    are refused (exit code 6): see diagnose. With --anew, what it named is found anew beside all that stays known.
     """
     from pincal.calibration.stations import load_stations
     from pincal.cli.inputs import load_table
@@ -45,12 +56,14 @@ def update(arguments: UpdateArguments) -> Exit:
     calibrated = load_stations(arguments.model).robot_model()
     table = load_table(calibrated.model.chain.robot, arguments.data, options=arguments.table.options)
     with output_folder(arguments.out) as draft:
-        found = run(calibrated, table, sigma=arguments.noise)
+        found = run(calibrated, table, sigma=arguments.noise, anew=arguments.anew)
         replace(found, provenance=provenance([arguments.model, arguments.data])).save(draft / "model.json")
     error = error_table(found.readings(table), found.values)
     if arguments.general.as_json:
         print_json({"rows": len(table), "error": error, "out": str(arguments.out)})
     else:
-        click.echo(f"{len(table)} rows taken in; mean error {error['mean_mm']:.4f} mm")
+        anew = f", {', '.join(arguments.anew)} found anew" if arguments.anew else ""
+        click.echo(f"{len(table)} rows taken in{anew}; mean error {error['mean_mm']:.4f} mm")
         click.echo(f"written to {arguments.out}: model.json")
+    print_notes(calibrated.notes_on_day(table), quiet=arguments.general.quiet)
     return Exit.DONE

@@ -23,6 +23,7 @@ Examples:
 Instrument and target stand as they were calibrated unless the rows call for another place; then it is
 found from them, and how far they moved is told. The errors are those at this place. If no place
 explains the rows, they are of another robot, or it has changed: exit code 6; ask pincal diagnose.
+Of several tables those that the model never saw come first, and --max-error is about these.
 """
 
 
@@ -83,7 +84,9 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     from pincal.validate.accuracy import error_statistics, pose_error_sizes
     from pincal.validate.verdict import worst
 
-    error = error_statistics(pose_error_sizes(each.station, each.values) for each in found)
+    # Rows that the model was fitted to say nothing of a day that it never saw: where there are others, these count.
+    unseen = [each for each in found if not each.fitted_rows] or found
+    error = error_statistics(pose_error_sizes(each.station, each.values) for each in unseen)
     stations = list(map(_station, found))
     ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
     beyond = {
@@ -96,7 +99,7 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     contents = {
         "verdict": worst(each.verdict for each in found),
         "warnings": to_builtins(notes),
-        "rows": {"test": sum(len(each.table) for each in found)},
+        "rows": {"test": sum(len(each.table) for each in unseen)},
         "mean_mm": error["mean_mm"],
         "stations": stations,
         "error": {"calibrated": {"test": error}},
@@ -124,6 +127,9 @@ def _print(found: list[Validation], result: dict[str, Any]) -> None:
     from pincal.tables import hanging
 
     out = console()
+    unseen = [each.name for each in found if not each.fitted_rows]
+    if len(found) > 1 and unseen:
+        out.print(hanging("never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"))
     for each in found:
         out.print(hanging(f"{each.name}:", f"{_place_words(each)}; {each.verdict}"))
     parts = {part["name"]: part["error"] for part in result["stations"]}

@@ -118,6 +118,7 @@ def compensate_poses(
     n = calibrated.model.chain.robot.n_joints
     if conditions.q.ndim != 2 or conditions.q.shape[1] != n or not np.isfinite(conditions.q).all():
         raise BadInputError(f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers")
+    conditions = calibrated.of_its_day(conditions)
     poses = _as_poses(wanted, len(conditions))
     if np.ndim(wanted) == 2 and orientation == "keep":
         meant = program_poses(calibrated, conditions)

@@ -77,7 +77,7 @@ def guarded_changes(
     motion = _without_frames(poses, motion) * sizes[: motion.shape[2]]
     guarded, absorbed = [], []
     for i, (change, at) in enumerate(zip(lineup.changes, lineup.places, strict=True)):
-        if isinstance(change.effect, Curve):
+        if isinstance(change.effect, Curve) or change.belief is not None:
             continue
         ways = np.ones((1, 1)) if len(at) == 1 else rng.standard_normal((_WAYS, len(at)))
         farthest = np.linalg.norm(motion[:, :, at] @ ways.T, axis=1).max(axis=0)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Change:
         source: the joint that drives this one, where an effect has one.
         is_usual: whether it is what happens first: a drive that lost its zero.
         parts: whether other changes together are the same one, so that it is not counted among what is excluded.
+        belief: shape (K, K), information about how far its K parameters change, where they are known to hang together, as
+            the pieces of a smooth curve do; None where each changes by itself.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Change:
     source: str | None = None
     parts: bool = False
     is_usual: bool = False
+    belief: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     @property
     def heading(self) -> tuple[str, str | None, str | None]:
@@ -111,8 +114,16 @@ def _of_parameters(model: Model) -> Iterator[Change]:
                 usual = effect.locus.acts_on == "drive"
                 yield from (Change(effect.name, joint, (name,), source=source, is_usual=usual) for name in names)
             if len(names) > 1 or not single:
-                yield Change(effect.name, joint, names, source=source, parts=single)
+                yield Change(effect.name, joint, names, source=source, parts=single, belief=belief_of(effect, members))
     yield from _bent_links(model)
+
+
+def belief_of(effect: Effect, members: Sequence[Parameter]) -> np.ndarray | None:
+    """Return what is believed of a new curve in the place of one whose roughness is known: it is as rough."""
+    smooth = effect.smoothness()
+    if smooth is None or len(smooth) != len(members):
+        return None
+    return smooth + np.diag([parameter.size**-2.0 for parameter in members])
 
 
 def _bent_links(model: Model) -> Iterator[Change]:

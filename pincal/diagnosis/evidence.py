@@ -18,7 +18,9 @@ the calibration are gone, so that part is computed in poses spread over the rang
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -138,14 +140,35 @@ class Evidence:
     degrees: int
     rows: np.ndarray
 
-    def gain(self, j: np.ndarray) -> tuple[float, int]:
-        """Return T and rank of parameters, by their places, that change together."""
+    def gain(self, j: np.ndarray, belief: np.ndarray | None = None) -> tuple[float, int]:
+        """Return T and rank of parameters, by their places, that change together.
+
+        Of parameters that are believed to hang together, with information of shape (K, K), these are of the directions in
+        which the rows tell more than the belief: chosen without the readings, so that T keeps its distribution.
+        """
+        if belief is not None:
+            told, along = self._beside(j, belief)
+            seen = told > 1.0
+            return float(np.sum(along[seen] ** 2 / told[seen])), int(seen.sum())
         along = self.b[j] @ root_of_inverse(self.P[np.ix_(j, j)], self.whole[j], _SEEN)
         return float(along @ along), len(along)
 
-    def estimate(self, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def odds(self, j: np.ndarray, belief: np.ndarray) -> float:
+        """Return -2 log odds of a change of parameters of which something is believed, against none."""
+        told, along = self._beside(j, belief)
+        return float(np.sum(np.log1p(told) - along**2 / (1.0 + told)))
+
+    def _beside(self, j: np.ndarray, belief: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the information of the rows in units of that believed, and the gradient, in directions told apart, (K,)."""
+        root = root_of_inverse(belief, np.diag(belief), _ROUNDING)
+        told, axes = np.linalg.eigh(root.T @ self.P[np.ix_(j, j)] @ root)
+        return np.maximum(told, 0.0), axes.T @ (root.T @ self.b[j])
+
+    def estimate(self, j: np.ndarray, belief: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the most probable change of parameters and its covariance to first order; zero for what is not seen."""
-        root = root_of_inverse(self.P[np.ix_(j, j)], self.whole[j], _SEEN)
+        H = self.P[np.ix_(j, j)] if belief is None else self.P[np.ix_(j, j)] + belief
+        whole, least = (self.whole[j], _SEEN) if belief is None else (np.diag(H), _ROUNDING)
+        root = root_of_inverse(H, whole, least)
         return root @ (root.T @ self.b[j]), root @ root.T
 
     def given(self, j: np.ndarray) -> Evidence:
@@ -175,8 +198,29 @@ def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.nd
     return np.asarray((scale[:, None] * vectors[:, seen]) / np.sqrt(values[seen]))
 
 
+class Redrawn(NamedTuple):
+    """Parameters that have changed together.
+
+    Attributes:
+        places: shape (K,), of the parameters.
+        belief: shape (K, K), information about how far they change.
+        change: shape (K,), by how much they stand elsewhere than they were.
+    """
+
+    places: np.ndarray
+    belief: np.ndarray
+    change: np.ndarray
+
+
 def weigh(
-    station: Station, values: np.ndarray, known: Known, free: np.ndarray, *, beside: np.ndarray, sigma: np.ndarray
+    station: Station,
+    values: np.ndarray,
+    known: Known,
+    free: np.ndarray,
+    *,
+    beside: np.ndarray,
+    sigma: np.ndarray,
+    redrawn: Sequence[Redrawn] = (),
 ) -> Evidence:
     """Return what the rows of a station say.
 
@@ -187,10 +231,14 @@ def weigh(
         free: places of parameters that are anything: the station's own, and those of the robot that have changed.
         beside: places of parameters that are known to about their size: of what follows instrument and weather.
         sigma: shape (blocks,), noise of one component of each block of readings.
+        redrawn: changes of parameters of which something is believed; none of them is among those that are free.
     """
     A, r = whitened(station, values, sigma)
-    F = A[free]
-    nuisance = np.vstack([spread(station, known, beside) @ A, F])
+    F, uncertain = A[free], [spread(station, known, beside) @ A]
+    for places, belief, change in redrawn:
+        uncertain.append(root_of_inverse(belief, np.diag(belief), _ROUNDING).T @ A[places])
+        r = r + change @ A[places]
+    nuisance = np.vstack([*uncertain, F])
     H = nuisance @ nuisance.T
     H.flat[: (len(H) + 1) * (len(H) - len(F)) : len(H) + 1] += 1.0
     # Rows of Q are what is projected out, so that V^-1 = 1 - Q^T Q.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel, estimate_of
 from pincal.diagnosis.changes import Change, beside_changes, changes_of
-from pincal.diagnosis.evidence import Evidence, Known, weigh
+from pincal.diagnosis.evidence import Evidence, Known, Redrawn, weigh
 from pincal.diagnosis.mend import Posterior, Prior, most_probable
 from pincal.discover.nuisance import compliances_of
 from pincal.identify.station import Station
@@ -67,9 +67,9 @@ class Lineup:
         start[[wide.index(name) for name in known.names]] = known.values
         return cls(robot, known, station.with_model(wide), changes, tuple(places), own, beside, start)
 
-    def without(self, row: int) -> Lineup:
-        """Return the same without a row."""
-        kept = np.arange(len(self.station)) != row
+    def without(self, row: int | np.ndarray) -> Lineup:
+        """Return the same without a row, or without some."""
+        kept = ~np.isin(np.arange(len(self.station)), row)
         return replace(self, station=self.station.select(kept))
 
     def free(self, happened: Sequence[int]) -> np.ndarray:
@@ -107,13 +107,32 @@ class Lineup:
     def _posterior(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Posterior:
         free, begun = self.free(happened), self.start.copy()
         begun[free] = start[free]
-        prior = Prior(known, root, free, self.sizes[free])
+        precision = np.diag(self.sizes[free] ** -2.0)
+        for places, belief in self._redrawn(happened):
+            at = np.searchsorted(free, places)
+            precision[np.ix_(at, at)] = belief
+        prior = Prior(known, root, free, precision)
         return most_probable(self.station, begun, self.start, prior, self.robot.sigma)
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> Evidence:
         """Return what the rows say of everything else, once some changes have happened."""
-        sigma = self.robot.sigma
-        return weigh(self.station, values, self.known, self.free(happened), beside=self.beside, sigma=sigma)
+        redrawn = [Redrawn(places, belief, (values - self.start)[places]) for places, belief in self._redrawn(happened)]
+        others = [i for i in happened if self.changes[i].belief is None]
+        return weigh(
+            self.station,
+            values,
+            self.known,
+            self.free(others),
+            beside=self.beside,
+            sigma=self.robot.sigma,
+            redrawn=redrawn,
+        )
+
+    def _redrawn(self, happened: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the places of parameters that changed together, and what is believed of them."""
+        for i in happened:
+            if (belief := self.changes[i].belief) is not None:
+                yield self.places[i], belief
 
     def motion(self, values: np.ndarray) -> np.ndarray:
         """Return how the target moves with each parameter of the wide model, in the instrument's axes, shape (N, 3, P)."""

@@ -27,13 +27,13 @@ class Prior:
         known: shape (K,), places of parameters that are known with a covariance.
         root: shape (K, n), of this covariance.
         free: shape (F,), places of parameters that change.
-        sizes: shape (F,), how far they may change where the rows do not tell; inf for anywhere.
+        precision: shape (F, F), information about how far they may change; zero for anywhere.
     """
 
     known: np.ndarray
     root: np.ndarray
     free: np.ndarray
-    sizes: np.ndarray
+    precision: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -72,20 +72,21 @@ def most_probable(station: Station, start: np.ndarray, centre: np.ndarray, prior
     W = np.zeros((len(places), n + len(prior.free)))
     W[np.searchsorted(places, prior.known), :n] = prior.root
     W[np.searchsorted(places, prior.free), np.arange(n, W.shape[1])] = 1.0
-    precision = np.append(np.ones(n), prior.sizes**-2.0)
+    precision = np.eye(W.shape[1])
+    precision[n:, n:] = prior.precision
     unknown = np.append(np.zeros(n), (start - centre)[prior.free])
 
     def at(unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         values = start.copy()
         values[places] = centre[places] + W @ unknown
         A, r = whitened(station, values, sigma, places)
-        return values, W.T @ A, r, float(r @ r + unknown @ (precision * unknown))
+        return values, W.T @ A, r, float(r @ r + unknown @ precision @ unknown)
 
     values, N, r, cost = at(unknown)
     for _ in range(_MOST_STEPS):
-        H = N @ N.T + np.diag(precision)
+        H = N @ N.T + precision
         root = root_of_inverse(H, np.diag(H), _ROUNDING)
-        step = root @ (root.T @ (N @ r - precision * unknown))
+        step = root @ (root.T @ (N @ r - precision @ unknown))
         for _ in range(_HALVINGS):
             there = at(unknown + step)
             if there[3] <= cost * (1.0 + 1e-9) + _SHORT:
@@ -96,7 +97,7 @@ def most_probable(station: Station, start: np.ndarray, centre: np.ndarray, prior
         unknown, (values, N, r, cost) = unknown + step, there
         if step @ H @ step < _SHORT:
             break
-    H = N @ N.T + np.diag(precision)
+    H = N @ N.T + precision
     root = root_of_inverse(H, np.diag(H), _ROUNDING)
     spread = W @ root
     return Posterior(values, places, spread @ spread.T, unknown[n:], np.linalg.norm(root[n:], axis=1))

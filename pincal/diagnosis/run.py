@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.notes import Kind, findings_on_outliers
 from pincal.calibration.placing import Placed, moved, place_station
 from pincal.calibration.stations import CalibratedStations
+from pincal.diagnosis.curves import redrawn_curves
 from pincal.diagnosis.evidence import Known
 from pincal.diagnosis.excluded import excluded, names_of, tell_apart
 from pincal.diagnosis.lineup import Lineup
@@ -19,10 +22,23 @@ from pincal.diagnosis.mend import Posterior
 from pincal.diagnosis.search import Verdict, search
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.fingerprints import count, fingerprints, known_rows, together
+from pincal.identify.noise import Noise
+from pincal.identify.problem import Problem
+from pincal.identify.solve import Priors, solve
 from pincal.identify.station import Station
-from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile, ExcludedEntry, MovedEntry
+from pincal.io.diagnosis_file import (
+    ChangedParameter,
+    ChangeEntry,
+    ChangeName,
+    CurvesEntry,
+    DiagnosisFile,
+    ExcludedEntry,
+    MovedEntry,
+)
 from pincal.measure.checks import check_table
 from pincal.measure.measurements import Measurements
+from pincal.model.conditions import recorded_variable
+from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
 from pincal.validate.accuracy import error_table
 
@@ -122,22 +138,29 @@ def diagnose(
     model = calibrated.robot_model()
     placed = placed_anew(model, measurements, sigma=sigma)
     verdict = verdict_of(model, placed, alpha)
+    if doubts := doubts_about(verdict, placed, measurements):
+        verdict = replace(verdict, steps=(), beside=(), is_unexplained=False, values=verdict.lineup.start)
     lineup, happened = verdict.lineup, verdict.happened
     posterior = lineup.mend(happened, lineup.release(happened, verdict.values))
     mended = _mended(model, verdict, posterior)
     station = mended.readings(measurements)
     after = error_table(station, mended.values)
     _refuse_strange(model, measurements, after["rms_mm"], _HOPELESS)
+    session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
+    kept[list(verdict.wrong_rows)] = False
+    curves = redrawn_curves(placed, measurements, kept=kept, session=session)
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
         alpha=alpha,
-        changes=tuple(_entries(verdict, posterior)),
+        changes=_ranked(tuple(_entries(verdict, posterior, session)), curves),
         excluded=tuple(excluded(verdict)),
         gap={"before": error_table(placed.station, placed.values), "after": after},
         station=_moved(calibrated, mended),
         rows=len(measurements),
-        warnings=doubts_first(_notes(verdict, measurements)),
+        warnings=doubts_first([*doubts, *placed.notes, *_notes(verdict, measurements)]),
+        curves=curves,
+        is_judged=not doubts,
     )
     return Diagnosis(found, mended)
 
@@ -145,7 +168,32 @@ def diagnose(
 def verdict_of(model: CalibratedModel, placed: Placed, alpha: float) -> Verdict:
     """Return what has happened to a calibrated robot that was placed at a new station."""
     lineup = Lineup.of(placed.model, placed.station, Known.of(model))
-    return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station))
+    return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station), apart=rows_apart(placed))
+
+
+def rows_apart(placed: Placed) -> np.ndarray:
+    """Return the places of rows that stand apart from all others wherever instrument and target are.
+
+    The size of the others' residuals is theirs, not that of the noise: rows of a robot that has changed are all off, and
+    none of them stands apart.
+    """
+    station, start = placed.station, placed.values
+    problem, free = Problem((station,)), placed.solution.free
+    sizes = np.array([parameter.size for parameter in station.parameters])
+    held = Priors(np.where(free, sizes, np.inf), np.full(len(sizes), np.inf))
+    found = solve(problem, start, free, held, Noise((None,) * len(station.sensor.blocks)))
+    return np.flatnonzero(found.weights == 0.0)
+
+
+def doubts_about(verdict: Verdict, placed: Placed, measurements: Measurements) -> tuple[Note, ...]:
+    """Return why rows can't tell whether a robot has changed, as a calibration of them would; none if they can."""
+    rejected = np.isin(np.arange(len(measurements)), verdict.wrong_rows)
+    at = placed.station, placed.values, placed.solution.free
+    found = findings_on_outliers(*at, table=measurements, rejected=rejected & verdict.is_undecided)
+    # One change that leaves nothing explains rows that happen to be in order.
+    explained = len(verdict.steps) == 1 and not verdict.is_unexplained
+    wanted = (Kind.MANY_OUTLIERS,) if explained else (Kind.MANY_OUTLIERS, Kind.STEP)
+    return tuple(one.note for one in found if one.kind in wanted)
 
 
 def known_degrees(model: CalibratedModel, station: Station) -> float:
@@ -195,7 +243,16 @@ def _mended(model: CalibratedModel, verdict: Verdict, posterior: Posterior) -> C
     return replace(lineup.mended(happened, posterior), rows=rows)
 
 
-def _entries(verdict: Verdict, posterior: Posterior) -> Iterator[ChangeEntry]:
+def _ranked(changes: tuple[ChangeEntry, ...], curves: CurvesEntry | None) -> tuple[ChangeEntry, ...]:
+    """Return changes with those of curves among themselves in the order of what they bring on the new rows."""
+    if curves is None:
+        return changes
+    order = [entry.joint for entry in curves.joints]
+    brings = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
+    return tuple(change if change.curve_rms is None else next(brings) for change in changes)
+
+
+def _entries(verdict: Verdict, posterior: Posterior, session: str) -> Iterator[ChangeEntry]:
     changes = verdict.lineup.changes
     for step in verdict.steps:
         change = changes[step.score.change]
@@ -208,6 +265,8 @@ def _entries(verdict: Verdict, posterior: Posterior) -> Iterator[ChangeEntry]:
             p_value=step.p_value,
             equivalent=tuple(likes),
             tell_apart=tell_apart(verdict, step),
+            curve_rms=_curve_rms(verdict, step.score.change, posterior),
+            session=session,
         )
     if verdict.is_unexplained:
         yield ChangeEntry(
@@ -218,6 +277,20 @@ def _entries(verdict: Verdict, posterior: Posterior) -> Iterator[ChangeEntry]:
             equivalent=(),
             tell_apart="measure more poses over the whole range of the joints, and calibrate or discover anew with them",
         )
+
+
+def _curve_rms(verdict: Verdict, change: int, posterior: Posterior) -> float | None:
+    """Return by how much a curve of the model is another one over the rows, its mean apart; None for what is no curve."""
+    lineup = verdict.lineup
+    if lineup.changes[change].belief is None:
+        return None
+    model, places = lineup.station.model, lineup.places[change]
+    curve = next(e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0])
+    if not isinstance(curve, Curve):
+        return None
+    at = np.searchsorted(lineup.free(verdict.happened), places)
+    q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
+    return float(np.std(posterior.changes[at] @ curve.basis(q)))
 
 
 def _parameters(verdict: Verdict, change: int, posterior: Posterior) -> Iterator[tuple[str, ChangedParameter]]:

@@ -23,10 +23,12 @@ _WRONG_ROW = 0.001
 _MOST_TRIED = 16
 # Shift of the target from which on a first-order test is not enough [m].
 _LINEAR = 1e-3
-# Changes and wrong rows that are looked for at most, one after the other.
+# Changes and wrong rows that are looked for at most, one after the other; beside them each curve of a drive.
 _MOST = 6
 # Part of what a calibration took for noise that an effect which it left may have been.
 _MOST_OF_NOISE = 0.95
+# Part of the rows from which on those that stand apart are no exceptions, as when a robot is calibrated.
+_TOO_MANY = 0.25
 # Rows of which none is thought wrong: too few to tell.
 _FEWEST_ROWS = 8
 
@@ -82,6 +84,7 @@ class Verdict:
         alpha: chance of a false alarm.
         degrees: degrees of freedom by which the calibration knows its noise.
         n_tested: number of changes that were tested.
+        is_undecided: whether so many rows contradict the others that nothing can be said of the robot.
     """
 
     lineup: Lineup
@@ -96,6 +99,7 @@ class Verdict:
     alpha: float
     degrees: float
     n_tested: int
+    is_undecided: bool = False
 
     @property
     def happened(self) -> list[int]:
@@ -118,19 +122,26 @@ def limit_for(alpha: float, n_tested: int) -> float:
     return alpha * _FOR_CHANGES / max(n_tested, 1)
 
 
-def search(lineup: Lineup, *, alpha: float, degrees: float) -> Verdict:
+def search(lineup: Lineup, *, alpha: float, degrees: float, apart: np.ndarray | None = None) -> Verdict:
     """Find what has happened to a robot.
 
     Args:
         lineup: the rows and what may have happened.
         alpha: chance of an alarm on a robot that has not changed.
         degrees: degrees of freedom by which the calibration knows its noise.
+        apart: places of rows that stand apart from all others wherever instrument and target are; default: none do.
     """
+    apart = np.zeros(0, int) if apart is None else apart
     rows = np.arange(len(lineup.station))
     state = _State(lineup, lineup.release((), lineup.start), alpha, degrees)
-    first, p_first = state.evidence, state.p_value
     wrong: list[int] = []
-    for _ in range(_MOST):
+    if len(apart) > 1 and state.are_rather(apart, state.best()):
+        if len(apart) >= _TOO_MANY * len(rows):
+            return _undecided(state, apart)
+        wrong, rows = apart.tolist(), np.delete(rows, apart)
+        state = state.without(apart)
+    first, p_first = state.evidence, state.p_value
+    for _ in range(_MOST + sum(change.belief is not None for change in lineup.changes)):
         row = state.wrong_row()
         best = state.best()
         if row is not None and (best is None or state.is_rather(row, best)):
@@ -157,6 +168,25 @@ def search(lineup: Lineup, *, alpha: float, degrees: float) -> Verdict:
         alpha=alpha,
         degrees=degrees,
         n_tested=max(len(state.scores), 1),
+    )
+
+
+def _undecided(state: _State, apart: np.ndarray) -> Verdict:
+    """Return a verdict on rows of which too many contradict the others."""
+    return Verdict(
+        lineup=state.lineup,
+        steps=(),
+        beside=(),
+        values=state.values,
+        evidence=state.evidence,
+        first=state.evidence,
+        p_value=state.p_value,
+        is_unexplained=False,
+        wrong_rows=tuple(apart.tolist()),
+        alpha=state.alpha,
+        degrees=state.degrees,
+        n_tested=max(len(state.scores), 1),
+        is_undecided=True,
     )
 
 
@@ -189,7 +219,9 @@ class _State:
         """All changes that the rows see something of, the best explanation first."""
         happened = set(self.happened)
         gains = [
-            (i, *self.evidence.gain(self.lineup.places[i])) for i in range(len(self.lineup.changes)) if i not in happened
+            (i, *self.evidence.gain(self.lineup.places[i], change.belief))
+            for i, change in enumerate(self.lineup.changes)
+            if i not in happened
         ]
         return sorted((self._score(i, gain, rank) for i, gain, rank in gains if rank), key=lambda score: score.cost)
 
@@ -197,7 +229,10 @@ class _State:
         left, degrees = self.evidence.square - gain, self.degrees + self.evidence.degrees - rank
         F = (gain / rank) / ((self.degrees + max(left, 0.0)) / max(degrees, 1.0))
         p_value = float(fdtrc(rank, max(degrees, 1.0), F)) if gain > 0.0 else 1.0
-        return Score(i, gain, rank, p_value, rank * self._price - gain - _USUAL * self.lineup.changes[i].is_usual)
+        change = self.lineup.changes[i]
+        if change.belief is not None:
+            return Score(i, gain, rank, p_value, self.evidence.odds(self.lineup.places[i], change.belief))
+        return Score(i, gain, rank, p_value, rank * self._price - gain - _USUAL * change.is_usual)
 
     @cached_property
     def _price(self) -> float:
@@ -233,11 +268,13 @@ class _State:
     def _is_far(self, score: Score) -> bool:
         """Return whether a change is so large that squares to first order are not enough."""
         places = self.lineup.places[score.change]
-        step, _ = self.evidence.estimate(places)
+        step, _ = self.evidence.estimate(places, self.lineup.changes[score.change].belief)
         shift = self.lineup.motion(self.values)[:, :, places] @ step
         return bool(np.linalg.norm(shift, axis=1).max() > _LINEAR)
 
     def _tried(self, score: Score) -> Score:
+        if self.lineup.changes[score.change].belief is not None:
+            return score
         happened = [*self.happened, score.change]
         values = self.lineup.release(happened, self.values)
         left = self.lineup.weigh(values, happened)
@@ -275,7 +312,14 @@ class _State:
         gain, rank = self.evidence.rows[row]
         return bool(rank * self._price - gain < step.score.cost)
 
-    def without(self, row: int) -> _State:
-        """Return the search without a row."""
+    def are_rather(self, rows: np.ndarray, step: Step | None) -> bool:
+        """Return whether wrong readings of some rows explain more for what they cost than a change, or than nothing."""
+        readings = sum(block.size for block in self.lineup.station.sensor.blocks)
+        rest = self.without(rows).evidence
+        cost = len(rows) * readings * self._price - (self.evidence.square - rest.square)
+        return bool(cost < (0.0 if step is None else min(step.score.cost, 0.0)))
+
+    def without(self, row: int | np.ndarray) -> _State:
+        """Return the search without a row, or without some."""
         lineup = self.lineup.without(row)
         return replace(self, lineup=lineup, values=lineup.release(self.happened, self.values))

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.day import rows_with_means
+from pincal.calibration.placing import Placed
 from pincal.calibration.stations import CalibratedStations
-from pincal.diagnosis.run import ALPHA, placed_anew, verdict_of
-from pincal.errors import ChangedRobotError
+from pincal.diagnosis.changes import belief_of
+from pincal.diagnosis.run import ALPHA, doubts_about, placed_anew, verdict_of
+from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import calibrate
 from pincal.identify.fingerprints import together
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import blocks_of
+from pincal.model.effect import Effect
+from pincal.model.sizes import largest_basis
+from pincal.parameters import Covariance, Estimate
 
 
 def update(
@@ -23,6 +30,7 @@ def update(
     *,
     alpha: float = ALPHA,
     sigma: float | None = None,
+    anew: Sequence[str] = (),
 ) -> CalibratedModel:
     """Take new rows into a calibration for good, as a joint fit of old and new rows would, without the old ones.
 
@@ -31,27 +39,66 @@ def update(
         measurements: new rows, with any instrument, set up anew.
         alpha: chance that the rows of a robot that has not changed are refused.
         sigma: noise of the new rows [m]; default: that of the calibration if it was declared, else estimated.
+        anew: effects of the model, as ``EFFECT`` or ``EFFECT:JOINT``, that are found anew, as if nothing had been known of
+            them but what is typical: what a diagnosis said to have changed. Whether the robot has changed is then not asked.
 
     Returns:
         The robot at the new station, with all that is known of it now.
 
     Raises:
         ChangedRobotError: if the robot has changed since: old and new rows don't belong together.
-        BadInputError: as :func:`diagnose`.
+        IdentificationError: if the rows can't tell: too many contradict the others, or the instrument was touched.
+        BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
     """
     model = calibrated.robot_model()
     placed = placed_anew(model, measurements)
+    if anew:
+        released = [effect for text in anew for effect in _named(text, model)]
+        return _taken_in(model, measurements, sigma=sigma, earlier=_released(model, placed, released))
     verdict = verdict_of(model, placed, alpha)
+    if doubts := doubts_about(verdict, placed, measurements):
+        raise IdentificationError(f"{measurements.source}: not taken in: {'; '.join(map(str, doubts))}")
     if verdict.changed:
         raise ChangedRobotError(
             f"{measurements.source}: the robot is no longer what the model says (p = {verdict.p_value:.2g}), so that its "
-            "old rows and these don't belong together; pincal diagnose finds out what has changed and mends the model"
+            "old rows and these don't belong together; pincal diagnose finds out what has changed and mends the model. With "
+            "--anew EFFECT:JOINT rows are taken in nevertheless, that effect found anew"
         )
     kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)
-    return _taken_in(model, measurements.select(kept), sigma=sigma)
+    return _taken_in(model, measurements.select(kept), sigma=sigma, earlier=model.robot_estimate)
 
 
-def _taken_in(model: CalibratedModel, measurements: Measurements, *, sigma: float | None) -> CalibratedModel:
+def _named(text: str, model: CalibratedModel) -> list[Effect]:
+    """Return the effects of a robot that a user names."""
+    name, _, joint = (part.strip() for part in text.partition(":"))
+    of_robot = [effect for effect in model.model.effects if effect.scope == "robot"]
+    found = [e for e in of_robot if e.heading[0] == name and joint in ("", e.heading[1])]
+    if not found:
+        known = dict.fromkeys(":".join(filter(None, effect.heading[:2])) for effect in of_robot)
+        raise BadInputError(
+            f"effect {text!r} is not in the model; expected one of {', '.join(nearest_first([text], known))}"
+        )
+    return found
+
+
+def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect]) -> Estimate:
+    """Return what is known of a robot once some effects may be others, as large and as rough as such effects are."""
+    earlier, station = model.robot_estimate, placed.station
+    largest = dict(zip(station.model.names, largest_basis(station.model, station.conditions)[0], strict=True))
+    C = earlier.dense_covariance()
+    for effect in effects:
+        parameters = effect.parameters(station.model.chain)
+        at = earlier.places(parameter.name for parameter in parameters)
+        belief = belief_of(effect, parameters)
+        sizes = np.array([parameter.size / largest[parameter.name] for parameter in parameters])
+        wider = np.diag(sizes**2) if belief is None else np.linalg.inv(belief)
+        C[np.ix_(at, at)] += np.where(np.isfinite(wider), wider, 0.0) * np.outer(earlier.free[at], earlier.free[at])
+    return replace(earlier, covariance=Covariance.of(C[np.ix_(earlier.free, earlier.free)]))
+
+
+def _taken_in(
+    model: CalibratedModel, measurements: Measurements, *, sigma: float | None, earlier: Estimate
+) -> CalibratedModel:
     """Return the robot at the station of new rows, found from them and from what is known of it as it was."""
     arm = model.model
     x, y, z = map(float, model.payload_centre)
@@ -68,8 +115,9 @@ def _taken_in(model: CalibratedModel, measurements: Measurements, *, sigma: floa
         gravity=(gx, gy, gz),
         payload_centre=(x, y, z),
         setup=replace(model.setup, points={}),
-        earlier=model.robot_estimate,
+        earlier=earlier,
     )
-    found = CalibratedModel.of(calibrate(arm.chain.robot, measurements, options))
-    covered, rows = model.covered.over(found.covered), together(model.rows, found.rows)
-    return replace(found, covered=covered, rows=rows, provenance=model.provenance)
+    rows = rows_with_means(measurements, arm, model.covered.days)
+    found = CalibratedModel.of(calibrate(arm.chain.robot, rows, options))
+    covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
+    return replace(found, covered=covered, rows=marks, provenance=model.provenance)

@@ -247,14 +247,15 @@ def _of_stations(fit: Fit) -> Iterator[Effect]:
     stations = fit.problem.stations
     if len(stations) == 1:
         return
-    tested = [testable(Situation(station.model.chain, station.conditions)) for station in stations]
+    situations = [Situation(station.model.chain, station.conditions) for station in stations]
+    tested = [testable(situation) for situation in situations]
     # The instrument may be one and the same at all of them, and errs at each by itself where it is not.
     of_each = [[form for of in candidates for form in of.forms if form.is_sighted] for candidates in tested]
     everywhere = [form for form in of_each[0] if all(form in forms for forms in of_each[1:])]
     yield from everywhere
     for k, station in enumerate(stations):
         yield from (own for own in own_effects(tested[k], station.name) if own.effect not in everywhere)
-        yield from changed_effects(fit.problem.effects, fit.problem.chain.robot.joint_names, station.name) if k else ()
+        yield from changed_effects(fit.problem.effects, situations[k], station.name) if k else ()
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:

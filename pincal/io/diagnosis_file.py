@@ -46,12 +46,16 @@ class ChangeEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
         p_value: chance of such an alarm on a robot that has not changed.
         equivalent: other changes that these poses can't tell from it.
         tell_apart: which poses would; empty where there are none.
+        curve_rms: by how much a curve is another one, root mean square over the rows [rad or m], where it is one.
+        session: the rows that show it.
     """
 
     parameters: dict[str, ChangedParameter]
     p_value: float
     equivalent: tuple[ChangeName, ...]
     tell_apart: str
+    curve_rms: float | None = None
+    session: str = ""
 
 
 class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
@@ -84,6 +88,42 @@ class MovedEntry(msgspec.Struct, frozen=True):
     target_moved_mm: float | None
 
 
+class CurveEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """What the curve of a drive contributes to the error of the new rows.
+
+    Attributes:
+        joint: the joint.
+        error_mm: mean error of the new rows, blocks of poses left out, if this curve alone is taken anew [mm].
+        correlation: of the old curve and the new one over the new rows; null where one is flat.
+        rms: their difference, root mean square, its mean apart [``unit``].
+        unit: the unit.
+        seen: part of the new rows at positions where the calibration had seen the curve; elsewhere nobody knew it.
+    """
+
+    joint: str
+    error_mm: float
+    correlation: float | None
+    rms: float
+    unit: str
+    seen: float
+
+
+class CurvesEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """What the curves of the drives contribute to the error of the new rows.
+
+    Attributes:
+        session: what the new rows are called.
+        as_it_was_mm: mean error with the curves as they were, outliers left out [mm].
+        all_anew_mm: the same with all of them taken anew, blocks of poses left out [mm].
+        joints: joint by joint, the one that brings most first.
+    """
+
+    session: str
+    as_it_was_mm: float
+    all_anew_mm: float
+    joints: tuple[CurveEntry, ...]
+
+
 class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
     """The whole of ``diagnosis.json``.
 
@@ -97,6 +137,8 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
         station: how far instrument and target moved.
         rows: number of new rows.
         warnings: what else is to be said, doubts first.
+        curves: what the curves of the drives contribute to the error of the new rows, where the model has any.
+        is_judged: whether the rows can tell if the robot has changed; if not, nothing is said to have, and doubts say why.
     """
 
     changed: bool
@@ -108,3 +150,5 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
     station: MovedEntry
     rows: int
     warnings: tuple[Note, ...] = ()
+    curves: CurvesEntry | None = None
+    is_judged: bool = True

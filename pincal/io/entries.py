@@ -203,10 +203,12 @@ class CoveredEntry(Record, frozen=True, kw_only=True):
     Attributes:
         q: shape (n, 2), least and largest position of each joint [rad or m].
         payload: shape (2,), least and largest payload [kg].
+        days: mean and standard deviation of temperature [deg C] and time [s] over the training rows, where recorded.
     """
 
     q: Annotated[Matrix, Shape("joints", 2)]
     payload: Annotated[Numbers, Shape(2)]
+    days: dict[Literal["temperature", "time"], tuple[float, float]] | None = None
 
 
 class PointEntry(Record, frozen=True, kw_only=True):

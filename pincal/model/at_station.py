@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions
-from pincal.model.effect import Candidate, Effect, Family, Locus, Term
+from pincal.model.conditions import Conditions, Situation
+from pincal.model.effect import Candidate, Curve, Effect, Family, Locus, Term
 from pincal.parameters import Parameter, Scope
 
 
@@ -74,14 +74,21 @@ def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[AtSta
         yield from (AtStation(form, station) for form in candidate.forms if form.scope == "station")
 
 
-def changed_effects(effects: Iterable[Effect], joints: Iterable[str], station: str) -> Iterator[Effect]:
-    """Yield what a model has of single joints as what is other at a station: drives' zeros, and causes with a name."""
-    joints = tuple(joints)
+def changed_effects(effects: Iterable[Effect], situation: Situation, station: str) -> Iterator[Effect]:
+    """Yield what a model has of single joints as what is other at a station.
+
+    These are drives' zeros, causes with a name, and curves of drives, from coarse to fine as far as the station's poses,
+    the situation, carry them.
+    """
+    joints = situation.joints
     for effect in effects:
         at = effect.locus
         if effect.uses_moments or effect.scope == "station" or at.station is not None:
             continue
         if effect.family is Family.GEOMETRY and at.acts_on == "drive":
             yield from (AtStation(effect, station, joint) for joint in joints)
+        elif isinstance(effect, Curve) and at.joint is not None:
+            forms = (candidate.forms for candidate in type(effect).candidates(situation))
+            yield from (AtStation(form, station) for some in forms for form in some if form.locus.joint == at.joint)
         elif effect.family is Family.CAUSE and at.joint is not None:
             yield AtStation(effect, station)

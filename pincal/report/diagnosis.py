@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
 from markupsafe import Markup
 
 from pincal.diagnosis.run import Diagnosis
-from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, DiagnosisFile
+from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
 from pincal.report.blocks import Section, bars, bullets, code, doubts, facts, group, heading, paragraph, plain_notes, rich
 from pincal.report.html import render
 from pincal.report.tables import show_chance
@@ -18,10 +19,13 @@ from pincal.units import fixed, format_small
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Parameters that are named in a line.
 _SHOWN = 3
+_ARCSEC = 180.0 * 3600.0 / np.pi
 
 
 def headline(found: DiagnosisFile) -> str:
     """Return the answer in a sentence."""
+    if not found.is_judged:
+        return f"These {found.rows} rows can't tell whether the robot has changed."
     if not found.changed:
         return (
             f"Nothing has changed that these {found.rows} poses could show (p = {found.p_value:.2g}): "
@@ -44,12 +48,16 @@ def in_words(change: ChangeName) -> str:
     """
     if isinstance(change, ChangeEntry) and not change.parameters:
         return "something that no single cause explains"
-    words = f"{change.effect} of {change.joint or 'the whole arm'}"
-    return words + (f" by {change.source}" if change.source else "")
+    words = f"{change.effect} of {change.joint or 'the whole arm'}" + (f" by {change.source}" if change.source else "")
+    session = change.session if isinstance(change, ChangeEntry) and change.curve_rms is not None else ""
+    return words + (f" in {session}" if session else "")
 
 
 def sizes(change: ChangeEntry) -> str:
     """Return how far the parameters of a change moved, those first that moved by most of their standard deviations."""
+    if change.curve_rms is not None:
+        unit = next(iter(change.parameters.values())).unit
+        return f"its curve is another by {format_small(change.curve_rms, unit)} rms"
     surest = sorted(change.parameters.items(), key=lambda item: -_sureness(item[1]))[:_SHOWN]
     return ", ".join(
         f"{name} by {format_small(p.after - p.before, p.unit)} ± {format_small(p.sigma, p.unit)}" for name, p in surest
@@ -82,6 +90,27 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
         for change in changes
     )
     return Table("What has changed", columns, rows)
+
+
+def curve_table(found: CurvesEntry) -> Table:
+    """Return what each drive's curve contributes to the error of the new rows."""
+    columns = (
+        Column("curve taken anew", kind=Kind.NAME),
+        Column("mean error", "mm", Kind.NUMBER, fixed(3)),
+        Column("correlation", kind=Kind.NUMBER, show=fixed(2)),
+        Column("difference", "arcsec, mm", Kind.NUMBER, fixed(1)),
+        Column("seen before", "%", Kind.NUMBER, fixed(0)),
+    )
+    rows: list[tuple[Cell, ...]] = [("none", found.as_it_was_mm, None, None, None)]
+    for entry in found.joints:
+        small = entry.rms * (_ARCSEC if entry.unit == "rad" else 1e3)
+        rows.append((entry.joint, entry.error_mm, entry.correlation, small, 100.0 * entry.seen))
+    rows.append(("all", found.all_anew_mm, None, None, None))
+    notes = (
+        "Blocks of poses left out, outliers too. Correlation and difference (rms, its mean apart) of the old curve and the "
+        "new one at the new poses; seen: poses at which the calibration knew the curve.",
+    )
+    return Table(f"Curves of the drives in {found.session}", columns, tuple(rows), notes)
 
 
 def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
@@ -144,7 +173,7 @@ def _least_offsets(found: DiagnosisFile) -> str:
 def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
     """Return ``report.html`` of a diagnosis."""
     found, robot = diagnosis.found, diagnosis.model.model.chain.robot
-    made = (_answer(found), _changes(found), _noticed(found, robot.joint_names), _station(found))
+    made = (_answer(found), _changes(found), _curves(found), _noticed(found, robot.joint_names), _station(found))
     return render(
         f"Diagnosis of {robot.name}",
         f"{found.rows} new poses against the robot as it was calibrated",
@@ -155,6 +184,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
 
 def _answer(found: DiagnosisFile) -> Section:
     tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
+    tone, tag = (tone, tag) if found.is_judged else ("bad", "not judged")
     answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
     left = group("plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings))
     columns = group("split", left, group("plain", heading("What to do next"), bullets(_next_steps(found))))
@@ -173,6 +203,9 @@ def _answer(found: DiagnosisFile) -> Section:
 
 
 def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
+    if not found.is_judged:
+        yield "Find out what these rows are, and measure again."
+        return
     if not found.changed:
         yield rich("Go on with the model; {} takes these poses in for good.", code("pincal update"))
         return
@@ -194,6 +227,12 @@ def _changes(found: DiagnosisFile) -> Section | None:
     if not found.changes:
         return None
     return Section("changes", "What has changed", (change_table(found.changes),), label="What has changed")
+
+
+def _curves(found: DiagnosisFile) -> Section | None:
+    if found.curves is None:
+        return None
+    return Section("curves", "Curves of the drives", (curve_table(found.curves),), label="Curves")
 
 
 def _noticed(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None:

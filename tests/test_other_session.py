@@ -1,0 +1,194 @@
+"""What a session shows of a robot's drives, and rows of it that tell nothing: gross ones, and a touched instrument."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_diagnosis import calibrated, rows
+
+import pincal
+from pincal import ELASTIC, GEOMETRIC, CalibratedModel, Conditions, Measurements, Model, Options, Robot
+from pincal.cli import main
+from pincal.discover.run import run_discovery
+from pincal.errors import BadInputError, IdentificationError
+from pincal.model.catalogue.curves import TransmissionError
+from pincal.model.chain import Chain
+
+NOISE = 2e-5
+DRIVES = ("shoulder_pan_joint", "elbow_joint")
+HALF = 2.5
+
+
+def smooth(joint: str) -> TransmissionError:
+    """Return the curve of a drive, whose roughness is known."""
+    return TransmissionError(joint, -HALF, HALF, 40, roughness=0.1)
+
+
+def heights(seed: int) -> np.ndarray:
+    """Return a curve of a drive, of some waves a turn and 0.5 mrad rms, at its pieces [rad]."""
+    rng, at = np.random.default_rng(seed), np.linspace(-HALF, HALF, 40)
+    waves = sum(rng.standard_normal() * np.sin(w * at + rng.uniform(0, 6.3)) for w in (3.0, 5.0, 7.0, 9.0))
+    return np.asarray(5e-4 * waves / np.std(waves))
+
+
+def session(robot: Robot, n: int, curves: dict[str, int], *, seed: int) -> Measurements:
+    """Return rows of an arm with these curves (seeds), the instrument anywhere."""
+    rng, chain = np.random.default_rng(seed), Chain.of(robot)
+    truth = Model(chain, tuple(smooth(joint) for joint in curves))
+    q = rng.uniform(-HALF, HALF, (n, robot.n_joints))
+    poses = truth.predict(np.concatenate([heights(curve) for curve in curves.values()]), Conditions.at(q))
+    position = poses[:, :, 3] + poses[:, :, :3] @ [0.1, 0.05, 0.2] + rng.uniform(-1, 1, 3)
+    return pincal.measurements_from_arrays(robot.joint_names, q, position=position + NOISE * rng.standard_normal((n, 3)))
+
+
+@pytest.fixture(scope="module")
+def first() -> CalibratedModel:
+    """Return an arm as it was calibrated, with a curve in each of two drives."""
+    robot = Robot.from_urdf("ur10")
+    options = Options(effects=(*ELASTIC, *map(smooth, DRIVES)), sigma=NOISE)
+    return pincal.calibrate(robot, session(robot, 600, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0), options).to_model()
+
+
+@pytest.fixture(scope="module")
+def worn(first: CalibratedModel) -> Measurements:
+    """Return a later session, in which the first drive has another curve."""
+    return session(first.model.chain.robot, 80, {DRIVES[0]: 7, DRIVES[1]: 2}, seed=1)
+
+
+def test_the_drive_whose_curve_is_another_is_named(first: CalibratedModel, worn: Measurements) -> None:
+    """It alone, with the session and by how much; the table says that it alone brings the error down."""
+    found = pincal.diagnose(first, replace(worn, source="tuesday.csv"))
+    (change,) = found.changes
+    old, new = (smooth(DRIVES[0]).basis(worn.q[:, 0]).T @ heights(seed) for seed in (1, 7))
+
+    assert (change.effect, change.joint, change.session) == ("transmission_error", DRIVES[0], "tuesday")
+    assert change.curve_rms == pytest.approx(np.std(new - old), rel=0.1)
+    assert found.found.curves is not None
+    best, other = found.found.curves.joints
+    assert (best.joint, other.joint) == DRIVES
+    assert best.error_mm < 0.5 * found.found.curves.as_it_was_mm
+    assert other.error_mm > 0.9 * found.found.curves.as_it_was_mm
+    assert best.correlation == pytest.approx(np.corrcoef(old, new)[0, 1], abs=0.1)
+    assert other.correlation is not None and other.correlation > 0.95
+    assert best.seen > 0.95
+
+
+@pytest.mark.long
+def test_drives_that_are_as_they_were_are_not_named(first: CalibratedModel) -> None:
+    """Ten later sessions of the same robot."""
+    robot = first.model.chain.robot
+    alarms = [pincal.diagnose(first, session(robot, 40, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=s)).changed for s in range(2, 12)]
+    assert sum(alarms) <= 1
+
+
+def test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so() -> None:
+    """Half of the new poses stand where the calibration had none: the table says so, and that is no change."""
+    robot = Robot.from_urdf("ur10")
+    table = session(robot, 1200, {DRIVES[0]: 1}, seed=0)
+    options = Options(effects=(*ELASTIC, smooth(DRIVES[0])), sigma=NOISE)
+    model = pincal.calibrate(robot, table.select(np.abs(table.q[:, 0]) > 0.5 * HALF), options).to_model()
+    found = pincal.diagnose(model, session(robot, 80, {DRIVES[0]: 1}, seed=1))
+
+    assert not found.changed
+    assert found.found.curves is not None
+    assert 0.4 < found.found.curves.joints[0].seen < 0.7
+
+
+def test_an_update_finds_what_is_named_anew_and_keeps_the_rest(first: CalibratedModel, worn: Measurements) -> None:
+    """On rows that it never saw it leaves half of what the old model does, and the curve that stayed stays as it was."""
+    updated = pincal.update(first, worn, anew=[f"transmission_error:{DRIVES[0]}"])
+    later = session(first.model.chain.robot, 200, {DRIVES[0]: 7, DRIVES[1]: 2}, seed=20)
+    before, after = (pincal.diagnose(model, later).found.gap["before"]["mean_mm"] for model in (first, updated))
+    other = [name for name in first.robot_estimate.names if name.startswith(f"{DRIVES[1]}.curve")]
+    moved = updated.robot_estimate.take(other).values - first.robot_estimate.take(other).values
+
+    assert after < 0.5 * before
+    assert np.abs(moved).max() < 4.0 * first.robot_estimate.take(other).sigma.max()
+    with pytest.raises(BadInputError, match="expected one of transmission_error:"):
+        pincal.update(first, worn, anew=["transmission_error:wrist_1_joint"])
+
+
+def spoilt(table: Measurements, gross: np.ndarray, *, seed: int = 0) -> Measurements:
+    """Return a table in which some rows are off by millimetres, each in its own way."""
+    way = np.zeros((len(table), 3))
+    way[gross] = 5e-3 * np.random.default_rng(seed).standard_normal((len(gross), 3))
+    return pincal.measurements_from_arrays(
+        table.joint_names, table.q, position=table.readings["position"] + way, payload=table.payload, approach=table.approach
+    )
+
+
+@pytest.fixture(scope="module")
+def same(change_examples: Path) -> tuple[CalibratedModel, Measurements, Measurements]:
+    """Return a robot that is as it was calibrated, and rows of it and of one whose offset has changed."""
+    case = change_examples / "cases"
+    model = calibrated(case, "null25_heavy_6r")
+    return (
+        model,
+        rows(case / "null25_heavy_6r" / "new.csv", model.model.chain.robot),
+        rows(case / "offset15_heavy_6r" / "new.csv", model.model.chain.robot),
+    )
+
+
+def test_gross_rows_of_a_sound_robot_are_no_changes(
+    same: tuple[CalibratedModel, Measurements, Measurements],
+) -> None:
+    """A fifth of the rows: each is left out and said by its line, and nothing has changed."""
+    model, new, _ = same
+    gross = np.arange(2, 25, 5)
+    found = pincal.diagnose(model, spoilt(new, gross))
+
+    assert not found.changed and found.found.is_judged
+    lines = ", ".join(str(line) for line in new.rows[gross])
+    assert any(note.text.endswith(f"lines {lines}") for note in found.found.warnings)
+
+
+def test_rows_of_which_many_are_gross_tell_nothing(
+    same: tuple[CalibratedModel, Measurements, Measurements], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two fifths: a doubt and exit code 4, as of a calibration, and no change; an update refuses them."""
+    model, new, _ = same
+    table = spoilt(new, np.arange(0, 25, 5).repeat(2)[:9] + np.tile([0, 1], 5)[:9])
+    found = pincal.diagnose(model, table)
+
+    assert not found.found.is_judged and "do not fit the others" in found.found.warnings[0].text
+    assert not found.changed and not found.changes
+    with pytest.raises(IdentificationError, match="not taken in"):
+        pincal.update(model, table)
+    model.save(tmp_path / "model.json")
+    columns = dict(zip((*new.joint_names, *"xyz"), np.hstack([table.q, table.readings["position"]]).T, strict=True))
+    pincal.measure.table.write_table(tmp_path / "new.csv", columns | {"payload": new.payload})
+    with pytest.raises(SystemExit) as end:
+        main(["diagnose", str(tmp_path / "model.json"), str(tmp_path / "new.csv"), "--out", str(tmp_path / "out")])
+    assert end.value.code == 4
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["is_judged"] is False
+    assert "can't tell" in capsys.readouterr().out
+
+
+def test_a_touched_instrument_is_no_change(first: CalibratedModel) -> None:
+    """Half of the rows shifted by 2 mm: the line is told, and nothing is said to have changed."""
+    robot = first.model.chain.robot
+    table = session(robot, 80, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=3)
+    position = table.readings["position"] + np.where(np.arange(80)[:, None] >= 40, [2e-3, 0.0, 0.0], 0.0)
+    found = pincal.diagnose(first, pincal.measurements_from_arrays(robot.joint_names, table.q, position=position))
+
+    assert "shifted by 2" in found.found.warnings[0].text and f"line {table.rows[40]}" in found.found.warnings[0].text
+    assert not found.changed
+
+
+@pytest.mark.parametrize("curve", [7, pytest.param(1, marks=pytest.mark.long)])
+def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int) -> None:
+    """With the day, beside the curves that both days have; where none has changed, no day has one of its own."""
+    robot = Robot.from_urdf("ur10")
+    monday = session(robot, 400, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0)
+    tuesday = session(robot, 300, {DRIVES[0]: curve, DRIVES[1]: 2}, seed=1)
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    found = run_discovery(robot, {"monday": monday, "tuesday": tuesday}, options).findings
+    named = {(e.effect, e.joint) for e in found.effects if not e.station}
+
+    assert named == {("transmission_error", joint) for joint in DRIVES}
+    own = [(e.effect, e.joint, e.station) for e in found.effects if e.station]
+    assert own == ([("transmission_error", DRIVES[0], "tuesday")] if curve == 7 else [])
