@@ -126,7 +126,9 @@ def reweighted(
         past: the equations at the same values with other robust weights.
     """
     rows = np.arange(len(station)) if past is None else np.flatnonzero(robust != past.robust)
-    if past is None or len(ends) > 2 or station.sensor.is_whole or _MOST_CHANGED * len(rows) > len(station):
+    # Where the noise of rows hangs together, a row by itself is not what it is among the others.
+    is_whole = len(ends) > 2 or station.sensor.is_whole or station.serial is not None
+    if past is None or is_whole or _MOST_CHANGED * len(rows) > len(station):
         return accumulate_each(station, ends, values, free, robust)
     normal, change = past.normal, robust[rows] ** 2 - past.robust[rows] ** 2
     G, g = normal.G.copy(), normal.g.copy()

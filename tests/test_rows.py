@@ -1,0 +1,229 @@
+"""Rows as they were measured: one observation for each pose, in an order, with outliers that gather."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays, run_calibration
+from pincal.builtin import kuka_urdf_path
+from pincal.discover.score_tests import standard_errors
+from pincal.identify.dependence import dependence, is_dependent, serial_noise
+from pincal.identify.fit import Fit
+from pincal.identify.serial import Serial
+from pincal.identify.split import ways_held_out
+from pincal.measure.measurements import Measurements
+from pincal.measure.poses import by_pose
+from pincal.simulate import paper_positions
+from pincal.validate.gathered import gathering_of
+
+NOISE = 5e-5  # [m]
+
+
+@pytest.fixture(scope="module")
+def kuka() -> Robot:
+    return Robot.from_urdf(kuka_urdf_path())
+
+
+def autoregression(rng: np.random.Generator, n: int, phi: float) -> np.ndarray:
+    """Return a stationary autoregression of variance 1, shape (n, 3), by its definition."""
+    noise = np.empty((n, 3))
+    noise[0] = rng.standard_normal(3)
+    for t in range(1, n):
+        noise[t] = phi * noise[t - 1] + np.sqrt(1.0 - phi**2) * rng.standard_normal(3)
+    return noise
+
+
+def table(robot: Robot, n: int, noise: np.ndarray, seed: int = 0, **columns: np.ndarray) -> Measurements:
+    """Return n poses of the paper's machine, seen with noise [m]."""
+    q = robot.random_configurations(n, np.random.default_rng(seed))
+    position = paper_positions(q, tool_offset=(0.05, 0.03, 0.12), with_elasticity=False) + noise
+    return measurements_from_arrays(robot.joint_names, q, position=position, **columns)
+
+
+# One observation for each pose
+
+
+def test_copies_of_rows_change_nothing(kuka: Robot) -> None:
+    """Each row three times: values, standard deviations and noise are those of the table without copies."""
+    rows = table(kuka, 60, NOISE * np.random.default_rng(1).standard_normal((60, 3)))
+    copied = rows.select(np.repeat(np.arange(60), 3))
+    once, thrice = (calibrate(kuka, of, Options(effects=GEOMETRIC)) for of in (rows, copied))
+
+    np.testing.assert_allclose(thrice.values, once.values, atol=1e-12)
+    np.testing.assert_allclose(thrice.estimate.sigma, once.estimate.sigma, rtol=1e-9)
+    np.testing.assert_allclose(thrice.solution.estimated, once.solution.estimated, rtol=1e-9)
+
+
+def test_means_of_poses_weigh_as_the_declared_noise_says(kuka: Robot) -> None:
+    """Four readings of each pose with declared noise: standard deviations are half of those of one reading."""
+    rng = np.random.default_rng(2)
+    rows = table(kuka, 60, np.zeros((60, 3)))
+    four = rows.select(np.tile(np.arange(60), 4))
+    four = four.with_readings(position=four.position + NOISE * rng.standard_normal((240, 3)))
+    single = rows.with_readings(position=rows.position + NOISE * rng.standard_normal((60, 3)))
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    one, mean = (calibrate(kuka, of, options) for of in (single, four))
+    told = _told(one)
+
+    np.testing.assert_allclose(mean.estimate.sigma[told], 0.5 * one.estimate.sigma[told], rtol=0.05)
+
+
+def test_drives_that_arrive_anew_are_the_pose_s_not_the_reading_s(kuka: Robot) -> None:
+    """Three readings that agree to 2 um where drives arrive to 20 urad: residuals exceed the replicates', and that is said."""
+    rng = np.random.default_rng(3)
+    q = kuka.random_configurations(80, rng)
+    arrived = q + 20e-6 * rng.standard_normal(q.shape)
+    position = np.repeat(paper_positions(arrived, tool_offset=(0.05, 0.03, 0.12), with_elasticity=False), 3, axis=0)
+    position += 2e-6 * rng.standard_normal(position.shape)
+    rows = measurements_from_arrays(kuka.joint_names, np.repeat(q, 3, axis=0), position=position)
+    found = run_calibration(kuka, rows, Options(effects=GEOMETRIC))
+
+    assert found.result.rows["train"] + found.result.rows["test"] == 240
+    assert len(found.fit.problem) <= 80
+    assert found.result.lack_of_fit is not None and found.result.lack_of_fit.is_significant
+    assert found.result.to_dict()["verdict"] == "not adequate"
+
+
+def test_opposite_quaternions_are_one_orientation(kuka: Robot) -> None:
+    """The mean of q and -q is q."""
+    turn = np.array([[0.0, 0.0, 0.6, 0.8], [0.0, 0.0, -0.6, -0.8]])
+    q, position = np.zeros((2, 6)), np.array([[1.0, 0.0, 0.0], [1.002, 0.0, 0.0]])
+    mean = by_pose(measurements_from_arrays(kuka.joint_names, q, position=position, quaternion=turn))
+
+    np.testing.assert_allclose(mean.quaternion, turn[:1], atol=1e-12)
+    np.testing.assert_allclose(mean.position, [[1.001, 0.0, 0.0]])
+
+
+# The order of rows
+
+
+def test_innovations_weigh_by_the_inverse_of_the_covariance() -> None:
+    """Products of innovations are those with V^-1, rows in any order, with gaps, some that tell nothing of the next."""
+    rng = np.random.default_rng(4)
+    place = rng.permutation(np.sort(rng.choice(60, 30, replace=False)).astype(float))
+    phi, share = np.array([0.9, 0.5]), np.array([0.7, 0.3])
+    serial = Serial(phi, share, place, np.ones(30, bool))
+    columns = rng.standard_normal((4, 2, 30))
+    found = serial.innovations(columns)
+
+    for i in range(2):
+        V = (1.0 - share[i]) * np.eye(30) + share[i] * phi[i] ** np.abs(place[:, None] - place)
+        expected = columns[:, i] @ np.linalg.solve(V, columns[:, i].T)
+        ratio = (found[:, i] @ found[:, i].T) / expected
+        np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-9)
+    np.testing.assert_allclose(serial.coloured(found[0]), columns[0], atol=1e-12)
+
+
+def test_rows_in_any_order_of_a_table_are_one_fit(kuka: Robot) -> None:
+    """With a time, rows of a correlated noise may stand in any order."""
+    rng = np.random.default_rng(5)
+    rows = table(kuka, 120, NOISE * autoregression(rng, 120, 0.9), time=np.arange(120) * 40.0)
+    mixed = rows.select(rng.permutation(120))
+    fits = [calibrate(kuka, of, Options(effects=GEOMETRIC)) for of in (rows, mixed)]
+
+    assert all(fit.problem.stations[0].serial is not None for fit in fits)
+    np.testing.assert_allclose(fits[1].values, fits[0].values, atol=1e-6)
+
+
+def test_correlated_noise_is_estimated_and_left_white(kuka: Robot) -> None:
+    """An autoregression of 0.9 is told to 0.05 in most of 8 tables, and no dependence is left once rows are weighed by it."""
+    found = []
+    for seed in range(8):
+        noise = NOISE * autoregression(np.random.default_rng(seed), 200, 0.9)
+        fit = calibrate(kuka, table(kuka, 200, noise, seed), Options(effects=GEOMETRIC))
+        serial = fit.problem.stations[0].serial
+        assert serial is not None and not is_dependent(fit)
+        found.append(serial.phi[0])
+
+    assert abs(np.median(found) - 0.9) < 0.05
+
+
+@pytest.mark.long
+def test_intervals_cover_under_correlated_noise(kuka: Robot) -> None:
+    """95 % intervals of parameters hold the truth as often as they say, within four standard errors over 60 tables."""
+    covered = []
+    for seed in range(60):
+        noise = NOISE * autoregression(np.random.default_rng(1000 + seed), 150, 0.9)
+        fit = calibrate(kuka, table(kuka, 150, noise, seed), Options(effects=GEOMETRIC, sigma=NOISE))
+        truth = _without_noise(kuka, seed)
+        told = _told(fit)
+        covered.append(np.mean(np.abs(fit.values - truth.values)[told] < 1.96 * fit.estimate.sigma[told]))
+
+    assert abs(np.mean(covered) - 0.95) < max(4.0 * np.std(covered) / np.sqrt(60), 0.02)
+
+
+def _told(fit: Fit) -> np.ndarray:
+    """Return which parameters the data tell, not their priors, shape (P,)."""
+    return np.asarray(np.isfinite(fit.priors.sizes) & (fit.estimate.sigma < 0.03 * fit.priors.sizes))
+
+
+def _without_noise(kuka: Robot, seed: int) -> Fit:
+    return calibrate(kuka, table(kuka, 150, np.zeros((150, 3)), seed), Options(effects=GEOMETRIC, sigma=NOISE, serial=False))
+
+
+def test_independent_rows_are_taken_for_such() -> None:
+    """Of 2000 tables of independent noise at most 3 reach what counts as dependence, which is expected of a fifth of one."""
+    rng = np.random.default_rng(6)
+    reached = [dependence(rng.standard_normal((3, 150)), np.arange(150.0)) > 4.0 for _ in range(2000)]
+
+    assert sum(reached) <= 3
+
+
+def test_a_fit_of_independent_rows_has_no_correlated_noise(kuka: Robot) -> None:
+    """White noise: rows weigh as before, to the last digit."""
+    rows = table(kuka, 80, NOISE * np.random.default_rng(7).standard_normal((80, 3)))
+    fits = [calibrate(kuka, rows, Options(effects=ELASTIC, serial=serial)) for serial in (True, False)]
+
+    assert serial_noise(fits[0]) == (None,)
+    np.testing.assert_array_equal(fits[0].values, fits[1].values)
+
+
+# What is held out
+
+
+def test_rows_are_held_out_both_ways(kuka: Robot) -> None:
+    """Regions and stretches share no row, readings of a pose stay together, and stretches are consecutive rows."""
+    rows = table(kuka, 100, np.zeros((100, 3)))
+    rows = replace(rows.select(np.repeat(np.arange(100), 2)), rows=np.arange(2, 202))
+    held = ways_held_out(rows, 0.2)
+
+    assert not np.any(held["regions"] & held["stretches"])
+    for mask in held.values():
+        assert 16 <= mask.sum() <= 24
+        assert np.array_equal(mask[::2], mask[1::2])
+    assert np.count_nonzero(np.diff(held["stretches"].astype(int))) <= 2 * 24 / 8 + 2
+
+
+def test_the_worse_way_leads(kuka: Robot) -> None:
+    """The part "test" is that of the two ways in which the model predicts worse."""
+    noise = NOISE * np.random.default_rng(8).standard_normal((120, 3))
+    errors = run_calibration(kuka, table(kuka, 120, noise), Options(effects=GEOMETRIC)).result.error["calibrated"]
+
+    assert errors["test"]["mean_mm"] == max(errors[way]["mean_mm"] for way in ("regions", "stretches"))
+
+
+# Outliers, and blocks of poses
+
+
+def test_one_block_does_not_veto() -> None:
+    """What eight blocks of a UR10 gain by a joint's play; and blocks that don't agree gain nothing."""
+    assert standard_errors(np.array([159.0, 76.0, 90.0, 117.0, 6.0, 88.0, 21.0, -310.0])) > 2.0
+    assert standard_errors(np.array([159.0, -76.0, 90.0, -117.0, 6.0, -88.0, 21.0, -310.0])) < 0.0
+
+
+def test_outliers_gather_or_do_not(kuka: Robot) -> None:
+    """Those within 5 deg of one joint are found there; of 200 draws of outliers anywhere none is said to gather."""
+    rng = np.random.default_rng(9)
+    fit = calibrate(kuka, table(kuka, 300, NOISE * rng.standard_normal((300, 3))), Options(effects=GEOMETRIC))
+    q = fit.station.conditions.q[:, 2]
+    near = np.abs(q - np.median(q)) < np.deg2rad(2.5)
+    found = gathering_of(fit.station, near)
+
+    assert found is not None and found.variable == kuka.joint_names[2] and found.among == near.sum()
+    for _ in range(200):
+        anywhere = np.zeros(300, bool)
+        anywhere[rng.choice(300, 15, replace=False)] = True
+        assert gathering_of(fit.station, anywhere) is None
