@@ -151,7 +151,7 @@ class Calibrated(ABC):
             rows = slice(start, start + _PIECE)
             _, J = found.model.linearise(found.model_values, conditions.select(rows))
             out[rows] = np.einsum("nip,nip->ni", J @ C, J)
-        return np.sqrt(np.maximum(out, 0.0) + unknown)
+        return np.asarray(np.sqrt(np.maximum(out, 0.0) + unknown))
 
     @property
     def covariance(self) -> np.ndarray:
@@ -271,7 +271,9 @@ class CalibratedModel(Calibrated):
             estimate=estimate,
             sensor_kind=entry.sensor_kind,
             payload_centre=entry.payload_centre,
-            covered=Covered(entry.covered.q, entry.covered.payload, entry.covered.days or {}),
+            covered=Covered(
+                entry.covered.q, entry.covered.payload, {str(name): day for name, day in (entry.covered.days or {}).items()}
+            ),
             sigma=entry.sigma,
             provenance=provenance,
             setup=entry.setup.setup(),
