@@ -252,7 +252,7 @@ class CalibratedModel(Calibrated):
             setup=options.setup,
             nominal_values=fit.nominal.values[places],
             rows=fingerprints(at),
-            is_noise_declared=fit.noise.declared[fit.problem.block_spans[k].start] is not None,
+            is_noise_declared=options.sigma is not None,
         )
 
     @classmethod
@@ -271,7 +271,9 @@ class CalibratedModel(Calibrated):
             estimate=estimate,
             sensor_kind=entry.sensor_kind,
             payload_centre=entry.payload_centre,
-            covered=Covered(entry.covered.q, entry.covered.payload, {**(entry.covered.days or {})}),
+            covered=Covered(
+                entry.covered.q, entry.covered.payload, {str(name): day for name, day in (entry.covered.days or {}).items()}
+            ),
             sigma=entry.sigma,
             provenance=provenance,
             setup=entry.setup.setup(),

@@ -51,6 +51,8 @@ _HOPELESS, _STRANGE = 0.01, 0.1
 _DEGREES = 200.0
 # Changes from which on another robot of the same type is likelier than one to which so much has happened.
 _MANY = 4
+# Part of an error, and of the rows, below which a curve of a drive is worth a word.
+_BRINGS = 0.9
 # Rows with the fingerprint of another that is met by chance.
 _SAME_BY_CHANCE = 1
 
@@ -158,7 +160,7 @@ def diagnose(
         gap={"before": error_table(placed.station, placed.values), "after": after},
         station=_moved(calibrated, mended),
         rows=len(measurements),
-        warnings=doubts_first([*doubts, *placed.notes, *_notes(verdict, measurements)]),
+        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, measurements)]),
         curves=curves,
         is_judged=not doubts,
     )
@@ -241,6 +243,19 @@ def _mended(model: CalibratedModel, verdict: Verdict, posterior: Posterior) -> C
         return lineup.robot
     rows = together(model.rows, fingerprints(lineup.station))
     return replace(lineup.mended(happened, posterior), rows=rows)
+
+
+def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
+    """Yield what is to be said where most of the error goes with a curve that the calibration had not seen everywhere."""
+    if curves is None:
+        return
+    best = curves.joints[0]
+    if best.error_mm < _BRINGS * curves.as_it_was_mm and best.seen < _BRINGS:
+        yield (
+            f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with another curve of "
+            f"{best.joint}, which the calibration had seen in {100 * best.seen:.0f} % of these rows: where it had not, "
+            "that is no change; pincal update --anew takes the rows in"
+        )
 
 
 def _ranked(changes: tuple[ChangeEntry, ...], curves: CurvesEntry | None) -> tuple[ChangeEntry, ...]:
