@@ -57,7 +57,7 @@ def kuka_run(
     """Return a geometric calibration of the built-in arm."""
     table = measured(kuka, kuka_urdf_path(), n, kind=kind)
     chosen = Options(effects=GEOMETRIC, **({"sigma": NOISE} | options))
-    return run_calibration(kuka, table, chosen, test_fraction=test_fraction)
+    return run_calibration(kuka, table, chosen, test_fraction=test_fraction, split="random")
 
 
 @cache

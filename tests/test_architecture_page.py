@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -31,14 +32,18 @@ PAGE = (Path(__file__).parents[1] / "docs" / "architecture.md").read_text(encodi
 
 
 @pytest.fixture
-def recipe(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ModuleType]:
+def recipe(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """Return the code block of a recipe as a module of its own; what it registered is forgotten again."""
     block = re.search(rf"<!-- recipe: {request.param} -->\n```python\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None
     before = dict(EFFECTS._classes), dict(SENSORS._classes)
     name = f"recipe_{request.param}"
     (tmp_path / f"{name}.py").write_text(block[1])
-    yield load_plugin(str(tmp_path / f"{name}.py"))
+    if request.param in ("effect", "sensor"):
+        yield load_plugin(str(tmp_path / f"{name}.py"))
+    else:
+        monkeypatch.syspath_prepend(tmp_path)
+        yield import_module(name)
     for registry, classes in zip((EFFECTS, SENSORS), before, strict=True):
         registry._classes.clear()
         registry._classes.update(classes)

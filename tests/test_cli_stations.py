@@ -72,7 +72,7 @@ def results(tmp_path_factory: pytest.TempPathFactory, tables: dict[str, Columns]
     """Return the folder of a calibration of both tables."""
     folder = tmp_path_factory.mktemp("stations")
     files = written(folder, tables)
-    options = ("--model", "geometric", "--quiet", "--out", folder / "out")
+    options = ("--model", "geometric", "--split", "random", "--quiet", "--out", folder / "out")
     assert run("calibrate", URDF, *files, *options) == 0
     return folder / "out"
 

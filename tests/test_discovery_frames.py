@@ -45,7 +45,7 @@ def test_a_base_that_moves_with_time_is_nothing_for_another_frame_to_gain() -> N
     position = robot.forward_kinematics(q)[:, :3, 3] + 1e-4 * rng.standard_normal((700, 3))
     position[:, 2] += 3e-3 * time / time[-1]
     table = measurements_from_arrays(robot.joint_names, q, position=position, time=time)
-    fit = calibrate(robot, table, Options(effects=GEOMETRIC, sigma=1e-4))
+    fit = calibrate(robot, table, Options(effects=GEOMETRIC, sigma=1e-4, serial=False))
     effects = list(variants(fit, ("base",)))
     tests = score_test(fit, effects)
     sure = [e.name for i, e in enumerate(effects) if tests.score([i], len(effects)).p_value < 1e-12]

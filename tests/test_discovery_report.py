@@ -55,7 +55,7 @@ def case() -> Case:
 
 @pytest.fixture(scope="module")
 def found(case: Case) -> Discovery:
-    return run_discovery(case.robot, case.rows, case.options)
+    return run_discovery(case.robot, case.rows, case.options, split="blocked")
 
 
 @pytest.fixture(scope="module")

@@ -98,7 +98,12 @@ class Compiled:
 
 
 # All but what is known only once a joint has been read back.
-EFFECTS = {name: make for name, make in ALL_EFFECTS.items() if make(("j",) * 9).locus.follows not in ("droop", "move")}
+# Nor are errors of the instrument: a controller has none.
+EFFECTS = {
+    name: make
+    for name, make in ALL_EFFECTS.items()
+    if (effect := make(("j",) * 9)).locus.follows not in ("droop", "move") and not effect.is_sighted
+}
 
 
 def states_of(at: Conditions) -> np.ndarray:

@@ -279,7 +279,8 @@ def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, 
     notes = {}
     for name, lens, again in (("right", LENS, False), ("wrong", pinhole, False), ("found again", pinhole, True)):
         setup = Setup(points=GRID, lens=lens, fit_lens=again)
-        notes[name] = " ".join(run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=setup)).notes)
+        run = run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=setup))
+        notes[name] = " ".join(note.text for note in run.result.warnings)
 
     assert ["another camera" in note for note in notes.values()] == [False, True, False]
 
@@ -341,7 +342,7 @@ def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka:
         run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=Setup(distances=(KnownDistance("A", "b", 0.7),))))
     elsewhere = Setup(distances=(KnownDistance("a", "b", 0.7), KnownDistance("x", "y", 0.05)))
     notes = run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=elsewhere)).notes
-    assert any("in no row are not used: x to y" in note for note in notes)
+    assert any("in no row are not used: x to y" in note.text for note in notes)
     for bad in (
         lambda: KnownDistance("a", "a", 1.0),
         lambda: KnownDistance("a", "b", 0.0),

@@ -189,7 +189,7 @@ def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int)
     monday = session(robot, 400, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0)
     tuesday = session(robot, 300, {DRIVES[0]: curve, DRIVES[1]: 2}, seed=1)
     options = Options(effects=GEOMETRIC, sigma=NOISE)
-    found = run_discovery(robot, {"monday": monday, "tuesday": tuesday}, options).findings
+    found = run_discovery(robot, {"monday": monday, "tuesday": tuesday}, options, split="blocked").findings
     named = {(e.effect, e.joint) for e in found.effects if not e.station}
 
     assert named == {("transmission_error", joint) for joint in DRIVES}

@@ -72,7 +72,7 @@ def test_means_of_poses_weigh_as_the_declared_noise_says(kuka: Robot) -> None:
 
 
 def test_drives_that_arrive_anew_are_the_pose_s_not_the_reading_s(kuka: Robot) -> None:
-    """Three readings that agree to 2 um where drives arrive to 20 urad: residuals exceed the replicates', and that is said."""
+    """Three readings that agree to 2 um where drives arrive to 20 urad: residuals exceed these, and that is said."""
     rng = np.random.default_rng(3)
     q = kuka.random_configurations(80, rng)
     arrived = q + 20e-6 * rng.standard_normal(q.shape)
@@ -129,7 +129,7 @@ def test_rows_in_any_order_of_a_table_are_one_fit(kuka: Robot) -> None:
 
 
 def test_correlated_noise_is_estimated_and_left_white(kuka: Robot) -> None:
-    """An autoregression of 0.9 is told to 0.05 in most of 8 tables, and no dependence is left once rows are weighed by it."""
+    """An autoregression of 0.9 is told to 0.05, median of 8 tables, and nothing is left once rows are weighed by it."""
     found = []
     for seed in range(8):
         noise = NOISE * autoregression(np.random.default_rng(seed), 200, 0.9)

@@ -7,7 +7,8 @@ import pytest
 from machines import kuka as true_kuka
 
 from pincal import simulate as sim
-from pincal.discover.scatter import find_excess, find_scatter, related, visits
+from pincal.calibration.rows import Parts, StationRows, as_measured
+from pincal.discover.scatter import Excess, find_excess, find_scatter, related, visits
 from pincal.identify.calibrate import calibrate
 from pincal.identify.options import Options
 from pincal.identify.station import station_of
@@ -58,11 +59,19 @@ def test_noise_of_several_targets_is_no_scatter(seed: int, kuka: Robot) -> None:
     assert find_scatter(calibrate(kuka, measured(kuka, 0.0, seed=seed), Options(effects=GEOMETRIC, sigma=NOISE))) is None
 
 
+def _excess_of_rows(kuka: Robot, table: Measurements, options: Options) -> Excess | None:
+    """Return the excess of a calibration, whose poses are means, as the rows of the table tell it."""
+    fit = calibrate(kuka, table, options)
+    return find_excess(fit, as_measured(fit, [StationRows.of("", Parts(table, table.select(slice(0))))]))
+
+
 def test_replicates_show_that_a_joint_scatters(kuka: Robot) -> None:
     """They differ by its scatter, and not by what is a function of the pose, whatever its size."""
     options = Options(effects=GEOMETRIC, sigma=NOISE)
-    scatters = find_excess(calibrate(kuka, measured(kuka, 5e-5, seed=1, poses=25, cycles=4), options))
-    follows = find_excess(calibrate(kuka, measured(kuka, 0.0, seed=1, poses=25, cycles=4, product=3e-4), options))
+    scatters, follows = (
+        _excess_of_rows(kuka, measured(kuka, size, seed=1, poses=25, cycles=4, product=product), options)
+        for size, product in ((5e-5, 0.0), (0.0, 3e-4))
+    )
 
     assert scatters is not None and scatters.scattering is not None
     assert scatters.scattering.shown_by == "replicates" and scatters.sigma == pytest.approx(5e-5, rel=0.3)

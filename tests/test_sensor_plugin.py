@@ -90,7 +90,7 @@ def test_a_laser_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureFix
     scene.run("check", "robot.urdf", "fit.csv", "--model", "geometric")
     said = capsys.readouterr().out
     assert "range" in said and "see neither where the base stands" in said
-    scene.run("calibrate", "robot.urdf", "fit.csv", "--out", "out", "--model", "geometric", "--view")
+    scene.run("calibrate", "robot.urdf", "fit.csv", "--out", "out", "--model", "geometric", "--split", "random", "--view")
     result = scene.read("out/result.json")
     found = {entry["name"]: entry for entry in result["parameters"]}  # type: ignore[attr-defined]
     for name, truth in zip(("plane.offset", "plane.slope_x", "plane.slope_y"), PLANE, strict=True):

@@ -71,6 +71,10 @@ def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discover
     """And the file says so; it is the same without the repetition but for that."""
     alone = msgspec.to_builtins(findings_of(found.calibration.fit, found.trail, gaps=found.gaps, traces=found.traces))
     report = json.loads(json.dumps(found.report, allow_nan=False))
+    # What is held out, and the verdict on the noise, are told by the whole.
+    for of in (alone, report):
+        for name in ("verdict", "held_out", "warnings"):
+            of.pop(name, None)
     often = {(e["effect"], e["joint"]): e.pop("stability") for e in report["effects"]}
 
     assert often["backlash", case.hidden[0].joint] == {"named": COUNT, "of": COUNT}

@@ -22,13 +22,18 @@ from pincal.units import format_readable
 # Mean and standard deviation of columns over the rows of a calibration, by their names.
 Days = Mapping[str, tuple[float, float]]
 # Columns that tell the day, not the pose.
-OF_THE_DAY = ("temperature", "time")
+OF_THE_DAY = ("temperature", "time", "move")
 
 
 def recorded_days(conditions: Conditions) -> dict[str, tuple[float, float]]:
     """Return mean and standard deviation of each column of the day over some rows, as far as they have it."""
     columns = {name: conditions.column(name) for name in OF_THE_DAY}
-    return {name: (float(np.mean(x)), float(np.std(x))) for name, x in columns.items() if x is not None}
+    # Moves, of all joints, go one way as often as the other.
+    return {
+        name: (0.0, float(np.sqrt(np.mean(np.square(x))))) if name == "move" else (float(np.mean(x)), float(np.std(x)))
+        for name, x in columns.items()
+        if x is not None
+    }
 
 
 def pooled(one: Days, other: Days) -> dict[str, tuple[float, float]]:
@@ -57,15 +62,20 @@ def standing_in(model: Model, days: Days, is_recorded: Callable[[str], bool]) ->
 def with_means(conditions: Conditions, model: Model, days: Days) -> Conditions:
     """Return conditions with the means of columns of the day that they lack, as far as they are known."""
     means = standing_in(model, days, lambda column: conditions.column(column) is not None)
-    columns: dict[str, Any] = {name: np.full(len(conditions), mean) for name, mean in means.items()}
+    columns: dict[str, Any] = {name: _filled(name, mean, conditions.q) for name, mean in means.items()}
     return replace(conditions, **columns) if columns else conditions
 
 
 def rows_with_means(rows: Measurements, model: Model, days: Days) -> Measurements:
     """Return a table with the means of columns of the day that it lacks, as far as they are known."""
     means = standing_in(model, days, lambda column: getattr(rows, column) is not None)
-    columns: dict[str, Any] = {name: np.full(len(rows), mean) for name, mean in means.items()}
+    columns: dict[str, Any] = {name: _filled(name, mean, rows.q) for name, mean in means.items()}
     return replace(rows, **columns) if columns else rows
+
+
+def _filled(column: str, value: float, q: np.ndarray) -> np.ndarray:
+    """Return a column of the day that is the same at all rows, for joint positions of shape (N, n)."""
+    return np.full(q.shape if column == "move" else len(q), value)
 
 
 def unrecorded(model: Model, is_recorded: Callable[[str], bool]) -> Iterator[Effect]:
@@ -89,7 +99,9 @@ def varied_by(effect: Effect, model: Model, values: np.ndarray, conditions: Cond
     if columns:
         ends = []
         for side in (1.0, -1.0):
-            at = {name: np.full(len(conditions), days[name][0] + side * days[name][1]) for name in columns}
+            at: dict[str, Any] = {
+                name: _filled(name, days[name][0] + side * days[name][1], conditions.q) for name in columns
+            }
             ends.append(_without_others(effect, model, values, replace(conditions, **at)))
         return np.asarray(0.5 * (ends[0] - ends[1]))
     way = _without_others(effect, model, values, conditions)

@@ -52,6 +52,7 @@ class Excess:
         missing: the column that could explain it.
         shown_by: what shows that it is scatter: "replicates" or "neighbours"; "" if nothing does.
         follows: the joints whose positions it follows, or the order of the rows, as far as near poses tell; else empty.
+        is_repeated: whether poses that were measured again show it again.
     """
 
     joint: str
@@ -59,6 +60,7 @@ class Excess:
     missing: str
     shown_by: Literal["replicates", "neighbours", ""]
     follows: tuple[str, ...] = ()
+    is_repeated: bool = False
 
     @property
     def scattering(self) -> ScatteringJoint | None:
@@ -80,6 +82,11 @@ class Excess:
             return (
                 f"{self.joint} is off about its own axis by what follows {of}: poses next to each other have related "
                 "errors; it does not scatter, and more poses would show its course"
+            )
+        if self.is_repeated:
+            return (
+                f"{self.joint} is off about its own axis by a function of the pose: poses that were measured again show it "
+                "again; more poses would show its course"
             )
         return (
             f"{self.joint} is off about its own axis by scatter or by a function of the pose: no pose was measured twice, "
@@ -118,6 +125,8 @@ def find_excess(fit: Fit, measured: Fit | None = None) -> Excess | None:
     if again is not None and again.gain > chdtri(1, 2.0 * _CHANCE):
         return Excess(best.joint, again.sigma, missing, "replicates")
     follows = best.follows(whole)
+    if again is not None:
+        return Excess(best.joint, whole.sigma, missing, "", follows or (), True)
     return Excess(best.joint, whole.sigma, missing, "neighbours" if follows == () else "", follows or ())
 
 
