@@ -273,7 +273,7 @@ def _series(name: str) -> Measurements | None:
 
 def _discover_ur10(table: Measurements, seed: int = 0) -> Discovery:
     options = Options(effects=GEOMETRIC)
-    return run_discovery(Robot.from_urdf("ur10"), table, options, moment_frames=MOMENT_FRAMES, seed=seed)
+    return run_discovery(Robot.from_urdf("ur10"), table, options, moment_frames=MOMENT_FRAMES, split="blocked", seed=seed)
 
 
 def time_million() -> Iterator[Line]:
