@@ -12,6 +12,7 @@ from pincal.discover.candidate_tests import Search, choose, has_compliance, hidd
 from pincal.discover.decisions import Decision
 from pincal.discover.elastic_ways import ElasticWay, elastic_way
 from pincal.discover.history import State, Step
+from pincal.discover.moment_frames import likeliest_fit
 from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances
 from pincal.discover.resolution import resolved
 from pincal.discover.score_tests import score_test, standard_errors
@@ -24,6 +25,8 @@ from pincal.validate.gathered import gathering_of
 
 # Times that an effect with a time constant is linearised anew before the next one is looked for.
 _MOST_WHILE_SEARCHING = 3
+# Standard errors that blocks of poses have to lose by what is known beforehand to speak against it.
+_AGAINST = 2.0
 
 log = logging.getLogger(__name__)
 
@@ -88,10 +91,13 @@ def hold_up_elasticity(state: State, search: Search) -> State:
     if not missing or not is_small_table(fit, search.policy):
         return state
     tests = score_test_beside_nuisances(fit, missing, search.groups, wider=1.0)
-    if standard_errors(tests.gains_by_block(range(len(missing)))) < -1.0:
+    if standard_errors(tests.gains_by_block(range(len(missing)))) < -_AGAINST:
         return state
     log.info("few rows: held by what is known beforehand, %s", listed(missing))
-    after = refit(fit, [*fit.options.effects, *missing], start={}, until=Until.CLOSE)
+    if len(search.frames) > 1:
+        after = likeliest_fit(fit, missing, search.frames)
+    else:
+        after = refit(fit, [*fit.options.effects, *missing], start={}, until=Until.CLOSE)
     return state.changed(after, state.steps, missing, ())
 
 
