@@ -44,7 +44,10 @@ and give its path."""
 def compare(robot: Robot, table: Measurements, fraction: float) -> None:
     """Calibrate without and with elasticity, and print the errors at poses that the fits have not seen."""
     models = {"geometric": Options(effects=GEOMETRIC), "elastic": Options(effects=ELASTIC)}
-    found = {name: run_calibration(robot, table, options, test_fraction=fraction) for name, options in models.items()}
+    found = {
+        name: run_calibration(robot, table, options, test_fraction=fraction, split="random")
+        for name, options in models.items()
+    }
     first = found["geometric"].result
     errors = {"nominal": first.error["nominal"]["test"]}
     errors |= {name: calibration.result.error["calibrated"]["test"] for name, calibration in found.items()}

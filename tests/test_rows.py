@@ -143,7 +143,7 @@ def test_correlated_noise_is_estimated_and_left_white(kuka: Robot) -> None:
 
 @pytest.mark.long
 def test_intervals_cover_under_correlated_noise(kuka: Robot) -> None:
-    """95 % intervals of parameters hold the truth as often as they say, within four standard errors over 60 tables."""
+    """95 % intervals of parameters hold the truth at least as often as they say, over 60 tables: a long memory is believed."""
     covered = []
     for seed in range(60):
         noise = NOISE * autoregression(np.random.default_rng(1000 + seed), 150, 0.9)
@@ -152,7 +152,7 @@ def test_intervals_cover_under_correlated_noise(kuka: Robot) -> None:
         told = _told(fit)
         covered.append(np.mean(np.abs(fit.values - truth.values)[told] < 1.96 * fit.estimate.sigma[told]))
 
-    assert abs(np.mean(covered) - 0.95) < max(4.0 * np.std(covered) / np.sqrt(60), 0.02)
+    assert np.mean(covered) > 0.95 - 4.0 * np.std(covered) / np.sqrt(60)
 
 
 def _told(fit: Fit) -> np.ndarray:

@@ -111,7 +111,20 @@ class _Seen:
         if station.position is None:
             return 0.0
         left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
-        return dependence(left[:, self.counted], station.position[self.counted])
+        left, position = left[:, self.counted], station.position[self.counted]
+        by_rows = dependence(left, position)
+        pose = self.poses[self.counted] if by_rows > _DEPENDENT else np.arange(len(position))
+        if len(np.unique(pose)) == len(pose):
+            return by_rows
+        # What is read in one pose, of several targets, shares what the robot does there.
+        _, first, pose = np.unique(pose, return_index=True, return_inverse=True)
+        means = np.stack([np.bincount(pose, row) for row in left]) / np.sqrt(np.bincount(pose))
+        return dependence(means, position[first])
+
+    @property
+    def poses(self) -> np.ndarray:
+        """The pose of each row, shape (N,)."""
+        return np.unique(self.station.conditions.q, axis=0, return_inverse=True)[1].ravel()
 
 
 def _seen(fit: Fit) -> Iterator[_Seen]:
@@ -126,6 +139,9 @@ def _of_station(seen: _Seen) -> Serial | None:
     seen = replace(seen, station=replace(seen.station, serial=None))
     station, free, position = seen.station, seen.free, seen.station.position
     if position is None or station.sensor.is_whole or seen.dependence < _DEPENDENT:
+        return None
+    if len(np.unique(seen.poses)) < len(station):
+        # Several readings of a pose hang together by the pose, which is another noise.
         return None
     sizes = [block.size for block in station.sensor.blocks]
     sound = np.flatnonzero(seen.counted)

@@ -21,7 +21,7 @@ import numpy as np
 from pincal.identify.whitening import filtered, recursion, unfiltered
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Serial:
     """How the noise of N rows of a station is correlated along their order.
 
