@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import OptimizeResult, minimize
+from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from pincal.identify.fit import Fit
@@ -25,6 +26,8 @@ from pincal.identify.station import Station
 _BANDS = ((1, 1), (2, 5), (6, 20))
 # Standard deviations of such a sum, were rows independent, from which they are not: sound tables get there once in 10 000.
 _DEPENDENT = 4.0
+# Rows that are near each other in the order; and fewest pairs of rows far apart in it, near in the joints, that tell.
+_NEAR, _FEWEST_PAIRS = 5, 50
 # Fewest rows that show it.
 _FEWEST = 20
 # Twice the log-likelihood that correlation has to gain: two parameters at a chance of 1e-4.
@@ -146,6 +149,8 @@ def _of_station(seen: _Seen) -> Serial | None:
     sizes = [block.size for block in station.sensor.blocks]
     sound = np.flatnonzero(seen.counted)
     some = sound[np.argsort(position[sound], kind="stable")][: max(_READINGS // sum(sizes), _FEWEST)]
+    if _follows_joints(seen, some):
+        return None
     few = station.select(some)
     ((_, residuals, jacobian),) = few.linearise_shared(seen.values, free)
     J, places = jacobian.dense_columns()
@@ -157,6 +162,32 @@ def _of_station(seen: _Seen) -> Serial | None:
         if found is not None:
             phi[a:b], share[a:b] = found
     return Serial(phi, share, position, seen.counted) if share.any() else None
+
+
+def _follows_joints(seen: _Seen, rows: np.ndarray) -> bool:
+    """Return whether rows near each other in the joints and far apart in the order agree as those near in the order do.
+
+    What is left is then a function of the pose, along which the rows follow each other, and no noise.
+
+    Args:
+        seen: the station.
+        rows: shape (n,), rows in their order.
+    """
+    station, n = seen.station, len(rows)
+    left = (station.whitened(station.residuals(seen.values)) * station.weights / seen.sigma)[:, rows]
+    left = left - left.mean(axis=1, keepdims=True)
+    q = station.conditions.q[rows]
+    q = q / np.maximum(q.std(axis=0), 1e-12)
+    first = np.concatenate([np.arange(n - lag) for lag in range(1, _NEAR + 1)])
+    second = first + np.repeat(np.arange(1, _NEAR + 1), [n - lag for lag in range(1, _NEAR + 1)])
+    by_order = float(np.mean(np.sum(left[:, first] * left[:, second], axis=0)))
+    reach = float(np.median(np.linalg.norm(q[first] - q[second], axis=1)))
+    pairs = cKDTree(q).query_pairs(reach, output_type="ndarray")
+    pairs = pairs[np.abs(pairs[:, 0] - pairs[:, 1]) > _BANDS[-1][1]]
+    if len(pairs) < _FEWEST_PAIRS:
+        return False
+    by_joints = float(np.mean(np.sum(left[:, pairs[:, 0]] * left[:, pairs[:, 1]], axis=0)))
+    return by_joints > 0.5 * by_order
 
 
 def _likeliest(

@@ -35,9 +35,12 @@ _LOOKED_AT = 25.0
 _CHANCE = 1e-4
 # Twice the logarithm of the likelihood ratio, a thousand to one, within which causes are not told apart.
 _TOLD_APART = 13.8
-# Part of what is left at rows that a step has to be as large as: a smaller one may be the model's own. A UR10 whose drives'
-# curves are not in the model is 0.65 times that beside itself from one half of a table to the other, a touched target 2 times.
-_LEAST_PART = 0.8
+# Beside noise that is correlated along the rows, a step has to be so many times what is left: a smaller one may be the
+# model's own, as a UR10's whose drives' curves are missing (1.06 times, from one half of a table to the other). A touched
+# target is 2 times. Beside white noise likelihood tells.
+_LEAST_PART = 1.2
+# Part of the precision's diagonal from which its neighbours show correlation.
+_CORRELATED = 0.01
 # A drift is a curve of this degree along the rows: it explains six sevenths of a step in the middle, less of one elsewhere,
 # and nearly all of a robot that warms up.
 _DRIFT = 3
@@ -170,7 +173,8 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
     ):
         return None
     after = np.einsum("nim,m->ni", best.field.directions[best.row :], best.motion)
-    if np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(rows.off**2)):
+    correlated = np.abs(np.diag(noise, 1)).mean() > _CORRELATED * np.diag(noise).mean()
+    if correlated and np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(rows.off**2)):
         return None
     causes: dict[str, Cause] = {}
     for step in sorted(steps, key=_excess, reverse=True):
