@@ -14,7 +14,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import OptimizeResult, minimize
-from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from pincal.identify.fit import Fit
@@ -26,8 +25,8 @@ from pincal.identify.station import Station
 _BANDS = ((1, 1), (2, 5), (6, 20))
 # Standard deviations of such a sum, were rows independent, from which they are not: sound tables get there once in 10 000.
 _DEPENDENT = 4.0
-# Rows that are near each other in the order; and fewest pairs of rows far apart in it, near in the joints, that tell.
-_NEAR, _FEWEST_PAIRS = 5, 50
+# Rows that are near each other in the order; and pairs of rows far apart in it, nearest in the joints, that tell.
+_NEAR, _NEAREST = 5, 500
 # Fewest rows that show it.
 _FEWEST = 20
 # Twice the log-likelihood that correlation has to gain: two parameters at a chance of 1e-4.
@@ -165,7 +164,7 @@ def _of_station(seen: _Seen) -> Serial | None:
 
 
 def _follows_joints(seen: _Seen, rows: np.ndarray) -> bool:
-    """Return whether rows near each other in the joints and far apart in the order agree as those near in the order do.
+    """Return whether rows near each other in the joints, or in one, agree however far apart they are in the order.
 
     What is left is then a function of the pose, along which the rows follow each other, and no noise.
 
@@ -178,16 +177,16 @@ def _follows_joints(seen: _Seen, rows: np.ndarray) -> bool:
     left = left - left.mean(axis=1, keepdims=True)
     q = station.conditions.q[rows]
     q = q / np.maximum(q.std(axis=0), 1e-12)
-    first = np.concatenate([np.arange(n - lag) for lag in range(1, _NEAR + 1)])
-    second = first + np.repeat(np.arange(1, _NEAR + 1), [n - lag for lag in range(1, _NEAR + 1)])
-    by_order = float(np.mean(np.sum(left[:, first] * left[:, second], axis=0)))
-    reach = float(np.median(np.linalg.norm(q[first] - q[second], axis=1)))
-    pairs = cKDTree(q).query_pairs(reach, output_type="ndarray")
-    pairs = pairs[np.abs(pairs[:, 0] - pairs[:, 1]) > _BANDS[-1][1]]
-    if len(pairs) < _FEWEST_PAIRS:
-        return False
-    by_joints = float(np.mean(np.sum(left[:, pairs[:, 0]] * left[:, pairs[:, 1]], axis=0)))
-    return by_joints > 0.5 * by_order
+    by_order = np.mean([np.mean(np.sum(left[:, :-lag] * left[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
+    # Pairs far apart in the order: how alike they are, and how near.
+    first, second = np.triu_indices(n, max(n // 4, _BANDS[-1][1]))
+    alike = np.sum(left[:, first] * left[:, second], axis=0)
+    apart = np.abs(q[first] - q[second]).T
+    for distance in (np.linalg.norm(apart, axis=0), *apart):
+        nearest = np.argpartition(distance, _NEAREST)[:_NEAREST] if len(distance) > _NEAREST else slice(None)
+        if np.mean(alike[nearest]) > 0.5 * by_order:
+            return True
+    return False
 
 
 def _likeliest(
