@@ -253,9 +253,10 @@ def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     curves = re.findall(r"transmission_error of (\w+) +([\d.]+) arcsec", text)
     assert {"shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"} <= {joint for joint, _ in curves}
     assert all(30.0 < float(size) < 120.0 for _, size in curves)
-    # In regions of joint space held out; another programme's curves leave 0.09 mm.
+    # The worse of two ways of holding out leads: regions of joint space, 0.446 mm (stretches of the session: 0.386 mm);
+    # another programme's curves leave 0.09 mm.
     before, after = numbers(text, "Regions held out, mean:")
-    assert before == pytest.approx(0.4, abs=0.03)
+    assert before == pytest.approx(0.446, abs=0.03)
     assert after < 0.12
     told = (
         figures("README.md", "geometry and elasticity leave # mm on"),

@@ -143,7 +143,7 @@ def test_correlated_noise_is_estimated_and_left_white(kuka: Robot) -> None:
 
 @pytest.mark.long
 def test_intervals_cover_under_correlated_noise(kuka: Robot) -> None:
-    """95 % intervals of parameters hold the truth at least as often as they say, over 60 tables: a long memory is believed."""
+    """95 % intervals hold the truth at least as often as they say, over 60 tables: a long memory is believed."""
     covered = []
     for seed in range(60):
         noise = NOISE * autoregression(np.random.default_rng(1000 + seed), 150, 0.9)
