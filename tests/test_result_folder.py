@@ -22,6 +22,7 @@ from pincal.io.result_folder import RESULTS, output_folder
 
 DISCOVERY = ("model.json", "result.json", "discovery.json", "calibrated.urdf", "residuals.csv", "report.html")
 CALIBRATION = tuple(name for name in DISCOVERY if name != "discovery.json")
+_STOPS = {signal.SIGINT, signal.SIGTERM}
 
 
 def write(folder: Path, mark: str, names: tuple[str, ...] = CALIBRATION) -> None:
@@ -150,8 +151,18 @@ def test_leftovers_of_killed_runs_are_swept_and_drafts_of_living_ones_are_not(tm
 
 
 def _write_for_ever(folder: Path, mark: str) -> None:
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
     for n in range(10**9):
         write(folder, f"{mark}{n}", DISCOVERY if n % 2 else CALIBRATION)
+
+
+def _started(process: multiprocessing.process.BaseProcess) -> None:
+    """Start a process that no signal reaches before it writes: until then it would still be pytest that is stopped."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @pytest.fixture
@@ -173,7 +184,7 @@ def test_a_killed_run_leaves_the_old_folder_or_the_new_one(
     seen = set()
     for k in range(kills):
         process = fork.Process(target=_write_for_ever, args=(out, f"{k}."))
-        process.start()
+        _started(process)
         time.sleep(float(rng.uniform(0.005, 0.03)))
         assert process.pid is not None
         # A Ctrl-C may come where Python can't raise it, and people press it again.
