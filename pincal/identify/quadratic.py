@@ -1,0 +1,149 @@
+r"""The information form: what rows, priors and earlier fits say of named parameters, as one sum of squares about a point.
+
+With r the residuals at that point in units of their noise and J the columns by which parameters x take them away,
+
+.. math:: |r - J x|^2 = s - 2 g^T x + x^T H x, \qquad H = J^T J, \quad g = J^T r, \quad s = r^T r .
+
+Sums of such squares over rows, stations, robots and priors are of the same form, and so is what is left when some
+parameters are eliminated (marginalised): the information filter of Bierman (Factorization Methods for Discrete Sequential
+Estimation, 1977), the Hessian factor of factor graphs (Dellaert and Kaess 2017). For a model that is linear in x a joint fit
+is the sum of the forms of its parts.
+
+What rounding leaves of a direction that nothing sees is judged against the information that its parameters had before
+anything was eliminated: directions below a part of that are none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from scipy.special import chdtrc
+
+# Part of the information of parameters, before anything was eliminated, below which nothing is seen of a direction. Two
+# columns that are alike but for one part in 300 are one at this: less is what linearisation leaves of a sound model.
+SEEN = 1e-5
+# The same where all that matters is that rounding, some 1e-16 of the largest entry, is taken for nothing.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Squares about a point: square - 2 g x + x H x, over F named parameters x, in units of the noise.
+
+    Attributes:
+        names: the parameters.
+        H: shape (F, F), their information.
+        g: shape (F,), half of the slope down which the squares fall.
+        square: the squares at x = 0.
+        degrees: number of readings and priors less that of directions that were eliminated.
+        whole: shape (F,), the diagonal of H before anything was eliminated.
+    """
+
+    names: tuple[str, ...]
+    H: np.ndarray
+    g: np.ndarray
+    square: float
+    degrees: float
+    whole: np.ndarray
+
+    @classmethod
+    def of_rows(cls, names: Sequence[str], J: np.ndarray, r: np.ndarray) -> Self:
+        """Return that of R rows: J of shape (R, F) and r of shape (R,), both in units of the noise."""
+        H = J.T @ J
+        return cls(tuple(names), H, J.T @ r, float(r @ r), float(len(r)), np.diag(H).copy())
+
+    @classmethod
+    def of_prior(cls, names: Sequence[str], sizes: np.ndarray, offsets: np.ndarray | None = None) -> Self:
+        """Return that of independent priors.
+
+        Args:
+            names: F parameters.
+            sizes: shape (F,), standard deviations; inf for none.
+            offsets: shape (F,), the point minus the priors' centres; default: zero.
+        """
+        precision = np.asarray(sizes, float) ** -2.0
+        at = np.zeros(len(precision)) if offsets is None else offsets
+        known = float(np.count_nonzero(precision))
+        return cls(tuple(names), np.diag(precision), -precision * at, float(precision @ at**2), known, precision)
+
+    def __add__(self, other: Quadratic) -> Quadratic:
+        """Return the sum of what both say, parameter by name: what one of them does not have it says nothing of."""
+        names = tuple(dict.fromkeys((*self.names, *other.names)))
+        place = {name: i for i, name in enumerate(names)}
+        H, g, whole = np.zeros((len(names),) * 2), np.zeros(len(names)), np.zeros(len(names))
+        for form in (self, other):
+            at = np.array([place[name] for name in form.names], int)
+            H[np.ix_(at, at)] += form.H
+            g[at] += form.g
+            whole[at] += form.whole
+        return Quadratic(names, H, g, self.square + other.square, self.degrees + other.degrees, whole)
+
+    def places(self, names: Sequence[str]) -> np.ndarray:
+        """Return where some parameters stand, shape (n,)."""
+        place = {name: i for i, name in enumerate(self.names)}
+        return np.array([place[name] for name in names], int)
+
+    def at(self, values: np.ndarray) -> Quadratic:
+        """Return the same squares about another point, ``values`` of shape (F,) away."""
+        square = self.square - 2.0 * float(self.g @ values) + float(values @ self.H @ values)
+        return replace(self, g=self.g - self.H @ values, square=square)
+
+    def held(self, at: np.ndarray) -> Quadratic:
+        """Return what is left if some parameters, by their places, stay where they are."""
+        kept = np.setdiff1d(np.arange(len(self.names)), at)
+        names = tuple(self.names[i] for i in kept)
+        return replace(self, names=names, H=self.H[np.ix_(kept, kept)], g=self.g[kept], whole=self.whole[kept])
+
+    def released(self, at: np.ndarray, tolerance: float = SEEN) -> Quadratic:
+        """Return what is left of all parameters once some of them, by their places, are anything.
+
+        Those keep their places, and nothing is known of them any more; :meth:`held` takes them away.
+        """
+        root = self.root(at, tolerance)
+        across, along = self.H[:, at] @ root, root.T @ self.g[at]
+        return replace(
+            self,
+            H=self.H - across @ across.T,
+            g=self.g - across @ along,
+            square=self.square - float(along @ along),
+            degrees=self.degrees - len(along),
+        )
+
+    def gain(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[float, int]:
+        """Return what some parameters, the others held, take off the squares, and the rank of what is seen of them.
+
+        If they are zero the gain is chi-square with as many degrees of freedom.
+        """
+        along = self.g[at] @ self.root(at, tolerance)
+        return float(along @ along), len(along)
+
+    def chance(self, at: np.ndarray, tolerance: float = SEEN) -> float:
+        """Return the chance of as large a gain if these parameters are zero."""
+        gain, rank = self.gain(at, tolerance)
+        return float(chdtrc(rank, gain)) if rank else 1.0
+
+    def estimate(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[np.ndarray, np.ndarray]:
+        """Return the likeliest values of some parameters, the others held, and their covariance; zero where unseen."""
+        root = self.root(at, tolerance)
+        return root @ (root.T @ self.g[at]), root @ root.T
+
+    def root(self, at: np.ndarray, tolerance: float = SEEN) -> np.ndarray:
+        """Return the root of the covariance of some parameters, the others held, over what is seen of them, (n, rank)."""
+        return root_of_inverse(self.H[np.ix_(at, at)], self.whole[at], tolerance)
+
+
+def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return R, shape (n, k), with R R^T the inverse of information H over the k directions that hold any.
+
+    Args:
+        H: shape (n, n).
+        whole: shape (n,), information that counts as 1.
+        tolerance: below which there is none.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    seen = values > tolerance
+    return np.asarray((scale[:, None] * vectors[:, seen]) / np.sqrt(values[seen]))
