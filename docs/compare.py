@@ -8,8 +8,8 @@ time and on one thread, through a small adaptor in ``peers/``: what a user of th
 The robot is the built-in KUKA KR 125/2 with errors in its Denavit-Hartenberg parameters, 1 mm and 1.5 mrad (standard
 deviations), and a reflector off the flange, measured with 0.05 mm of noise on each coordinate. The result is judged at 500
 other poses without noise. Positions are in the robot's base frame, as most of the programs expect them. With ``--truth
-drives`` the drives give way under the robot's own weight as well, with ``bearings`` the bearings, too; programs that know
-of elasticity then use it, and masses are those of the URDF.
+drives`` the drives are compliant under the robot's own weight as well, with ``bearings`` the bearings, too; programs that
+know of elasticity then use it, and masses are those of the URDF.
 
 Seconds are those of the processor, from data in memory to a predicting model, without imports: the shortest of a few fits.
 They depend on the machine and what else it does; compare the ratios of one run.
@@ -145,7 +145,7 @@ def compare(truth: str, tools: Sequence[str], poses: Sequence[int], environments
 def main() -> None:
     """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--truth", choices=TRUTHS, default="geometry", help="what gives way, too (default: nothing)")
+    parser.add_argument("--truth", choices=TRUTHS, default="geometry", help="what is compliant, too (default: nothing)")
     parser.add_argument("--poses", type=int, nargs="+", default=[100, 1000], help="sizes of the tables (default: 100 1000)")
     parser.add_argument("--tools", nargs="+", choices=TOOLS, default=list(TOOLS), help="which programs (default: all)")
     parser.add_argument("--keep", type=Path, help="folder for the environments, kept for the next run (default: temporary)")

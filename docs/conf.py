@@ -31,7 +31,7 @@ autodoc_class_signature = "separated"
 napoleon_use_ivar = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
-napoleon_custom_sections = ["Told apart by", "Source"]
+napoleon_custom_sections = ["Distinguished by", "Source"]
 copybutton_prompt_text = "$ "
 
 

@@ -29,10 +29,14 @@ REFERENCE = Path(__file__).parent / "reference"
 # What a user meets of each file.
 _FILES = {
     "model": ("model.json", "The calibrated robot: predicts without its URDF. Written by every verb that fits."),
-    "stations": ("model.json of several stations", "The robot once, and what each station has of its own."),
-    "result": ("result.json", "What a calibration came to. Written by `calibrate` and `discover`."),
-    "discovery": ("discovery.json", "What the model lacked, and what else it could be. Written by `discover`."),
+    "stations": ("model.json of several stations", "The robot, and the individual data of each station."),
+    "result": ("result.json", "Results of a calibration. Written by `calibrate` and `discover`."),
+    "discovery": ("discovery.json", "Missing effects and their alternatives. Written by `discover`."),
     "diagnosis": ("diagnosis.json", "Whether the robot has changed, and what. Written by `diagnose`."),
+    "information": (
+        "INFORMATION.json",
+        "Information on a robot, as `fit.information().save(PATH)` writes it and `pincal.load_information` adds it up.",
+    ),
     "camera": ("CAMERA.json", "A camera's parameters, as `--camera` takes and `simulate --camera-out` writes them."),
 }
 # What the sources of effects are called in full.
@@ -76,7 +80,10 @@ _SOURCES = (
 def commands() -> Iterator[str]:
     """Yield the page of commands: the help text of each."""
     yield "# Commands"
-    yield "What `pincal VERB --help` prints. Results go to stdout, progress and notes to stderr; `--json` is for programs."
+    yield (
+        "The output of `pincal COMMAND --help`. Results go to stdout, progress and notes to stderr; `--json` is for "
+        "programs."
+    )
     settings = command.context_settings | {"max_content_width": None, "terminal_width": 100}
     with click.Context(command, info_name="pincal", **settings) as context:
         yield _block(command.get_help(context))
@@ -98,8 +105,8 @@ def files() -> Iterator[str]:
     yield "## Tables of measurements"
     yield (
         "CSV or other text, Excel, Parquet, or recordings of ROS; one row per measured pose. One column per joint, named as "
-        "in the URDF, and those of one kind of reading. `approach_<joint>` is the side from which the joint arrived (-1, 0 "
-        "or 1); with `--rows-in-order` the sign of the move from the row before tells it."
+        "in the URDF, and those of one kind of reading. `approach_<joint>` is the direction of approach (-1, 0 or 1); with "
+        "`--rows-in-order` it is the sign of the move from the row before."
     )
     rows = []
     for sensor in (cls for cls in SENSORS.known().values() if cls.__module__.startswith("pincal.")):
@@ -175,24 +182,24 @@ def effects() -> Iterator[str]:
     """Yield the page of effects, from what each says of itself."""
     yield "# Effects"
     yield (
-        "An effect is one physical cause with parameters of its own. The arm's coordinates are sums over effects, so that "
-        "their order means nothing. Names are those of `--add`, `model.json`, `discovery.json` and `diagnosis.json`."
+        "An effect is one physical cause with its own parameters. The arm's coordinates are sums over effects, so their "
+        "order has no meaning. Names are those of `--add`, `model.json`, `discovery.json` and `diagnosis.json`."
     )
     yield (
         "Each section says what the effect is and what its parameters are; its **signature**, drawn for a "
         "KUKA KR 125/2 in 400 "
-        "random poses with random loads and temperatures, so large that it moves the target by 0.1 mm rms; "
+        "random poses with random loads and temperatures, scaled to move the target by 0.1 mm rms; "
         "its **look-alikes** "
-        "in the same poses, beside geometry and elasticity; which measurement **tells it apart** from them; "
+        "in the same poses, given geometry and elasticity; which measurement **distinguishes it** from them; "
         "and its **source**. "
-        "In your poses look-alikes may differ: `discovery.json` names those that they leave."
+        "In your poses look-alikes may differ: `discovery.json` lists them."
     )
     families: dict[str, list[tuple[str, str]]] = {}
     for name, cls in own_effects().items():
         families.setdefault(cls.family.value, []).append((f"[`{name}`](#{name})", cls.meaning))
     for family, rows in families.items():
         yield f"**{family[0].upper()}{family[1:]}**"
-        yield _table(("effect", "what a machine with it does"), rows)
+        yield _table(("effect", "meaning"), rows)
     for name, cls in own_effects().items():
         yield f"## {name}"
         yield f"*{cls.meaning[0].upper()}{cls.meaning[1:]}.*"
@@ -210,15 +217,15 @@ def _seen(name: str, signature: Signature | None) -> Iterator[str]:
         yield "**Signature** and **look-alikes**: those of whatever it stands for."
         return
     needs = " and ".join(f"`{column}`" for column in signature.effect.needs)
-    yield f"**Signature**: {signature.what}." + (f" It shows only in tables with {needs}." if needs else "")
+    yield f"**Signature**: {signature.what}." + (f" It is observable only in tables with {needs}." if needs else "")
     yield f"![{name}: {signature.what}](../pictures/effects/{name}.png)"
     if signature.alike:
         others = [f"[`{other}`](#{other}) ({_share(share)})" for other, share in signature.alike]
-        yield "**Look-alikes**, with the share of it that each could take: " + "; ".join(others) + "."
+        yield "**Look-alikes**, with the share of the signal that each could explain: " + "; ".join(others) + "."
     elif signature.is_constant:
-        yield "**Look-alikes**: other constants of arm, base and tool; what tells them apart is said below."
+        yield "**Look-alikes**: other constants of arm, base and tool; see below for how to distinguish them."
     else:
-        yield f"**Look-alikes**: none could take more than {round(100 * ALIKE)} % of it in these poses."
+        yield f"**Look-alikes**: none could explain more than {round(100 * ALIKE)} % of it in these poses."
 
 
 def _share(share: float) -> str:
@@ -236,7 +243,7 @@ def _told(cls: type) -> Iterator[str]:
         elif section.kind is DocstringSectionKind.admonition:
             words = _one_line(section.value.contents)
             told[section.title] = f"**{section.title}**: {words}"
-    yield from (told["Told apart by"], told["Source"])
+    yield from (told["Distinguished by"], told["Source"])
 
 
 def names() -> Iterator[str]:

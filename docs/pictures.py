@@ -56,7 +56,7 @@ def draw_view(found: Discovery, table: Measurements) -> None:
         options.add_argument(word)
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "view.html"
-        write_html(page, build_scene(calibrated, table, q=table.q[middle], grid=0))
+        write_html(page, build_scene(calibrated, table, grid=0).opening(table.q[middle]))
         browser = webdriver.Chrome(options=options)
         try:
             browser.get(page.as_uri())
@@ -116,7 +116,7 @@ def draw_link() -> None:
     text(2.55, 2.35, r"$q + \theta$", axis)
     text(1.02, 3.3, "nominal axis", ink, 9.0)
     text(2.3, 3.3, "tilted by $s_x, s_y$", axis, 9.0)
-    # The bearing at its height, which gives way.
+    # The bearing at its height, which is compliant.
     axes.add_patch(Rectangle((1.3, 1.35), 0.5, 0.28, color=bent, alpha=0.35))
     text(2.65, 1.5, "bearing: $\\gamma_x, \\gamma_y, \\gamma_z$", bent)
     axes.annotate("", (0.85, 1.5), (0.85, 0.4), arrowprops={"arrowstyle": "<->", "color": ink})

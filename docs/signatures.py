@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from pincal import ELASTIC, Chain, Conditions, Discoverable, Effect, Model, Robot, Situation
+from pincal import ELASTIC, Chain, Conditions, Discoverable, Effect, Model, PoseSet, Robot
 from pincal.builtin import kuka_urdf_path
-from pincal.io.effect_entry import known_effects
-from pincal.model.conditions import COLUMN_UNITS
-from pincal.model.effect import Family, Tone
+from pincal.io.entries import known_effects
+from pincal.model.effect import Family, Harmonic
 from pincal.model.effects import BaseFrame, ToolFrame
+from pincal.recorded import RECORDABLE
 
 PICTURES = Path(__file__).parent / "pictures" / "effects"
 _POSES = 400
@@ -25,7 +25,7 @@ _POSES = 400
 _TRACKER = np.array([-4.0, 2.5, 0.4])
 # Compliances of a heavy arm's joints about x, y, z [rad/(N m)].
 _SOFT = (2e-8, 2e-8, 1e-7) * 6
-# The joints on which effects are shown; waves a turn of what has many; poses of a sweep.
+# The joints on which effects are shown; cycles per revolution of what has many; poses of a sweep.
 _JOINTS = ("joint_2", "joint_3")
 _WAVES = 12.0
 _STEPS = 60
@@ -69,7 +69,7 @@ class Signature:
 
 
 @cache
-def situation() -> Situation:
+def situation() -> PoseSet:
     """Return the arm and its poses."""
     robot, rng = Robot.from_urdf(kuka_urdf_path()), np.random.default_rng(0)
     q = robot.random_configurations(_POSES, rng)
@@ -85,7 +85,7 @@ def situation() -> Situation:
         move=rng.uniform(-2.0, 2.0, (_POSES, 6)),
         sighted=robot.forward_kinematics(q)[:, :3, 3] - _TRACKER,
     )
-    return Situation(Chain.of(robot, moment_frame="before"), conditions, _SOFT)
+    return PoseSet(Chain.of(robot, moment_frame="before"), conditions, _SOFT)
 
 
 @cache
@@ -123,16 +123,16 @@ def signatures() -> dict[str, Signature]:
     return found
 
 
-def _examples(cls: type[Effect], at: Situation) -> list[Effect]:
+def _examples(cls: type[Effect], at: PoseSet) -> list[Effect]:
     """Return an effect in every place of the arm, as a discovery tries it first; a single one of what is none of its."""
     if issubclass(cls, Discoverable):
         found = [(candidate.forms or (candidate.effect,))[0] for candidate in cls.candidates(at)]
-        return [effect.tuned(_WAVES) if isinstance(effect, Tone) else effect for effect in found]
+        return [effect.tuned(_WAVES) if isinstance(effect, Harmonic) else effect for effect in found]
     needed = [field.name for field in fields(cls) if field.default is MISSING]
     return [cls(**dict.fromkeys(needed, _JOINTS[0]))] if needed in ([], ["joint"]) else []
 
 
-def _motion(at: Situation, effects: tuple[Effect, ...]) -> np.ndarray:
+def _motion(at: PoseSet, effects: tuple[Effect, ...]) -> np.ndarray:
     """Return how the target moves with each parameter, shape (3 N, P)."""
     model = Model(at.chain, effects)
     return model.linearise(np.zeros(model.n_parameters), at.conditions)[1].reshape(-1, model.n_parameters)
@@ -161,7 +161,7 @@ def _share(signal: np.ndarray, basis: np.ndarray) -> float:
     return float(fitted @ fitted / max(signal @ signal, 1e-300))
 
 
-def _values(effect: Effect, at: Situation) -> np.ndarray:
+def _values(effect: Effect, at: PoseSet) -> np.ndarray:
     """Return values of the parameters as large as they may be; of a curve, those of a wave with a kink."""
     sizes = np.array([min(parameter.size, _FRAME) for parameter in effect.parameters(at.chain)])
     if not effect.alike:
@@ -170,7 +170,7 @@ def _values(effect: Effect, at: Situation) -> np.ndarray:
     return np.asarray(sizes * (np.sin(5.0 * place) - 1.5 * np.abs(place - 0.3) + 1.0))
 
 
-def _swept(effect: Effect, at: Situation) -> _Drawing:
+def _swept(effect: Effect, at: PoseSet) -> _Drawing:
     """Return how one parameter moves the target as a joint turns and the others stand, by 0.1 mm rms."""
     joint = at.joints.index(_JOINTS[0])
     q = np.tile(0.5, (_STEPS, len(at.joints)))
@@ -190,7 +190,7 @@ def _swept(effect: Effect, at: Situation) -> _Drawing:
     return what, (label, np.rad2deg(q[:, joint])), ("target moves [mm]", moved)
 
 
-def _drawn(effect: Effect, values: np.ndarray, at: Situation) -> _Drawing | None:
+def _drawn(effect: Effect, values: np.ndarray, at: PoseSet) -> _Drawing | None:
     """Return the variable and what is moved most, by rms, each in words with its numbers; None of a constant."""
     moved = np.zeros((_POSES, at.chain.size))
     for term in effect.terms(at.chain, at.conditions, at.moments if effect.uses_moments else None):
@@ -201,22 +201,22 @@ def _drawn(effect: Effect, values: np.ndarray, at: Situation) -> _Drawing | None
     label, variable = "shift [mm]" if at.chain.layout.kind[k] >= 3 else "turn [mrad]", _variable(effect, moved[:, k], at)
     where = f"at {effect.locus.joint}" if effect.locus.joint else "in one place of the arm"
     where = "along an axis of the instrument" if effect.is_sighted else where
-    what = f"the {label.split()[0]} that it adds {where}, against {variable[0].rsplit(' [', 1)[0]}"
-    if isinstance(effect, Tone):
-        what += f" (drawn with {_WAVES:.0f} waves a turn)"
+    what = f"the {label.split()[0]} added {where}, as a function of {variable[0].rsplit(' [', 1)[0]}"
+    if isinstance(effect, Harmonic):
+        what += f" (drawn with {_WAVES:.0f} cycles per revolution)"
     return what, variable, (label, 1e3 * moved[:, k])
 
 
-def _variable(effect: Effect, moved: np.ndarray, at: Situation) -> tuple[str, np.ndarray]:
+def _variable(effect: Effect, moved: np.ndarray, at: PoseSet) -> tuple[str, np.ndarray]:
     """Return what an effect follows; where it says nothing, the moment or the position that it follows best."""
     follows = effect.locus.follows
     if follows in at.joints:
         return f"{follows} [deg]", np.rad2deg(at.positions(follows))
-    if follows in COLUMN_UNITS:
+    if follows in RECORDABLE:
         values = np.asarray(at.conditions.column(follows))
         if values.ndim > 1:
             values = values[:, at.joints.index(effect.locus.joint)]
-        unit = COLUMN_UNITS[follows]
+        unit = RECORDABLE[follows].unit
         return f"{follows} [{unit}]" if unit else follows, values
     if effect.is_sighted and at.conditions.sighted is not None:
         x, y, z = at.conditions.sighted.T

@@ -1,4 +1,4 @@
-"""Any arm: a random 6R robot that nobody has seen before, from its URDF to a calibrated URDF that any program reads.
+"""Any arm: a random 6R robot, from its URDF to a calibrated URDF that any program reads.
 
 The robot is drawn on the spot: lengths, twists, how each joint frame is turned about its axis, masses. The real machine
 behind it has errors in all of them, drives and bearings that give way under its own weight, and stands somewhere in a hall
@@ -130,7 +130,7 @@ def calibrate_and_judge(folder: Path, seed: int) -> None:
     rigid = geometry_difference(folder / "calibrated.urdf", export.tip, fit.model, fit.values, other)
     nominal = result.error["nominal"]["test"]
     print(f"Random 6R arm, seed {seed}, reach {robot.reach:.2f} m")
-    print(f"  {MEASURED} poses with {NOISE * 1e3:g} mm noise to calibrate with, {OTHER} exact ones to judge by")
+    print(f"  {MEASURED} poses with {NOISE * 1e3:g} mm noise to calibrate with, {OTHER} exact ones for validation")
     print(f"  nominal model          mean {nominal['mean_mm']:7.4f} mm, max {nominal['max_mm']:7.4f} mm")
     print(f"  model.json, reloaded   mean {model_error.mean():7.4f} mm, max {model_error.max():7.4f} mm")
     print(f"  reduced chi-square     {result.chi2_reduced:.3f} after {result.iterations} iterations")

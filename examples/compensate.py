@@ -1,4 +1,4 @@
-"""Go where it was meant: a robot that misses by a centimetre is calibrated, and told where to go so that it arrives.
+"""Compensation: a robot that misses by a centimetre is calibrated, and told where to go so that it arrives.
 
 The machine is a simulated KUKA KR 125/2 whose geometry is off, which bends under its own weight and a load of 100 kg, whose
 masses differ by 3 % from the URDF, with an eccentric gear in joint 3 and play in joint 2. A laser tracker with 0.05 mm of
@@ -102,7 +102,7 @@ def main() -> None:
         report(f"corrected by {name}", errors)
     elastic = ("joint_elasticity", "bearing_elasticity")
     named = [f"{e['effect']} of {e['joint']}" for e in discovery.report["effects"] if e["effect"] not in elastic]
-    print(f"  discovered beside elasticity: {', '.join(named)}")
+    print(f"  discovered in addition to elasticity: {', '.join(named)}")
     for name in ("singular", "joint_limit", "unreachable"):
         print(f"  {name:12s} {np.sum(corrected.status == name):3d} of {PROGRAM} poses")
 

@@ -15,7 +15,17 @@ import argparse
 
 import numpy as np
 
-from pincal import Design, Limits, Options, Robot, SensorSetup, calibrate, design_poses, measurements_from_arrays
+from pincal import (
+    Design,
+    DesignRequest,
+    Limits,
+    Options,
+    Robot,
+    SensorSetup,
+    calibrate,
+    design_poses,
+    measurements_from_arrays,
+)
 from pincal.builtin import kuka_urdf_path
 from pincal.design.reach import Reach
 from pincal.simulate import Instrument, TrueMachine
@@ -82,14 +92,15 @@ def main() -> None:
     print(f"KUKA KR 125/2, geometry and elasticity, {LOAD:g} kg, noise {NOISE * 1e3:g} mm, {chosen.poses} poses")
     print(f"errors anywhere in reach, rms [mm]; random: the median of {chosen.draws} draws      designed  random  ratio")
     for name, reach in CAMPAIGNS.items():
-        design = design_poses(ROBOT, chosen.poses, OPTIONS, rig=reach.rig, limits=reach.limits, payloads=[LOAD])
+        request = DesignRequest(poses=chosen.poses, payloads=[LOAD])
+        design = design_poses(ROBOT, request, OPTIONS, rig=reach.rig, limits=reach.limits)
         found, seen = design.found, realised(reach, design, chosen.draws)
         print(f"{name}: {design.drawn.in_words()}")
         for what, mine, random in (("predicted", found.designed.error, found.random.error), ("realised", *seen)):
             print(f"  {what:66s} {1e3 * mine:10.4f} {1e3 * random:8.4f} {random / mine:6.2f}")
-        print(f"  {'what no choice of the candidates is predicted to fall below':66s} {1e3 * (design.bound or 0.0):10.4f}")
+        print(f"  {'predicted lower bound for any choice of the candidates':66s} {1e3 * (design.bound or 0.0):10.4f}")
         equal = [str(point.poses) for point in design.curve if point.random.error <= found.designed.error]
-        print(f"  random poses that would do as well: {equal[0] if equal else f'more than {design.curve[-1].poses}'}")
+        print(f"  random poses for the same accuracy: {equal[0] if equal else f'more than {design.curve[-1].poses}'}")
 
 
 if __name__ == "__main__":

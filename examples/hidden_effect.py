@@ -74,13 +74,13 @@ def print_findings(report: dict[str, Any]) -> None:
         gaps = f"{entry['gap_before_mm']:10.4f} {entry['gap_after_mm']:10.4f}"
         print(f"    {in_words(entry):36s} {entry['p_value']:7.0e}  {gaps}")
         if entry["equivalent"]:
-            print(f"      could also be {', '.join(map(in_words, entry['equivalent']))}: {entry['tell_apart']}")
+            print(f"      alternatives: {', '.join(map(in_words, entry['equivalent']))}: {entry['tell_apart']}")
 
 
 def print_truth(hidden: HiddenEffect, shift: float, report: dict[str, Any]) -> None:
     """Print what was put in beside what came out."""
     unit = hidden.unit
-    print(f"  put in     {hidden.effect} of {hidden.joint or 'the whole arm'}, size {hidden.size:.3g} {unit}, "
+    print(f"  simulated  {hidden.effect} of {hidden.joint or 'the whole arm'}, size {hidden.size:.3g} {unit}, "
           f"moves the target by {1e3 * shift:.3f} mm rms")  # fmt: skip
     for entry in report["effects"]:
         if (entry["effect"], entry["joint"]) == (hidden.effect, hidden.joint):
@@ -89,7 +89,7 @@ def print_truth(hidden: HiddenEffect, shift: float, report: dict[str, Any]) -> N
             print(f"  found      {in_words(entry)}{size}")
             return
     also = [in_words(other) for entry in report["effects"] for other in entry["equivalent"]]
-    print(f"  found      not by this name; the same to these data: {', '.join(also) or 'nothing'}")
+    print(f"  found      not by this name; equivalent in these data: {', '.join(also) or 'nothing'}")
 
 
 def main() -> None:
@@ -111,7 +111,7 @@ def main() -> None:
     print(f"  nominal {nominal:.3f}, geometry calibrated {geometric:.3f}")
     print("What the geometric model misses:")
     print_findings(report)
-    print("Truth beside estimate:")
+    print("Truth and estimate:")
     print_truth(hidden, campaign.shift(machine, hidden), report)
     before, after = (report["gap"][when]["rms_mm"] for when in ("before", "after"))
     print(f"  gap, rms   {before:.4f} -> {after:.4f} mm; noise alone {report['noise_floor_mm']:.4f} mm; {report['verdict']}")

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pincal import Candidate, Chain, Conditions, Discoverable, Locus, Parameter, Situation, Term, register_effect
+from pincal import Candidate, Chain, Conditions, Discoverable, Locus, Parameter, PoseSet, Term, register_effect
 
 
 @register_effect
@@ -26,7 +26,7 @@ class HosePull(Discoverable):
     locus = property(lambda self: Locus(self.joint, "drive", follows=self.wound))
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield the hose at every joint, wound up by the one before it."""
         yield from (Candidate(cls(joint, wound)) for wound, joint in pairwise(situation.joints))
 

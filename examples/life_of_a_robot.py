@@ -1,4 +1,4 @@
-"""A robot's life: calibrated over two set-ups, hit, diagnosed from twelve poses, mended, and kept up with new rows.
+"""A robot's life: calibrated over two set-ups, hit, diagnosed from twelve poses, re-identified, and updated with new rows.
 
 The machine is a simulated KUKA KR 125/2 whose geometry is off; a laser tracker with 0.05 mm of noise stands elsewhere each
 time, and nobody tells where. Run it as
@@ -64,8 +64,8 @@ def main() -> None:
         ((name, moved),) = change.parameters.items()
         size = f"{name} by {1e3 * (moved.after - moved.before):.3f} +- {1e3 * moved.sigma:.3f} mrad"
         print(f"hit by {1e3 * HIT:.3f} mrad: changed {found.changed}, {change.effect} of {change.joint}, {size}")
-    print(f"the model as it was: {accuracy(model, machine):.4f} mm")
-    print(f"mended from 12 poses: {accuracy(found.model, machine):.4f} mm")
+    print(f"the old model: {accuracy(model, machine):.4f} mm")
+    print(f"re-identified from 12 poses: {accuracy(found.model, machine):.4f} mm")
     print(f"with 40 new rows: {accuracy(pincal.update(found.model, machine.measure(40)), machine):.4f} mm")
 
 

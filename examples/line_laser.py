@@ -19,7 +19,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics
-from pincal.measure.fields import POSITIVE, Field, Table
+from pincal.measure.fields import POSITIVE, Field, TableRows
 from pincal.measure.registry import register_sensor
 from pincal.measure.sensor import Block, OwnParameters, Sensor
 from pincal.measure.setup import Setup
@@ -51,7 +51,7 @@ class LineLaser(Sensor, OwnParameters):
     range: np.ndarray
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the ranges of a table."""
         return cls(table.array("range"))
 
@@ -96,7 +96,7 @@ class LineLaser(Sensor, OwnParameters):
 
     def unobservable(self) -> Iterator[str]:
         """Yield what a single plane leaves open."""
-        yield "ranges to a plane see neither where the base stands in the plane nor how it is turned about its normal"
+        yield "ranges to a plane do not determine the position of the base in the plane or its rotation about the normal"
 
 
 def _normal(own: np.ndarray) -> np.ndarray:

@@ -60,7 +60,7 @@ def main() -> None:
             gap = f"{found['gap_before_mm']:.4f} -> {found['gap_after_mm']:.4f} mm"
             print(f"  {found['effect']} at {found['joint']}{depends}: held-out mean {gap}, p {found['p_value']:.0e}")
     own = next(entry["parameters"]["joint_5.hose"] for entry in report["effects"] if entry["effect"] == "hose_pull")
-    print(f"Turn at one radian: put in {PULL:.3e} rad, found {own['value']:.3e} +- {own['sigma']:.1e} rad")
+    print(f"Turn at one radian: simulated {PULL:.3e} rad, found {own['value']:.3e} +- {own['sigma']:.1e} rad")
 
 
 if __name__ == "__main__":

@@ -61,18 +61,18 @@ def compare(robot: Robot, table: Measurements, fraction: float) -> None:
             crossed = 1e3 * float(np.linalg.norm(residuals, axis=0).mean())
             shown += f"  {crossed:11.3f}"
         print(f"  {name:10s} {shown}")
-    print(f"About {crossed:.1f} mm remains that neither geometry nor gravity explains.")
+    print(f"About {crossed:.1f} mm remain unexplained by geometry and gravity.")
 
 
 def explain(robot: Robot, table: Measurements) -> None:
     """Find what is missing, and print the curves of the drives and how far the gap shrinks in regions held out."""
     found = run_discovery(robot, table, Options(effects=GEOMETRIC))
-    print("What is missing; mean position errors in regions of joint space that were held out [mm]:")
+    print("What is missing; mean position errors in held-out regions of joint space [mm]:")
     for entry in found.report["effects"]:
         gap = f"{entry['gap_before_mm']:7.3f} -> {entry['gap_after_mm']:6.3f}"
         print(f"  {_place(entry):42s} {_curve(found, entry):18s} {gap}")
     before, after = (found.report["gap"][when]["mean_mm"] for when in ("before", "after"))
-    print(f"Regions held out, mean: {before:.3f} mm with geometry, {after:.3f} mm with all that was found.")
+    print(f"Regions held out, mean: {before:.3f} mm with geometry, {after:.3f} mm with all effects found.")
 
 
 def _place(entry: dict[str, Any]) -> str:

@@ -14,18 +14,20 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
-    from pincal.calibration.fit import Fit, calibrate, calibrate_parts
+    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.calibrated_fit import Fit, calibrate, calibrate_parts
+    from pincal.calibration.calibrated_robot import CalibratedRobot, load_model, load_stations, save_model
+    from pincal.calibration.calibration import Calibration, run_calibration
+    from pincal.calibration.information import RobotInformation, load_information
     from pincal.calibration.placing import Placed, place_station
-    from pincal.calibration.run import Calibration, run_calibration
-    from pincal.calibration.stations import CalibratedStations, load_stations
     from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
-    from pincal.compensate.frames import false_targets
-    from pincal.design.design import Design, design_poses
+    from pincal.compensate.robot_frames import false_targets
     from pincal.design.health import CheckRequest, HealthCheck, design_check
+    from pincal.design.pose_design import Design, design_poses
     from pincal.design.reach import Limits, SensorSetup
-    from pincal.diagnosis.run import Diagnosis, diagnose
-    from pincal.diagnosis.update import update
+    from pincal.design.request import DesignRequest
+    from pincal.diagnosis.model_update import update
+    from pincal.diagnosis.robot_diagnosis import Diagnosis, diagnose
     from pincal.discover.policy import Policy
     from pincal.discover.run import Discovery, run_discovery
     from pincal.errors import BadInputError, IdentificationError, PincalError, PincalWarning
@@ -34,21 +36,19 @@ if TYPE_CHECKING:
     from pincal.identify.options import Options, StationOptions
     from pincal.identify.repeat import bootstrap, bootstrap_stations, cross_validate, monte_carlo
     from pincal.io.urdf_export import calibrated_urdf
-    from pincal.measure.from_arrays import measurements
     from pincal.measure.lens import Lens
-    from pincal.measure.measurements import Measurements, measurements_from_arrays
-    from pincal.measure.named_points import KnownDistance
+    from pincal.measure.measurements import Measurements, measurements, measurements_from_arrays
     from pincal.measure.registry import register_sensor
     from pincal.measure.sensor import Sensor
-    from pincal.measure.setup import Setup
+    from pincal.measure.setup import KnownDistance, Setup
     from pincal.measure.table import read_measurements, row_parts
     from pincal.model.augmented import augmented_model, pinocchio_model
     from pincal.model.chain import Chain
-    from pincal.model.conditions import Conditions, Situation
+    from pincal.model.conditions import Conditions, PoseSet
     from pincal.model.effect import Candidate, Discoverable, Effect, Locus, Term
+    from pincal.model.effect_registry import register_effect
     from pincal.model.effects import ELASTIC, GEOMETRIC
     from pincal.model.model import Model
-    from pincal.model.registry import register_effect
     from pincal.parameters import Parameter
     from pincal.plugins import load_plugin
     from pincal.robot.robot import Robot
@@ -56,21 +56,23 @@ if TYPE_CHECKING:
 
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
 _HOMES = {
-    "pincal.calibration.calibrated": ("CalibratedModel", "load_model", "save_model"),
-    "pincal.calibration.fit": ("Fit", "calibrate", "calibrate_parts"),
+    "pincal.calibration.calibrated": ("CalibratedModel",),
+    "pincal.calibration.calibrated_fit": ("Fit", "calibrate", "calibrate_parts"),
+    "pincal.calibration.calibrated_robot": ("CalibratedRobot", "load_model", "load_stations", "save_model"),
+    "pincal.calibration.information": ("RobotInformation", "load_information"),
     "pincal.calibration.placing": ("Placed", "place_station"),
-    "pincal.calibration.run": ("Calibration", "run_calibration"),
-    "pincal.calibration.stations": ("CalibratedStations", "load_stations"),
+    "pincal.calibration.calibration": ("Calibration", "run_calibration"),
     "pincal.compensate.compensation": ("Compensation", "compensate_poses", "compensate_program"),
-    "pincal.compensate.frames": ("false_targets",),
-    "pincal.design.design": ("Design", "design_poses"),
+    "pincal.compensate.robot_frames": ("false_targets",),
+    "pincal.design.pose_design": ("Design", "design_poses"),
     "pincal.design.health": ("CheckRequest", "HealthCheck", "design_check"),
     "pincal.design.reach": ("Limits", "SensorSetup"),
+    "pincal.design.request": ("DesignRequest",),
     "pincal.io.discovery_file": ("Findings", "FoundEffect"),
     "pincal.notes": ("Note",),
-    "pincal.validate.verdict": ("Verdict",),
-    "pincal.diagnosis.run": ("Diagnosis", "diagnose"),
-    "pincal.diagnosis.update": ("update",),
+    "pincal.validate.misfit": ("Verdict",),
+    "pincal.diagnosis.robot_diagnosis": ("Diagnosis", "diagnose"),
+    "pincal.diagnosis.model_update": ("update",),
     "pincal.discover.policy": ("Policy",),
     "pincal.discover.run": ("Discovery", "run_discovery"),
     "pincal.errors": ("BadInputError", "IdentificationError", "PincalError", "PincalWarning"),
@@ -79,21 +81,19 @@ _HOMES = {
     "pincal.identify.options": ("Options", "StationOptions"),
     "pincal.identify.repeat": ("bootstrap", "bootstrap_stations", "cross_validate", "monte_carlo"),
     "pincal.io.urdf_export": ("calibrated_urdf",),
-    "pincal.measure.from_arrays": ("measurements",),
     "pincal.measure.lens": ("Lens",),
-    "pincal.measure.measurements": ("Measurements", "measurements_from_arrays"),
-    "pincal.measure.named_points": ("KnownDistance",),
+    "pincal.measure.measurements": ("Measurements", "measurements", "measurements_from_arrays"),
     "pincal.measure.registry": ("register_sensor",),
     "pincal.measure.sensor": ("Sensor",),
-    "pincal.measure.setup": ("Setup",),
+    "pincal.measure.setup": ("KnownDistance", "Setup"),
     "pincal.measure.table": ("read_measurements", "row_parts"),
     "pincal.model.augmented": ("augmented_model", "pinocchio_model"),
     "pincal.model.chain": ("Chain",),
-    "pincal.model.conditions": ("Conditions", "Situation"),
+    "pincal.model.conditions": ("Conditions", "PoseSet"),
     "pincal.model.effect": ("Candidate", "Discoverable", "Locus", "Effect", "Term"),
     "pincal.model.effects": ("ELASTIC", "GEOMETRIC"),
     "pincal.model.model": ("Model",),
-    "pincal.model.registry": ("register_effect",),
+    "pincal.model.effect_registry": ("register_effect",),
     "pincal.parameters": ("Parameter",),
     "pincal.plugins": ("load_plugin",),
     "pincal.robot.robot": ("Robot",),
@@ -102,8 +102,10 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 # Names of 0.1.0, for one release.
 _RENAMED = {
+    "CalibratedStations": "CalibratedRobot",
     "Gap": "KnownDistance",
     "Rig": "SensorSetup",
+    "Situation": "PoseSet",
     "calibrated_model": "pinocchio_model",
     "calibrated_model_of": "CalibratedModel.of",
 }
@@ -113,7 +115,7 @@ __all__ = [
     "GEOMETRIC",
     "BadInputError",
     "CalibratedModel",
-    "CalibratedStations",
+    "CalibratedRobot",
     "Calibration",
     "Candidate",
     "Chain",
@@ -121,6 +123,7 @@ __all__ = [
     "Compensation",
     "Conditions",
     "Design",
+    "DesignRequest",
     "Diagnosis",
     "Discoverable",
     "Discovery",
@@ -143,11 +146,12 @@ __all__ = [
     "PincalWarning",
     "Placed",
     "Policy",
+    "PoseSet",
     "Robot",
+    "RobotInformation",
     "Sensor",
     "SensorSetup",
     "Setup",
-    "Situation",
     "StationOptions",
     "Term",
     "Verdict",
@@ -167,6 +171,7 @@ __all__ = [
     "explain",
     "export_model",
     "false_targets",
+    "load_information",
     "load_model",
     "load_plugin",
     "load_stations",

@@ -55,6 +55,9 @@ def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Itera
         ('whole', 1)
     """
     path = Path(path)
+    # A draft would take the place of the device itself, for everybody on the machine.
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OutputError(f"{path}: a device or a pipe, which a file would replace; {advice}")
     try:
         with drafted(path.parent, path.name) as draft:
             yield draft
@@ -63,7 +66,7 @@ def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Itera
         raise OutputError(f"{path}: can't be written ({error.strerror or error}); {advice}") from None
 
 
-def write_whole(path: str | os.PathLike[str], content: str | bytes, *, advice: str = ELSEWHERE) -> None:
+def write_atomic(path: str | os.PathLike[str], content: str | bytes, *, advice: str = ELSEWHERE) -> None:
     """Write a file as a whole or not at all; text as UTF-8 with the line ends that it has.
 
     Raises:

@@ -6,7 +6,9 @@ with other bytes may crash it or compute something else.
 
 from __future__ import annotations
 
+import gc
 import logging
+import os
 import pickle
 import zlib
 from collections.abc import Callable
@@ -14,7 +16,9 @@ from contextlib import suppress
 from typing import Any
 
 from numba import njit
+from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
 log = logging.getLogger(__name__)
@@ -60,12 +64,19 @@ class _Cache(FunctionCache):
 
     _impl_class = _Summed
 
+    def __init__(self, function: Any) -> None:
+        """Take a change of any file for new that has parts of the loop."""
+        super().__init__(function)
+        others = sorted(_files_of(function, set()) - {function.__code__.co_filename})
+        changed = [(status.st_mtime, status.st_size) for status in map(os.stat, others)]
+        self._cache_file._source_stamp = (self._cache_file._source_stamp, *changed)
+
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return what was kept, None if nothing was or it is damaged, which is then dropped."""
         try:
             return super().load_overload(signature, context)
         except Exception as error:
-            log.info("what was compiled earlier is damaged and is compiled anew: %s: %r", self.cache_path, error)
+            log.info("the cache of compiled loops is damaged; recompiling: %s: %r", self.cache_path, error)
             with suppress(OSError):
                 self.flush()
             return None
@@ -75,4 +86,51 @@ class _Cache(FunctionCache):
         try:
             super().save_overload(signature, result)
         except Exception as error:
-            log.info("what was compiled can't be kept: %s: %r", self.cache_path, error)
+            log.info("compiled loops can't be cached: %s: %r", self.cache_path, error)
+
+
+def _files_of(function: Any, known: set[str]) -> set[str]:
+    """Return the files of a loop and of those that its file imports."""
+    if function.__code__.co_filename not in known:
+        known.add(function.__code__.co_filename)
+        for other in function.__globals__.values():
+            if isinstance(other, Dispatcher):
+                _files_of(other.py_func, known)
+    return known
+
+
+def announce(module: str) -> None:
+    """Let it be said once if the loops of a module have to be compiled."""
+    event.register("numba:compile", _Compiling(module))
+
+
+class _Compiling(event.Listener):
+    """Says once that the loops of a module are being compiled, which keeps the first command on a machine waiting.
+
+    What the compiler builds lives until it is done: looking through it for garbage would take a sixth of the time.
+    """
+
+    def __init__(self, module: str) -> None:
+        self._module, self._is_due, self._depth, self._collects = module, True, 0, False
+
+    def on_start(self, event: event.Event) -> None:
+        """Say so at the first of the loops, and keep what is built."""
+        if not self._is_ours(event):
+            return
+        if self._is_due:
+            self._is_due = False
+            log.info("compiling once for this machine, about 10 s")
+        if not self._depth:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, event: event.Event) -> None:
+        """Collect garbage again after the last one."""
+        if self._is_ours(event):
+            self._depth -= 1
+            if not self._depth and self._collects:
+                gc.enable()
+
+    def _is_ours(self, event: event.Event) -> bool:
+        return bool(event.data["dispatcher"].py_func.__module__ == self._module)

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import difflib
 import unicodedata
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 from itertools import islice
 
@@ -94,6 +96,10 @@ class ModelFileError(BadInputError):
     """A ``model.json`` that is truncated, inconsistent or written by a newer version."""
 
 
+class ProgramError(BadInputError):
+    """A robot's program that is cut, of another dialect, or can't be read."""
+
+
 class OutputError(BadInputError):
     """An output file or folder that can't be written."""
 
@@ -121,10 +127,35 @@ class WorkersLostError(PincalError, RuntimeError):
 
 
 class PincalWarning(UserWarning):
-    """Something that the user should know but that does not stop the run; can be printed as it is."""
+    """A message to the user that does not stop the run; can be printed as it is."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(str(message), LONGEST))
+
+
+@contextmanager
+def needed(package: str, what: str, *, install: str = "", error: type[BadInputError] = BadInputError) -> Iterator[None]:
+    """Import a package that some features alone need: where it is not installed they are refused, and nothing else is.
+
+    Args:
+        package: its name.
+        what: needs it, in words.
+        install: what pip is to install; default: the package.
+        error: class of the error.
+
+    Raises:
+        BadInputError: of the class, saying how to install it.
+
+    Example:
+        >>> with needed("example-robot-data", "robots by name", install="example-robot-data-loaders"):
+        ...     import no_such_module
+        Traceback (most recent call last):
+        pincal.errors.BadInputError: robots by name need example-robot-data: run pip install example-robot-data-loaders
+    """
+    try:
+        yield
+    except ImportError as missing:
+        raise error(f"{what} need {package}: run pip install {install or package}") from missing
 
 
 def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
@@ -142,3 +173,8 @@ def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
         return best if best >= _ALIKE else 0.0
 
     return sorted(dict.fromkeys(known), key=likeness, reverse=True)
+
+
+def warn(text: str) -> None:
+    """Warn of what is odd, but possible."""
+    warnings.warn(text, PincalWarning, stacklevel=3)

@@ -16,12 +16,12 @@ class Severity(StrEnum):
 
 
 class Note(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the user should know; ``str()`` gives the text.
+    """A message to the user; ``str()`` gives the text.
 
     Attributes:
         severity: "doubt", which stands first in every output and keeps the verdict from being "adequate", or "note".
         text: in words.
-        rows: lines of the rows that it is about, where it is about some.
+        rows: lines of the rows concerned, if any.
     """
 
     severity: Severity

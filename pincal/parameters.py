@@ -21,7 +21,12 @@ import numpy as np
 # Coordinates of a frame: position [m] and small angles [rad].
 FRAME_SYMBOLS = ("x", "y", "z", "rx", "ry", "rz")
 
+ANYWHERE = float("inf")
+"""Size of what says where things stand around the robot: it may lie anywhere."""
+
 Scope = Literal["robot", "station"]
+# Powers of the moment in the unit of what answers to it.
+_MOMENT_POWERS = {"(N m)": -1, "(N m)^2": -2}
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,9 @@ class Parameter:
             several is ``<station>/<element>.<symbol>``.
         unit: "rad", "m" or "rad/(N m)".
         effect: name of the effect that owns it.
-        nominal: what the URDF says; a fit finds the deviation from it.
-        size: how far it typically moves its coordinate [rad or m]; inf for frames that are anywhere.
-        station: name of the station that it belongs to; "" for the robot's own and where there is only one station.
+        nominal: value of the URDF; a fit estimates the deviation from it.
+        size: standard deviation of its prior [rad or m]; inf for unknown frames.
+        station: name of the station that it belongs to; "" for robot parameters and where there is only one station.
     """
 
     name: str
@@ -46,9 +51,29 @@ class Parameter:
     station: str = ""
 
     @property
+    def element(self) -> str:
+        """What it belongs to: a joint, "base", "tool", a target, a point, ..."""
+        return split_name(self.local_name)[0]
+
+    @property
+    def symbol(self) -> str:
+        """What it is of its element."""
+        return split_name(self.name)[1]
+
+    @property
+    def moment_power(self) -> int:
+        """By which power of a factor on all masses it has to change for the same robot: 1 of masses, -1 of compliances."""
+        return _MOMENT_POWERS.get(self.unit.partition("/")[2], 0) or int(self.unit in ("kg", "kg m"))
+
+    @property
+    def is_compliance(self) -> bool:
+        """Whether it is a compliance: deflection per unit of moment."""
+        return self.moment_power == -1
+
+    @property
     def is_extrinsic(self) -> bool:
-        """Whether it says where things stand around the robot, so that it may lie anywhere and has no prior."""
-        return self.size == float("inf")
+        """Whether it belongs to the pose of base, target or object, which has no prior."""
+        return self.size == ANYWHERE
 
     def at(self, station: str) -> Parameter:
         """Return the same parameter as that of one station among several; unchanged if the station has no name."""
@@ -58,6 +83,17 @@ class Parameter:
     def local_name(self) -> str:
         """Its name within its station."""
         return self.name.removeprefix(f"{self.station}/") if self.station else self.name
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Return element and symbol of a parameter's name; the element is empty if it has none.
+
+    Example:
+        >>> split_name("joint_2.s_x")
+        ('joint_2', 's_x')
+    """
+    element, _, symbol = name.rpartition(".")
+    return element, symbol
 
 
 def root_of(covariance: np.ndarray) -> np.ndarray:
@@ -234,6 +270,19 @@ class Estimate:
     def carried_over(self, parameters: Sequence[Parameter]) -> np.ndarray:
         """Return the values of other parameters as far as they are known here by name, shape (n,); zero for the rest."""
         return carried_over(self.values, self._index, parameters)
+
+
+def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance: np.ndarray) -> Estimate:
+    """Return an estimate of parameters from a covariance over all of them, zero for those that were not fitted.
+
+    Args:
+        parameters: the P parameters.
+        values: shape (P,), deviations from the nominal.
+        covariance: shape (P, P).
+    """
+    free = np.diag(covariance) > 0.0
+    prior = np.array([parameter.size for parameter in parameters])
+    return Estimate(tuple(parameters), values, free, Covariance.of(covariance[np.ix_(free, free)]), prior)
 
 
 def carried_over(values: np.ndarray, index: dict[str, int], parameters: Sequence[Parameter]) -> np.ndarray:

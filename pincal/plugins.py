@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import entry_points
@@ -17,17 +16,17 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
-from pincal.errors import BadInputError, PincalWarning
+from pincal.errors import BadInputError, warn
 
-T = TypeVar("T")
-C = TypeVar("C", bound=type[Any])
+_T = TypeVar("_T")
+_C = TypeVar("_C", bound=type[Any])
 
 # Modules that users named, in their order, and those that classes were registered from.
 _loaded: dict[str, None] = {}
 _origins: list[str] = []
 
 
-class Registry(Generic[T]):
+class Registry(Generic[_T]):
     """The classes of one kind by name: those of pincal, those of plugins, and what a user registers.
 
     Example:
@@ -41,7 +40,7 @@ class Registry(Generic[T]):
     """
 
     def __init__(
-        self, kind: str, *, group: str, name_of: Callable[[type[T]], str], check: Callable[[type[T]], None] | None = None
+        self, kind: str, *, group: str, name_of: Callable[[type[_T]], str], check: Callable[[type[_T]], None] | None = None
     ) -> None:
         """Make an empty registry.
 
@@ -55,10 +54,10 @@ class Registry(Generic[T]):
         self.group = group
         self._name_of = name_of
         self._check = check
-        self._classes: dict[str, type[T]] = {}
+        self._classes: dict[str, type[_T]] = {}
         self._is_complete = False
 
-    def register(self, cls: C) -> C:
+    def register(self, cls: _C) -> _C:
         """Add a class, as a decorator or by a call.
 
         Raises:
@@ -78,11 +77,11 @@ class Registry(Generic[T]):
         _origins.append(cls.__module__)
         return cls
 
-    def registered(self) -> Mapping[str, type[T]]:
+    def registered(self) -> Mapping[str, type[_T]]:
         """Return the classes that were registered so far, without a look at installed packages."""
         return dict(self._classes)
 
-    def known(self) -> Mapping[str, type[T]]:
+    def known(self) -> Mapping[str, type[_T]]:
         """Return all classes by name, those of installed packages among them."""
         if not self._is_complete:
             self._is_complete = True
@@ -97,11 +96,9 @@ class Registry(Generic[T]):
                 if isinstance(found, type):
                     self.register(found)
             except Exception as error:  # Anything may go wrong in the code of others.
-                warnings.warn(
+                warn(
                     f"{self.kind} {point.name!r} of the entry point {point.value} can't be loaded "
-                    f"({type(error).__name__}: {error}); it is left out",
-                    PincalWarning,
-                    stacklevel=3,
+                    f"({type(error).__name__}: {error}); it is left out"
                 )
 
 

@@ -12,6 +12,7 @@ import logging
 import os
 import pickle
 import platform
+import signal
 import tempfile
 import threading
 import uuid
@@ -23,14 +24,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pincal.errors import BadInputError, WorkersLostError
 from pincal.plugins import load_plugin, loaded_plugins
 
-T = TypeVar("T")
-R = TypeVar("R")
+_T = TypeVar("_T")
+_R = TypeVar("_R")
 
 # What a worker keeps of what it was sent: the present work, and what it began before.
 _KEPT = 4
@@ -42,7 +44,9 @@ _GIVEN_UP = ("KilledWorker",)
 log = logging.getLogger(__name__)
 
 
-def spread(function: Callable[[T], R], items: Iterable[T], *, label: str, executor: Executor | None = None) -> Iterator[R]:
+def spread(
+    function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor | None = None
+) -> Iterator[_R]:
     """Return a function's results in the order of the items; an executor begins all before the first is asked for.
 
     Args:
@@ -60,7 +64,8 @@ def spread(function: Callable[[T], R], items: Iterable[T], *, label: str, execut
         [1, 2]
     """
     tasks = list(items)
-    return _told(map(function, tasks) if executor is None else _begun(function, tasks, executor, label), label, len(tasks))
+    begun = map(function, tasks) if executor is None else _Sender(function, executor, label).begun(function, tasks, label)
+    return _told(begun, label, len(tasks))
 
 
 def wake(executor: Executor, count: int, module: str) -> None:
@@ -72,11 +77,7 @@ def wake(executor: Executor, count: int, module: str) -> None:
     """
     with _losses(module):
         for _ in range(count):
-            executor.submit(_load, module)
-
-
-def _load(module: str) -> None:
-    import_module(module)
+            executor.submit(import_module, module)
 
 
 def end_with_parent() -> None:
@@ -97,6 +98,46 @@ def end_with_parent() -> None:
         threading.Thread(target=_end_after, args=(parent.sentinel,), name="end with parent", daemon=True).start()
 
 
+class _Deaf(SpawnProcess):
+    """A worker that leaves Ctrl-C, which a terminal sends to all, to the process that started it."""
+
+    def start(self) -> None:
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().start()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def own_processes() -> Iterator[Executor]:
+    """Yield an executor of processes of this machine; after an error or an interruption they end at once.
+
+    Example:
+        >>> with own_processes() as executor:
+        ...     executor.submit(abs, -1).result()
+        1
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import active_children
+
+    # A process that is forked from one with threads may hang.
+    context = SpawnContext()
+    context.Process = _Deaf  # type: ignore[misc]
+    executor = ProcessPoolExecutor(mp_context=context, initializer=end_with_parent)
+    try:
+        yield executor
+    except BaseException:
+        # Nobody waits for what they do; and an import that is interrupted may fail as any other.
+        for process in active_children():
+            process.terminate()
+        raise
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
 def _end_after(sentinel: int) -> None:
     from multiprocessing.connection import wait
 
@@ -105,14 +146,14 @@ def _end_after(sentinel: int) -> None:
     os._exit(1)
 
 
-def _told(results: Iterator[R], label: str, of: int) -> Iterator[R]:
+def _told(results: Iterator[_R], label: str, of: int) -> Iterator[_R]:
     """Yield results, and log how many there are."""
     for done, result in enumerate(results, 1):
         log.info("%s %d of %d", label, done, of, extra={"done": done, "of": of})
         yield result
 
 
-def repeated(function: Callable[[T], R], items: Iterable[T], *, label: str, executor: Executor) -> Iterator[R]:
+def spread_again(function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor) -> Iterator[_R]:
     """Return what :func:`spread` does, of a function that is called again: workers have it for as long as it lives here.
 
     Args:
@@ -129,11 +170,6 @@ def repeated(function: Callable[[T], R], items: Iterable[T], *, label: str, exec
     return sender.begun(function, list(items), label)
 
 
-def _begun(function: Callable[[T], R], tasks: Sequence[T], executor: Executor, label: str) -> Iterator[R]:
-    """Submit all tasks."""
-    return _Sender(function, executor, label).begun(function, tasks, label)
-
-
 class _Sender:
     """A function where the workers of an executor find it; here it may die meanwhile."""
 
@@ -148,7 +184,7 @@ class _Sender:
         self._file = _File(pickle.dumps(function, pickle.HIGHEST_PROTOCOL))
         self._held = _Sent(uuid.uuid4().hex, loaded_plugins(), self._file.path)
 
-    def begun(self, function: Callable[[T], R], tasks: Sequence[T], label: str) -> Iterator[R]:
+    def begun(self, function: Callable[[_T], _R], tasks: Sequence[_T], label: str) -> Iterator[_R]:
         """Submit all tasks."""
         if isinstance(self.executor, ThreadPoolExecutor):
             return self.executor.map(function, tasks)
@@ -162,7 +198,7 @@ class _Sender:
 _AT_WORKERS: weakref.WeakKeyDictionary[Callable[[Any], Any], list[_Sender]] = weakref.WeakKeyDictionary()
 
 
-def _results(futures: Sequence[Future[R]], label: str, *needed: object) -> Iterator[R]:
+def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iterator[_R]:
     """Yield results; what the tasks need lives for as long as there are some to come."""
     try:
         for future in futures:

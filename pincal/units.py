@@ -1,13 +1,16 @@
-"""Units in which people read quantities, and the formatting of numbers; the only home of such conversion factors.
+"""Units in which people write and read quantities, and the formatting of numbers; the only home of such conversion factors.
 
-The library computes in SI units throughout. Factors enter where a number is shown.
+The library computes in SI units throughout. Factors enter where a number is read or shown.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    import numpy as np
 
 LARGEST = 1e7
 """Size beyond which no quantity of a robot cell in SI units can be meant.
@@ -17,6 +20,85 @@ which go that far.
 """
 SMALLEST = 1e-12
 """Size below which no positive quantity in SI units can be meant: a picometre is a hundredth of an atom."""
+
+SIZES = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "µm": 1e-6,
+    "in": 0.0254,
+    "rad": 1.0,
+    "mrad": 1e-3,
+    "urad": 1e-6,
+    "deg": math.pi / 180,
+    "°": math.pi / 180,
+    "kg": 1.0,
+    "g": 1e-3,
+    "lb": 0.45359237,
+    "s": 1.0,
+    "ms": 1e-3,
+    "min": 60.0,
+    "h": 3600.0,
+    "degC": 1.0,
+    "°C": 1.0,
+    "K": 1.0,
+    "px": 1.0,
+}
+"""Units in which values are given, each with its size in SI units (temperatures: in deg C)."""
+
+
+def unit_sizes(*units: str) -> dict[str, float]:
+    """Return the sizes of some units in SI units.
+
+    Example:
+        >>> unit_sizes("mm", "m")
+        {'mm': 0.001, 'm': 1.0}
+    """
+    return {unit: SIZES[unit] for unit in units}
+
+
+_LENGTHS = ("m", "mm", "cm", "um", "µm", "in")
+UNITS: dict[str, tuple[str, ...]] = {
+    "length": _LENGTHS,
+    "noise": (*_LENGTHS, "px"),
+    "angle": ("rad", "mrad", "deg", "°"),
+    "mass": ("kg", "g", "lb"),
+    "time": ("s", "ms", "min", "h"),
+    "temperature": ("degC", "°C", "K"),
+    "pixel": ("px",),
+    "number": (),
+    "name": (),
+}
+"""The units that a column may have, by what it holds, the SI unit first; what has no unit in the header is in SI units."""
+# What is added to a value in SI units' size.
+_OFFSETS = {"K": -273.15}
+# What has its own size: counts, indices and times, which some clocks count from 1970 in nanoseconds.
+_UNBOUNDED = ("time", "number", "name")
+
+
+def is_possible(values: np.ndarray, quantity: str) -> np.ndarray:
+    """Return which values of a quantity in SI units can be meant: finite ones, no larger than anything about a robot is."""
+    import numpy as np
+
+    return np.asarray(np.isfinite(values) if quantity in _UNBOUNDED else np.abs(values) <= LARGEST)
+
+
+def expected_number(quantity: str) -> str:
+    """Return in words which values can be meant.
+
+    Example:
+        >>> expected_number("length"), expected_number("time")
+        ('a finite number (at most 1e+07 m)', 'a finite number')
+    """
+    return "a finite number" + ("" if quantity in _UNBOUNDED else f" (at most {LARGEST:g} {UNITS[quantity][0]})")
+
+
+def in_si(values: np.ndarray, unit: str) -> np.ndarray:
+    """Return values in SI units; an empty unit is SI."""
+    size, offset = SIZES.get(unit, 1.0), _OFFSETS.get(unit, 0.0)
+    return values if (size, offset) == (1.0, 0.0) else values * size + offset
+
 
 # Size of gravity [m/s^2] that can be meant if it is not zero: from what is left in orbit to a hundred times that on earth.
 _LEAST_GRAVITY, _MOST_GRAVITY = 1e-6, 1e3
@@ -48,6 +130,30 @@ def plain_number(text: str) -> float:
     if not text.isascii() or "_" in text:
         raise ValueError(f"{text!r} is not a number in plain digits")
     return float(text)
+
+
+def size_in(text: str, unit: str) -> float:
+    """Return a size that is written with a unit, or with none, in another unit of the same kind.
+
+    Raises:
+        ValueError: for what is no such size.
+
+    Example:
+        >>> size_in("0.5mm", "m"), size_in("0.2 urad/Nm", "rad/(N m)"), size_in("inf", "rad")
+        (0.0005, 2e-07, inf)
+    """
+    (of, _, per), kinds = unit.partition("/"), [kind for kind in UNITS.values() if unit.partition("/")[0] in kind]
+    number, divided, below = text.replace(" ", "").partition("/")
+    if divided and below.strip("()") != per.replace(" ", "").strip("()"):
+        raise ValueError(f"{text!r}; expected a number in {unit}")
+    known = {name: SIZES[name] / SIZES[of] for name in (*(kinds[0] if kinds else ()), *(("urad",) if of == "rad" else ()))}
+    for name in (*sorted(known, key=len, reverse=True), ""):
+        if number.endswith(name) and not (per and name and not divided):
+            try:
+                return plain_number(number.removesuffix(name)) * known.get(name, 1.0)
+            except ValueError:
+                continue
+    raise ValueError(f"{text!r}; expected a number in {unit}")
 
 
 class Unit(NamedTuple):

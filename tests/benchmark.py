@@ -180,7 +180,12 @@ def time_design() -> Iterator[Line]:
     first = ROBOT.joint_names[:3]
     effects = (*GEOMETRIC, JointElasticity(joints=first), BearingElasticity(joints=first))
     options = Options(effects=effects, sigma=NOISE, payload_centre=PAYLOAD_COM)
-    call = partial(pincal.design_poses, ROBOT, 50, options, payloads=[PAYLOAD_MASS], candidates=1_000, curve=False)
+    call = partial(
+        pincal.design_poses,
+        ROBOT,
+        pincal.DesignRequest(poses=50, payloads=[PAYLOAD_MASS], candidates=1_000, curve=False),
+        options,
+    )
     for name, refine in (("exchange alone", False), ("and refined", True)):
         call(refine=refine)
         taken = seconds(partial(call, refine=refine), CALLS)

@@ -20,16 +20,14 @@ from scipy.spatial.transform import Rotation
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.elastic_rivals import instead_of
-from pincal.discover.history import History
-from pincal.discover.loop import discover_effects
-from pincal.discover.moment_frames import fit_cost
-from pincal.discover.nuisance import MassError, compliances_of
-from pincal.discover.where import sure_compliances
+from pincal.discover.elastic import instead_of, sure_compliances
+from pincal.discover.levers import MassError, compliances_of
+from pincal.discover.loop import discover_effects, fit_cost
+from pincal.discover.steps import History
 from pincal.identify.calibrate import refit
-from pincal.identify.fit import Fit
+from pincal.identify.fit import ModelFit
 from pincal.identify.split import hold_out, row_groups
-from pincal.measure.approach import moves_by_order, sides_by_order
+from pincal.measure.approach import moves_by_order, sides_of
 from pincal.measure.measurements import Measurements
 from pincal.model import catalogue
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
@@ -316,7 +314,7 @@ class _Absorber:
         return float(np.sum((target - A / scale @ p)[: len(d)] ** 2))
 
 
-def _bent(fit: Fit, soft: HiddenEffect | None) -> tuple[Model, np.ndarray]:
+def _bent(fit: ModelFit, soft: HiddenEffect | None) -> tuple[Model, np.ndarray]:
     """Return a fit's model and values with the hidden compliance of one drive or bearing, as soft in all directions."""
     if soft is None:
         return fit.model, fit.values
@@ -328,7 +326,7 @@ def _bent(fit: Fit, soft: HiddenEffect | None) -> tuple[Model, np.ndarray]:
 
 def _table(setting: _Setting, positions: np.ndarray) -> Measurements:
     q = setting.q
-    arrived = {"move": moves_by_order(q), "approach": sides_by_order(q)} if setting.in_order else {}
+    arrived = {"move": moves_by_order(q), "approach": sides_of(moves_by_order(q))} if setting.in_order else {}
     return measurements_from_arrays(setting.machine.names, q, position=positions, **setting.conditions, **arrived)
 
 
@@ -581,13 +579,13 @@ def gap_over_oracle(case: Case, trail: History) -> float:
     return _gap(trail.final, held, clean) / _gap(min(told, key=fit_cost), held, clean)
 
 
-def _gap(fit: Fit, held: Measurements, clean: np.ndarray) -> float:
+def _gap(fit: ModelFit, held: Measurements, clean: np.ndarray) -> float:
     problem = fit.readings(held)
     poses = problem.model.predict(problem.model.own(fit.values), problem.conditions)
     return float(np.sqrt(np.mean(np.sum((poses[:, :, 3] - clean) ** 2, axis=1))))
 
 
-def _known_forms(hidden: HiddenEffect, fit: Fit) -> list[Effect]:
+def _known_forms(hidden: HiddenEffect, fit: ModelFit) -> list[Effect]:
     """Return the catalogue's effect that a hidden one is, a drive curve in several resolutions."""
     values, conditions = vars(hidden), fit.station.conditions
     joint = str(hidden.joint)
@@ -602,7 +600,7 @@ def _known_forms(hidden: HiddenEffect, fit: Fit) -> list[Effect]:
         return [catalogue.ThermalExpansion(hidden.joint)]
     if hidden.effect == "base_elasticity":
         return [catalogue.BaseElasticity()]
-    kind = {c.name: c for c in vars(catalogue).values() if isinstance(c, type)}[hidden.effect]
+    kind = {c.name: c for c in vars(catalogue).values() if hasattr(c, "name")}[hidden.effect]
     known = {f.name for f in fields(kind)}
     return [kind(**{name: value for name, value in values.items() if name in known})]
 

@@ -12,13 +12,13 @@ from discovery_cases import draw_case
 from pincal import GEOMETRIC, Options, Robot, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.run import Calibration
+from pincal.calibration.calibration import Calibration
 from pincal.discover.run import Discovery, run_discovery
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import measurements_from_arrays
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
-from pincal.robot.robot import find_file
+from pincal.robot.urdf_file import find_file
 
 NOISE = 5e-5
 ORIGIN: dict[str, Any] = {

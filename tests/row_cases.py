@@ -33,7 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays
 from pincal import simulate as sim
-from pincal.measure.approach import moves_by_order, sides_by_order
+from pincal.measure.approach import moves_by_order, sides_of
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MomentFrame
 from pincal.simulate.effect import HiddenEffect
@@ -351,7 +351,7 @@ class _Campaign:
         names, q = self.setting.machine.names, world.q if q is None else q
         if "approach" in self.columns:
             # As --rows-in-order tells it.
-            columns["approach"] = sides_by_order(q)
+            columns["approach"] = sides_of(moves_by_order(q))
         if self.columns & {"approach", "time"}:
             columns["move"] = moves_by_order(q)
         table = measurements_from_arrays(names, q, position=positions, **columns)

@@ -250,8 +250,10 @@ def is_named_of_setup(case: dict[str, Any]) -> bool:
 
 
 def is_told(case: dict[str, Any]) -> bool:
-    """Return whether a note tells what is other from which row on: joint, tool or instrument."""
-    joint = next((true[1] for true in case["truth"] if true[0] == "remastered"), None)
+    """Return whether a note tells what is other from which row on, joint, tool or instrument, or which joint has a bump."""
+    joint = next((true[1] for true in case["truth"] if true[0] in ("remastered", "unnamed")), None)
+    if case["kind"] == "bump":
+        return any(f"where {joint} is" in note for note in case.get("notes", ()))
     words = [_SAYS.get(case["kind"], "\0"), joint or ""]
     lines = (re.findall(r"line (\d+)", note) for note in case.get("notes", ()) if all(word in note for word in words))
     return any(abs(int(line) - case["line"]) <= _NEAR for found in lines for line in found)

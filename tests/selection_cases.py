@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal import Measurements, Robot, measurements_from_arrays
 from pincal import simulate as sim
-from pincal.robot.robot import find_file
+from pincal.robot.urdf_file import find_file
 from pincal.simulate.effect import HiddenEffect
 
 TOOL = np.array([0.06, -0.04, 0.1])  # [m]

@@ -20,9 +20,9 @@ from discovery_cases import ELASTICITY, FOREIGN, NAMED, discover, draw_case, fre
 from matplotlib.figure import Figure
 from rates import interval
 
-from pincal.calibration.fit import Fit
-from pincal.discover.stability import begin_halves
-from pincal.discover.widened import widened
+from pincal.calibration.calibrated_fit import Fit
+from pincal.discover.ending import widened
+from pincal.discover.run import begin_subsamples
 from pincal.errors import PincalWarning
 from pincal.identify.split import hold_out, row_groups
 
@@ -56,7 +56,7 @@ def printed(task: tuple[str, int, float]) -> Printed:
     case = draw_case(kind, seed, **{**fresh(seed), "n": POSES, "strength": strength})
     training, held = hold_out(case.rows, 0.2, split="blocked", seed=0)
     trail = discover(case)
-    halves = begin_halves(trail, [row_groups(training, split="blocked", seed=0)], HALVES)()
+    halves = begin_subsamples(trail, [row_groups(training, split="blocked", seed=0)], HALVES)()
     steps = [step for step in trail.steps if step.effect.name not in ELASTICITY]
     groups = [{name_of(effect) for effect in (step.effect, *step.equivalent)} for step in steps]
     # What has no name claims none.
@@ -97,7 +97,7 @@ def draw(found: Sequence[Printed], path: Path) -> None:
             middle, np.mean(right), [[np.mean(right) - low], [high - np.mean(right)]], fmt="o", color="C0", capsize=3
         )
         axes.annotate(f"{sum(right)} of {len(right)}", (middle, low), (0, -11), textcoords="offset points", ha="center")
-    axes.set(xlabel=f"halves of the poses in which a name comes up, of {HALVES}", ylabel="share of names that are right")
+    axes.set(xlabel=f"subsamples in which a name is found, of {HALVES}", ylabel="share of names that are right")
     axes.set(xlim=(0, HALVES + 0.5), ylim=(0, 1.05), xticks=range(0, HALVES + 1, 5))
     axes.legend(loc="lower right")
     figure.savefig(path, metadata={"Date": None})

@@ -13,18 +13,19 @@ from placed_arms import FIRST, NOISE, TOOL, measured, run, written
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.fit import Fit, calibrate
-from pincal.calibration.run import run_calibration
+from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibration import run_calibration
 from pincal.errors import MeasurementError
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
-from pincal.robot.robot import Robot, find_file
+from pincal.robot.robot import Robot
+from pincal.robot.urdf_file import find_file
 from pincal.validate import agreement
 from pincal.validate.agreement import implausible
+from pincal.validate.gathered import in_common
 from pincal.validate.midway import change_in
-from pincal.validate.rows_apart import in_common
 
 SHARED = next((folder / "shared" for folder in Path(__file__).resolve().parents if (folder / "shared/data").is_dir()), None)
 Change = Callable[[Measurements], Measurements]
@@ -56,7 +57,6 @@ WRONG: dict[str, tuple[Change, str]] = {
         lambda t: placed(t, lambda p: p[:, [1, 0, 2]]),
         "'x' and 'y' look swapped, or the frame is left-handed",
     ),
-    "a joint's sign": (lambda t: replace(t, q=t.q * [1, 1, 1, -1, 1, 1]), "'joint_4' looks turned round in sign"),
     "joints swapped": (lambda t: replace(t, q=t.q[:, [0, 1, 2, 5, 4, 3]]), "'joint_4' and 'joint_6' look swapped"),
 }
 STOOD = 0.03 * np.random.default_rng(3).normal(size=(160, 6))  # [rad], beside where the table has it
@@ -66,13 +66,13 @@ WRONG |= {
     "all joints four rows early": (lambda t: replace(t, q=np.roll(t.q, -4, axis=0)), "all joint columns look 4 rows early"),
 }
 TURNED: dict[str, tuple[Change, str]] = {
-    "axis turned": (lambda t: placed(t, lambda p: p * [1, -1, 1]), "'y' looks turned round in sign"),
+    "axis turned": (lambda t: placed(t, lambda p: p * [1, -1, 1]), "'y' looks inverted in sign"),
     "w first": (lambda t: turned(t, lambda v: v[:, [3, 0, 1, 2]]), "written with w first: "),
     "left-handed": (
         lambda t: turned(placed(t, lambda p: p[:, [1, 0, 2]]), lambda v: v[:, [1, 0, 2, 3]] * [-1, -1, -1, 1]),
         "the frame of the readings looks left-handed",
     ),
-    "inverse": (lambda t: turned(t, lambda v: v * [-1, -1, -1, 1]), "looks that of the inverse rotation"),
+    "inverse": (lambda t: turned(t, lambda v: v * [-1, -1, -1, 1]), "looks inverted"),
 }
 
 
@@ -143,9 +143,9 @@ def test_what_nothing_cures_is_not_to_be_used(
     command = ("calibrate", kuka_urdf_path(), file, "--model", "geometric", "--quiet", "--out", tmp_path / "out")
     assert run(*command) == 4
     told = capsys.readouterr().err
-    assert "not to be used" in told and "no calibrated arm leaves so much" in told and "--noise" in told
+    assert "do not use" in told and "too large for any calibrated arm" in told and "--noise" in told
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "Use it" not in page and "no calibrated arm leaves so much" in page
+    assert "Use it" not in page and "too large for any calibrated arm" in page
     assert run(*command, "--noise", "10mm") == 0
 
 
@@ -217,7 +217,7 @@ def test_a_third_of_the_rows_is_no_exception(kuka: Robot, table: Measurements) -
     result = run_calibration(kuka, placed(table, lambda p: p + off), Options(effects=GEOMETRIC), split="random").result
 
     assert len(result.outliers) > 30
-    assert "rows do not fit the others, which is no calibration" in result.doubt
+    assert "rows do not fit the others, so the calibration is rejected" in result.doubt
     assert result.doubt == result.warnings[0].text and result.warnings[0].is_doubt
 
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal import ELASTIC, Conditions, Measurements, Model, Options, Robot
+from pincal import ELASTIC, GEOMETRIC, Conditions, Measurements, Model, Options, Robot
 from pincal.calibration.placing import place_station
 from pincal.calibration.validation import validate_rows
 from pincal.errors import BadInputError
+from pincal.measure.table import write_table
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
@@ -106,3 +107,18 @@ def test_directions_of_approach_are_still_asked_for(robot: Robot) -> None:
     fit = pincal.calibrate(robot, replace(rows, approach=sides), Options(effects=(*ELASTIC, Backlash("elbow_joint"))))
     with pytest.raises(BadInputError, match="backlash needs the column approach_elbow_joint"):
         fit.predict(rows.q)
+
+
+def test_a_model_of_rows_in_order_is_read_again(robot: Robot, tmp_path: Path) -> None:
+    """Their times tell how each joint moved before, of which the file has a mean and a spread like those of the times."""
+    rows = measured(robot, 60, seed=4)
+    assert rows.time is not None and rows.position is not None
+    columns = {"time": rows.time} | dict(zip((*robot.joint_names, *"xyz"), (*rows.q.T, *rows.position.T), strict=True))
+    write_table(tmp_path / "rows.csv", columns)
+    table = pincal.read_measurements(tmp_path / "rows.csv", robot.joint_names)
+    fit = pincal.calibrate(robot, table, Options(effects=GEOMETRIC))
+    fit.save(tmp_path / "model.json")
+
+    assert table.move is not None and np.any(table.move)
+    assert pincal.load_model(tmp_path / "model.json").covered.days == fit.to_model().covered.days
+    assert set(fit.to_model().covered.days) == {"time", "move"}

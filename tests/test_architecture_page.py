@@ -21,8 +21,8 @@ from pincal.cli import pincal as pincal_command
 from pincal.identify.options import Options
 from pincal.measure.registry import SENSORS
 from pincal.measure.table import write_table
+from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import JointOffset
-from pincal.model.registry import EFFECTS
 from pincal.plugins import load_plugin
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.subject import Subject
@@ -52,7 +52,7 @@ def recipe(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 
 def test_the_table_of_layers_is_the_one_that_is_enforced() -> None:
     """The layers of the page, top down, are those of the layer test, bottom up."""
-    table = PAGE.split("## The layers")[1].split("## Three walks")[0]
+    table = PAGE.split("## The layers")[1].split("## Control flow")[0]
     told = [name for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
     assert [name for name in LAYERS if name != "__main__"] == told
 

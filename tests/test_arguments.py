@@ -1,6 +1,5 @@
 """Typed arguments: the command line fills a frozen dataclass, and the help text says what each option is and defaults to."""
 
-import importlib
 import json
 import math
 from dataclasses import MISSING, FrozenInstanceError, dataclass
@@ -12,18 +11,14 @@ import numpy as np
 import pytest
 from test_cli import URDF, columns, results, run  # noqa: F401
 
-from pincal.cli import _COMMANDS
-from pincal.cli.arguments import Number, Verb, argument, group, option, verb
-from pincal.cli.common import ANGLE, LENGTH, GeneralOptions, Masses, Noise, Quantity
-from pincal.errors import BadInputError, Exit, PincalError
+from pincal.cli import _COMMANDS, pincal
+from pincal.cli.arguments import NumberType, Verb, argument, group, option, verb
+from pincal.cli.common import ANGLE, LENGTH, GeneralOptions, Masses, NoiseType, QuantityType
+from pincal.errors import BadInputError, Exit, OutputError, PincalError
 from pincal.identify.options import Options, StationOptions
 from pincal.measure.table import write_table
 
-TYPED = [
-    name
-    for name, module in _COMMANDS.items()
-    if isinstance(getattr(importlib.import_module(module), name), Verb)
-]  # fmt: skip
+TYPED = [name for name in _COMMANDS if isinstance(pincal.get_command(click.Context(pincal), name), Verb)]
 
 
 @dataclass(frozen=True)
@@ -118,10 +113,10 @@ def _numbers(kind: click.ParamType[Any]) -> list[list[str]]:
     if isinstance(kind, click.Tuple):
         parts = [_numbers(part) for part in kind.types]
         return [[odd[k % len(odd)] if odd else "a" for odd in map(_flat, parts)] for k in range(max(map(len, parts)))]
-    if isinstance(kind, Quantity | Noise):
+    if isinstance(kind, QuantityType | NoiseType):
         unit = "rad" if kind is ANGLE else "m"
         return [[number + unit] for number in (*huge, "1e-300")]
-    if isinstance(kind, Number | Masses):
+    if isinstance(kind, NumberType | Masses):
         return [[number] for number in huge]
     return [["-1"], ["1.5"]] if isinstance(kind, click.IntRange) else []
 
@@ -129,7 +124,7 @@ def _numbers(kind: click.ParamType[Any]) -> list[list[str]]:
 @pytest.mark.parametrize("name", TYPED)
 def test_no_option_takes_a_number_that_can_not_be_meant(name: str) -> None:
     """What is not finite, or of a size that nothing about a robot has, is a usage error of every option of every verb."""
-    command, tried = getattr(importlib.import_module(_COMMANDS[name]), name), 0
+    command, tried = pincal.get_command(click.Context(pincal), name), 0
     context = click.Context(command)
     for parameter in command.params:
         assert not isinstance(parameter.type, click.types.FloatParamType) and parameter.type is not click.INT
@@ -177,7 +172,7 @@ def test_options_from_python_are_numbers_that_can_be_meant(wrong: dict[str, Any]
 @pytest.mark.parametrize("name", TYPED)
 def test_the_help_of_every_verb_is_complete(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Every option has a sentence, every default can be read, every section has a heading, every exit code its meaning."""
-    command = getattr(importlib.import_module(_COMMANDS[name]), name)
+    command = pincal.get_command(click.Context(pincal), name)
     assert run(name, "--help") == 0
     text = " ".join(capsys.readouterr().out.split())
     for parameter in command.params:
@@ -248,3 +243,29 @@ def test_every_verb_tells_where_a_model_extrapolates_unless_it_is_to_be_quiet(
 
     assert codes == [0, 0] and printed.err.count("payload = 900") == 5
     assert json.JSONDecoder().raw_decode(printed.out)[0]["outside"] == 5
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "predict model.json t.csv --out p.xlsx",
+        "predict model.json t.csv --out p",
+        "simulate ur10 --poses 3 --out s.pdf",
+        "calibrate robot.urdf t.csv --out model.json",
+        "export model.json --urdf a.csv",
+        "view model.json --html view.png",
+    ],
+)
+def test_a_name_that_can_not_be_written_is_refused_first(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before any file is looked at, exit code 3, with the endings that can be."""
+    assert run(*words.split()) == 3
+    told = capsys.readouterr().err
+    assert "can't be written as" in told or "give the name of a folder" in told
+
+
+def test_a_table_ends_as_it_is_written(tmp_path: Path) -> None:
+    """From Python, too: tabs where the name says so, and no other format under its name."""
+    write_table(tmp_path / "t.tsv", {"a": np.ones(1), "b": np.ones(1)})
+    assert (tmp_path / "t.tsv").read_text() == "a\tb\n1.0\t1.0\n"
+    with pytest.raises(OutputError, match=r"can't be written as \.xlsx"):
+        write_table(tmp_path / "t.xlsx", {"a": np.ones(1)})

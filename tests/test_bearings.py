@@ -1,4 +1,4 @@
-"""Bearings give way where they sit: held against the simulator, on arms whose axes meet at no right angle."""
+"""Bearings are compliant where they sit: held against the simulator, on arms whose axes meet at no right angle."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import _words
 from pincal.errors import ModelFileError
 from pincal.identify import equations
-from pincal.identify.calibrate import calibrate
+from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
 from pincal.io.entries import ModelEntry, plain, restored
 from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.table import read_measurements
-from pincal.model.catalogue.bearings import BearingPlace, ObliqueBearing
+from pincal.model.catalogue.bearing_features import BearingPlace, ObliqueBearing
 from pincal.model.catalogue.drives import AxisWobble, WobbleFrame
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
@@ -142,7 +142,7 @@ def test_what_geometry_takes_of_a_wobble_is_not_counted() -> None:
     q = robot.random_configurations(60, rng)
     position = robot.forward_kinematics(q)[:, :3] @ [0.1, 0.05, 0.2, 1.0] + 5e-4 * rng.standard_normal((60, 3))
     rows = measurements_from_arrays(robot.joint_names, q, position=position)
-    fit = calibrate(robot, rows, Options(effects=GEOMETRIC, sigma=5e-4, moment_frame="after"))
+    fit = fit_tables(robot, rows, Options(effects=GEOMETRIC, sigma=5e-4, moment_frame="after"))
     tests = score_test(fit, [AxisWobble("joint_4", 1, "after"), AxisWobble("joint_4", 2)])
 
     assert abs(fit.problem.chain.bearing_heights[3]) > 0.7
@@ -153,7 +153,7 @@ def test_what_geometry_takes_of_a_wobble_is_not_counted() -> None:
 def test_no_wobble_is_found_where_geometry_is_beyond_its_priors(seed: int) -> None:
     """Sound arms with two nearly parallel axes, whose common normal stands somewhere else: 3 to 6 standard deviations."""
     case = draw_case("null", seed, **(fresh(seed) | {"n": 60}))
-    fit = calibrate(case.robot, case.rows, replace(case.plain, loss="none"))
+    fit = fit_tables(case.robot, case.rows, replace(case.plain, loss="none"))
     tests = score_test(fit, [AxisWobble(f"axis_{i}", 1, frame) for i in (2, 3, 4) for frame in get_args(WobbleFrame)])
 
     assert np.abs(fit.values / fit.priors.sizes).max() > 2.5
@@ -226,7 +226,7 @@ def test_bearings_of_a_real_arm_are_placed_in_few_steps(shared_data: Path, monke
     monkeypatch.setattr(equations, "reweighted", count)
     robot = Robot.from_urdf("ur10")
     table = read_measurements(shared_data / "ur10_tmac" / "series_B.csv", robot.joint_names)
-    fit = calibrate(robot, table, Options(effects=ELASTIC, moment_frame="after"))
+    fit = fit_tables(robot, table, Options(effects=ELASTIC, moment_frame="after"))
     assert any(isinstance(effect, BearingPlace) for effect in fit.options.effects)
     assert fit.solution.converged
     assert len(counted) < 130

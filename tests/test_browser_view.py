@@ -132,7 +132,7 @@ def test_hostile_names_appear_as_text(browser: Any, rng: np.random.Generator, tm
     attack = f"<img src=x onerror=alert(1)>{HOSTILE}"
     robot = small_robot(**{key: _escaped(attack) for key in ("name", "joint")})
     calibrated = machine(robot, rng)
-    scene = build_scene(calibrated, measured(calibrated, rng, 12), grid=30, notes=["a\n</script><b>b</b>"])
+    scene = build_scene(calibrated, measured(calibrated, rng, 12), grid=30).opening(notes=["a\n</script><b>b</b>"])
     write_html(tmp_path / "view.html", scene)
     opened(browser, (tmp_path / "view.html").as_uri())
 

@@ -21,9 +21,8 @@ from pincal.errors import MeasurementError
 from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.exact import is_exact
 from pincal.identify.explain import explain
-from pincal.identify.normal import accumulate, accumulate_each
+from pincal.identify.normal import accumulate, accumulate_each, reweighted
 from pincal.identify.split import hold_out
-from pincal.identify.sums import Kept, reweighted
 from pincal.model.catalogue import TransmissionError
 from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.simulate import paper_positions
@@ -213,7 +212,7 @@ def test_reasons_name_the_counterpart(kuka, noisy):
 
 def test_no_uncertainty_is_zero_or_nan(kuka, noisy):
     """Whatever the data say of it, a parameter keeps an honest standard deviation."""
-    from pincal.calibration.parameters import parameter_rows
+    from pincal.calibration.result_tables import parameter_rows
 
     for row in parameter_rows(noisy[1]):
         assert row.sigma is not None
@@ -326,9 +325,7 @@ def test_the_convention_of_moments_that_fits_best_is_taken_and_named(shared_data
     named = [note.text for note in found.result.warnings if "--moment-frame" in note.text]
 
     assert found.fit.options.moment_frame == found.fit.model.chain.moment_frame == frame
-    assert named == (
-        [] if frame == "paper" else ["moments bend the arm as with --moment-frame after: it fits better than paper"]
-    )
+    assert named == ([] if frame == "paper" else ["moments act as with --moment-frame after: it fits better than paper"])
     there = calibrate(robot, found.train, Options(moment_frame=frame))
     np.testing.assert_allclose(found.fit.predict(train.q)[:, :, 3], there.predict(train.q)[:, :, 3], rtol=0.0, atol=1e-7)
     assert expected_fit(robot, train, Options(moment_frame="auto")).model.chain.moment_frame == frame
@@ -392,7 +389,7 @@ def test_normal_equations_are_those_of_the_whole_jacobian(curved):
     ((_, residuals, J),) = fit.station.linearise(fit.values, free)
     A, r = (J * weights).reshape(len(J), -1), (residuals * weights).ravel()
     scale = np.sqrt(np.maximum(np.sum(A**2, axis=1), 1e-300))
-    np.testing.assert_allclose(normal.G[0] / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(normal.H[0] / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
     np.testing.assert_allclose(normal.g[0] / scale, A @ r / scale, atol=1e-12 * np.linalg.norm(r))
 
 
@@ -409,12 +406,12 @@ def test_new_weights_of_some_rows_give_the_normal_equations_of_all(curved, chang
     after[3], after[-changed:] = 0.0, 0.7
 
     ends = np.array([0, len(station)])
-    known = Kept(before, reweighted(station, ends, fit.values, free, before))
+    known = reweighted(station, ends, fit.values, free, before)
     found = reweighted(station, ends, fit.values, free, after, known)
 
     whole = accumulate_each(station, ends, fit.values, free, after)
-    scale = np.sqrt(np.maximum(np.diag(whole.G[0, 0]), 1e-300))
-    np.testing.assert_allclose(found.G[0, 0] / np.outer(scale, scale), whole.G[0, 0] / np.outer(scale, scale), atol=1e-12)
+    scale = np.sqrt(np.maximum(np.diag(whole.H[0, 0]), 1e-300))
+    np.testing.assert_allclose(found.H[0, 0] / np.outer(scale, scale), whole.H[0, 0] / np.outer(scale, scale), atol=1e-12)
     np.testing.assert_allclose(found.g[0, 0] / scale, whole.g[0, 0] / scale, atol=1e-12)
     np.testing.assert_allclose(found.squares, whole.squares, rtol=1e-12)
 

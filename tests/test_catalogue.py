@@ -18,8 +18,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
 from pincal.io.discovery_file import EffectName
-from pincal.io.effect_entry import effect_from_entry, effect_to_entry, known_effects
-from pincal.io.entries import ModelEntry, plain, restored
+from pincal.io.entries import ModelEntry, effect_from_entry, effect_to_entry, known_effects, plain, restored
 from pincal.io.strict_json import MODEL_FILE, decode
 from pincal.measure.approach import moves_by_order
 from pincal.model import catalogue
@@ -59,14 +58,15 @@ from pincal.model.catalogue import (
 )
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain, MomentFrame
-from pincal.model.conditions import Situation
-from pincal.model.effect import Discoverable, Reducible, Tone
+from pincal.model.conditions import PoseSet
+from pincal.model.effect import Discoverable, Harmonic, Reducible
+from pincal.model.effect_registry import meaning_of
 from pincal.model.effects import ELASTIC, BaseFrame, Conditions, Effect, JointElasticity, JointOffset, ToolFrame
 from pincal.model.model import Model
-from pincal.model.registry import meaning_of
 from pincal.model.sizes import largest_basis
 from pincal.parameters import FRAME_SYMBOLS
-from pincal.robot.robot import Robot, find_file
+from pincal.robot.robot import Robot
+from pincal.robot.urdf_file import find_file
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -226,7 +226,7 @@ def test_an_effect_says_all_of_itself(robot: Robot, name: str, rng: np.random.Ge
     assert cls.name == name and cls.meaning and cls.meaning == meaning_of(name)
     if not issubclass(cls, Discoverable):
         return
-    situation = Situation(chain, conditions_of(robot, 600, rng), (1e-8, 2e-8, 2e-7) * robot.n_joints)
+    situation = PoseSet(chain, conditions_of(robot, 600, rng), (1e-8, 2e-8, 2e-7) * robot.n_joints)
     found = list(cls.candidates(situation))
     effects = [form for candidate in found for form in (candidate.effect, *candidate.forms)]
 
@@ -234,7 +234,7 @@ def test_an_effect_says_all_of_itself(robot: Robot, name: str, rng: np.random.Ge
     assert len({candidate.effect.identity for candidate in found}) == len(found)
     for candidate in found:
         assert {form.identity for form in candidate.forms} <= {candidate.effect.identity}
-        assert candidate.forms or issubclass(cls, Tone), "only a wave has no form before its order is found"
+        assert candidate.forms or issubclass(cls, Harmonic), "only a wave has no form before its order is found"
         assert len(set(candidate.forms)) == len(candidate.forms)
         assert candidate.effect.locus.joint in {None, *robot.joint_names}
         name = EffectName.of(candidate.effect)
@@ -567,7 +567,7 @@ def test_forms_that_differ_agree_where_they_should() -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_wrong_payload_bends_the_drives(name: str) -> None:
-    """Of drives that give way p_z is compliance times relative error; a bearing that gives way is not in the form."""
+    """Of compliant drives p_z is compliance times relative error; a compliant bearing is not in the form."""
     stiff = Comparison(name, softness=(0.0, 0.0, *SOFTNESS[name][2:]))
     signal = stiff.signal(sim.PayloadError(size=0.1 * stiff.heaviest))
     effect = PayloadError.over(stiff.chain, stiff.conditions)
@@ -651,7 +651,7 @@ def test_load_backlash_changes_sides_within_two_percent_of_the_load() -> None:
     ("make", "message"),
     [
         (lambda: GearEccentricity("joint_1", 3), "order 3; expected 1 or 2"),  # type: ignore[arg-type]
-        (lambda: GearRipple("joint_1", 0.0), "order 0; expected waves a turn, more than 0"),
+        (lambda: GearRipple("joint_1", 0.0), "order 0; expected cycles per revolution, more than 0"),
         (lambda: AxisWobble("joint_1", 0), "order 0; expected 1 or 2"),  # type: ignore[arg-type]
         (lambda: AxisWobble("joint_1", 1, "middle"), "'middle'; expected before or after"),  # type: ignore[arg-type]
         (lambda: TransmissionError("joint_1", 1.0, 1.0), r"range 1.0 .. 1.0 is empty"),
@@ -756,7 +756,7 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     first = robot.joint_names[0]
     reasons = {effect: reason for effect, reason in untestable(chain, conditions)}
     assert "gravity exerts no moment" in reasons[NonlinearElasticity(first)]
-    assert "lines a turn are not known" in next(r for e, r in reasons.items() if isinstance(e, EncoderSubdivision))
+    assert "lines per revolution are not known" in next(r for e, r in reasons.items() if isinstance(e, EncoderSubdivision))
     assert "could be compensated" in reasons[GravityCompensator(first)]
     assert not set(found) & set(reasons)
     excited = largest_basis(Model(chain, found), conditions)[1]
@@ -773,11 +773,11 @@ def test_what_can_not_be_tried_has_a_reason(kuka: Robot, rng: np.random.Generato
     poor = replace(poor, temperature=np.full(40, 21.0), time=None, payload=np.full(40, 8.0))
     reasons = dict(untestable(chain, poor))
 
-    assert reasons[ThermalExpansion()] == "column temperature is the same in all rows"
+    assert reasons[ThermalExpansion()] == "column temperature is constant"
     assert reasons[BaseDrift()] == "column time is missing"
-    assert reasons[PayloadError.over(chain, poor)] == "column payload is the same in all rows"
-    assert reasons[Backlash("joint_2")] == "column approach_joint_2 is missing or the same in all rows"
-    assert reasons[ShortOfTarget("joint_4")].startswith("joint_4 stands still, or comes from another side than the rows")
+    assert reasons[PayloadError.over(chain, poor)] == "column payload is constant"
+    assert reasons[Backlash("joint_2")] == "column approach_joint_2 is missing or constant"
+    assert reasons[ShortOfTarget("joint_4")].startswith("joint_4 stands still, or its direction of approach does not follow")
     assert "joint_4 stands still" in reasons[GearEccentricity("joint_4", 1)]
     assert "joint_4 stands still" in reasons[JointCoupling("joint_5", "joint_4")]
     found = candidates(chain, poor)

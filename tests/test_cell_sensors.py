@@ -10,13 +10,13 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import load_model, save_model
 from pincal.errors import MeasurementError
-from pincal.identify.calibrate import calibrate
+from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
 from pincal.measure.lens import Lens
-from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.sensing import sensor_of
+from pincal.measure.measurements import Measurements, measurements_from_arrays, sensor_of
 from pincal.measure.setup import Setup
 from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
@@ -111,7 +111,7 @@ def test_exact_readings_are_explained_wherever_things_stand(way: str, machine: s
     make, how, setup = WAYS[way]
     table = make(machine, kuka, **how)  # type: ignore[operator]
     held = np.random.default_rng(1).random(len(table)) < 0.25
-    fit = calibrate(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
+    fit = fit_tables(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
     there = fit.readings(table.select(held))
 
     assert fit.solution.converged
@@ -131,7 +131,7 @@ def test_noise_is_all_that_is_left(way: str, machine: sim.TrueMachine, kuka: Rob
     make, how, setup, noise = NOISY[way]
     table = make(machine, kuka, **how)  # type: ignore[operator]
     held = np.random.default_rng(1).random(len(table)) < 0.3
-    fit = calibrate(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
+    fit = fit_tables(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
     left = fit.readings(table.select(held)).residuals(fit.values)
 
     assert np.sqrt(np.mean(left**2)) < 1.16 * noise
@@ -139,7 +139,7 @@ def test_noise_is_all_that_is_left(way: str, machine: sim.TrueMachine, kuka: Rob
 
 def test_camera_and_targets_come_out_where_they_are(machine: sim.TrueMachine, kuka: Robot) -> None:
     """With its focal length unknown the camera is found: place up to the scale that only lengths tell, and parameters."""
-    fit = calibrate(kuka, images(machine, kuka), Options(effects=GEOMETRIC, setup=Setup()))
+    fit = fit_tables(kuka, images(machine, kuka), Options(effects=GEOMETRIC, setup=Setup()))
     own = fit.station.split(fit.values)[1]
     found = np.array([p.nominal + value for p, value in zip(fit.station.sensor.parameters, own, strict=True)])
 
@@ -149,7 +149,7 @@ def test_camera_and_targets_come_out_where_they_are(machine: sim.TrueMachine, ku
 
 def test_planes_come_out_where_they_are(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Angles between planes, which no place of the base changes, are those of the planes; normals have the length 1."""
-    fit = calibrate(kuka, probed(machine, kuka, touching=False), Options(effects=GEOMETRIC))
+    fit = fit_tables(kuka, probed(machine, kuka, touching=False), Options(effects=GEOMETRIC))
     found = fit.station.split(fit.values)[1].reshape(-1, 4)[:, :3]
     names = [parameter.name for parameter in fit.station.sensor.parameters]
     true = np.array([PLANES[name.split(".")[0]][:3] for name in names[::4]], float)
@@ -164,7 +164,7 @@ def test_the_model_file_reads_further_rows(way: str, machine: sim.TrueMachine, k
     """A model that comes back from its file has the camera and the planes."""
     make, how, setup = WAYS[way]
     table = make(machine, kuka, **how)  # type: ignore[operator]
-    fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=setup))
+    fit = fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=setup))
     save_model(tmp_path / "model.json", CalibratedModel.of(fit, {}))
     back = load_model(tmp_path / "model.json")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.checks import check_joint_values, check_reach, check_rows, check_table
+from pincal.measure.admit import check_joint_values, check_reach, check_rows, check_table
 from pincal.measure.table import Measurements, measurements_from_arrays
 from pincal.robot.robot import Robot
 

@@ -259,7 +259,7 @@ BAD_TABLES = {
     "millimetres without a unit": (_millimetres, "mm"),
     "swapped joint columns": (_swapped, "swapped"),
     "a missing joint column": (_without("joint_3"), "joint_3"),
-    "not a number": (_with_cell("y", math.nan), "line 5"),
+    "not a number": (_with_cell("joint_2", math.nan), "line 5"),
     "infinite": (_with_cell("y", math.inf), "line 5"),
     "a turn that no joint makes": (_with_cell("joint_3", 1e20), "line 5"),
     "a place beyond the earth": (lambda c: c | {"x": c["x"] + 1e19}, "at most 1e+07 m"),
@@ -267,8 +267,8 @@ BAD_TABLES = {
     "a standard deviation of nothing": (lambda c: c | {"sigma": np.full(len(c["x"]), 1e-300)}, "at least 1e-12"),
     "text in a number": (_with_cell("y", "abc"), "line 5"),
     "no measurement": (lambda c: {n: v for n, v in c.items() if n not in "xyz"}, "measurement"),
-    "an unknown column": (lambda c: c | {"foo": c["x"]}, "foo"),
-    "one row": (lambda c: {n: v[:1] for n, v in c.items()}, "1 rows"),
+    "a column nearly known": (lambda c: c | {"temprature": c["x"]}, "nearest first: temperature"),
+    "one row": (lambda c: {n: v[:1] for n, v in c.items()}, "1 position measurements"),
     "no row": (lambda c: {n: v[:0] for n, v in c.items()}, "no rows"),
     "all poses equal": (lambda c: {n: np.repeat(v[:1], 50) for n, v in c.items()}, "same"),
     "fewer readings than parameters": (lambda c: {n: v[:14] for n, v in c.items()}, "noise"),
@@ -299,7 +299,7 @@ def test_a_failed_run_leaves_earlier_results_untouched(tmp_path, table, columns)
 
 def test_interruption_leaves_nothing_half_done(tmp_path, table, monkeypatch, capsys):
     """Ctrl-C in the middle ends with 130, a word, and no output folder."""
-    import pincal.calibration.run as module
+    import pincal.calibration.calibration as module
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -366,6 +366,8 @@ def test_demo_tells_the_story(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "standard DH" in text
     assert "report.html" in text
+    # Some ten lines an act, and where to go from there.
+    assert len(text.splitlines()) <= 80
     assert (tmp_path / "demo" / "deviations.png").stat().st_size > 10_000
     report = json.loads((tmp_path / "demo" / "hidden_effect" / "discovery.json").read_text())
     assert [(e["effect"], e["joint"], e["order"]) for e in report["effects"]] == [("gear_eccentricity", "joint_1", 2)]
@@ -373,8 +375,8 @@ def test_demo_tells_the_story(tmp_path, capsys):
     assert "Found: 0.19" in text or "Found: 0.20" in text
     assert {file.name for file in (tmp_path / "demo").iterdir()} > {"model.json", "hidden_effect", "measurements.csv"}
     programmed, corrected = (
-        float(re.search(rf"{words} +misses by +([\d.]+) mm", text)[1])
-        for words in ("as programmed", "corrected by what was found")
+        float(re.search(rf"{words} +error: mean +([\d.]+) mm", text)[1])
+        for words in ("as programmed", "corrected by the model found")
     )
     assert programmed > 2.0 and corrected < 0.06
     hit = json.loads((tmp_path / "demo" / "hit" / "diagnosis.json").read_text())

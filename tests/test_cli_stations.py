@@ -18,8 +18,8 @@ import pincal
 from pincal import Conditions
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.left_out import leave_out_stations
-from pincal.calibration.stations import load_stations
+from pincal.calibration.calibrated_robot import load_stations
+from pincal.calibration.held_out import leave_out_stations
 from pincal.cli import main
 from pincal.measure.table import write_table
 
@@ -152,7 +152,7 @@ def test_bad_stations_are_refused(
     for arguments, said in (
         ((tracker, tracker), "two stations are called 'tracker'"),
         ((tracker, again), "different kinds (position and socket)"),
-        ((tracker, short), "2 rows of kind position; expected at least 4 to tell where instrument and tool of a new"),
+        ((tracker, short), "2 position measurements; expected at least 4 to determine the poses of instrument"),
         ((tracker, sockets, "--holdout", short), "rows to validate on of the station 'few'"),
     ):
         assert run("calibrate", URDF, *arguments, "--model", "geometric", "--quiet", "--out", tmp_path / "none") == 3
@@ -202,11 +202,11 @@ def test_a_station_is_predicted_by_the_others(days: list[Path], tmp_path: Path, 
         geometric.append(record["left_out_geometric"]["mean_mm"])
         assert record["left_out"]["mean_mm"] < 0.12 and geometric[-1] > 2.0 * means[-1]
     assert first == (
-        f"On a set-up that it never saw: mean {np.mean([r['left_out']['mean_mm'] for r in result['stations']]):.4f} mm; "
+        f"On a new set-up: mean {np.mean([r['left_out']['mean_mm'] for r in result['stations']]):.4f} mm; "
         f"geometry alone {np.mean(geometric):.4f} mm"
     )
     assert result["error"]["calibrated"]["test"]["mean_mm"] == pytest.approx(np.mean(means), rel=2e-3)
-    assert "On set-ups that the calibration never saw" in (tmp_path / "report.html").read_text()
+    assert "On set-ups not used by the calibration" in (tmp_path / "report.html").read_text()
 
 
 def aligned(fit: pincal.Fit, table: pincal.Measurements) -> float:
@@ -232,7 +232,7 @@ def aligned(fit: pincal.Fit, table: pincal.Measurements) -> float:
 def test_a_robot_of_several_stations_is_diagnosed(
     results: Path, machine: sim.TrueMachine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """At a third place: unchanged, and its rows taken in; hit, and named; rows of any station are known again."""
+    """At a third place: unchanged, and its rows added; hit, and named; rows of any station are known again."""
     sound = tracked(machine, np.eye(4), poses=15, seed=11)
     hit = sound | {"joint_3": sound["joint_3"] - 1e-3}
     sound_file, hit_file = written(tmp_path, {"sound": sound, "hit": hit})
@@ -287,7 +287,7 @@ def test_left_out_stations_do_not_depend_on_the_executor(days: list[Path]) -> No
 def test_the_only_station_is_not_left_out(days: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The error says what makes several."""
     assert run("calibrate", URDF, days[0], "--split", "station", "--quiet", "--out", tmp_path / "out") == 3
-    assert "one station, so there is none to leave out" in capsys.readouterr().err
+    assert "only one station, so none can be left out" in capsys.readouterr().err
 
 
 @pytest.mark.long
@@ -313,7 +313,7 @@ def test_discovery_finds_what_both_days_show(
         == 0
     )
     first = capsys.readouterr().out.splitlines()[0]
-    assert re.fullmatch(r"On a set-up that it never saw: mean 0\.\d+ mm; geometry alone \d\.\d+ mm", first)
+    assert re.fullmatch(r"On a new set-up: mean 0\.\d+ mm; geometry alone \d\.\d+ mm", first)
     found = json.loads((tmp_path / "discovery.json").read_text())
     assert {entry["effect"] for entry in found["effects"]} == {"joint_elasticity"} and found["verdict"] == "adequate"
     for station in of(tmp_path)["stations"]:

@@ -24,7 +24,7 @@ from test_spread import TASK, Parcel, die, nap, opened
 from pincal import GEOMETRIC, Options, Robot, bootstrap, calibrate, load_plugin, plugins
 from pincal import simulate as sim
 from pincal.errors import BadInputError, WorkersLostError
-from pincal.model.registry import EFFECTS
+from pincal.model.effect_registry import EFFECTS
 from pincal.spread import spread
 
 pytestmark = pytest.mark.long
@@ -112,7 +112,7 @@ def test_an_address_where_nobody_is_is_refused(
 def test_a_cluster_without_work_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An option is not ignored in silence."""
     assert run("calibrate", URDF, tmp_path / "mo.csv", "--dask", "tcp://127.0.0.1:9", "--out", tmp_path / "out") == 2
-    assert "--dask: nothing is repeated here that a cluster could do; calibrate repeats with" in capsys.readouterr().err
+    assert "--dask: there are no repeated fits to distribute; calibrate has them with" in capsys.readouterr().err
 
 
 def test_a_worker_is_no_scheduler(client: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,12 +16,13 @@ from scipy.optimize import minimize
 import pincal
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel, estimate_of, save_model
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import save_model
 from pincal.calibration.covered import Covered
 from pincal.cli import main
 from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
-from pincal.compensate.frames import base_in_instrument, false_targets, program_poses
 from pincal.compensate.ik_problem import Bounds
+from pincal.compensate.robot_frames import base_in_instrument, false_targets, program_poses
 from pincal.compensate.solve_ik import STATUSES
 from pincal.compensate.targets import read_targets
 from pincal.errors import BadInputError
@@ -42,6 +43,7 @@ from pincal.model.effects import (
     ToolFrame,
 )
 from pincal.model.model import Model
+from pincal.parameters import estimate_of
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose, inverse, quaternions
 from pincal.simulate import paper_machine
@@ -737,3 +739,43 @@ def test_each_target_has_its_own_place(tmp_path: Path, kuka: Robot, rng: np.rand
     assert run("compensate", tmp_path / "model.json", tmp_path / "program.csv", "--out", tmp_path / "other.csv") == 3
     with pytest.raises(BadInputError, match="target 'nowhere' is not in the model; expected one of near, far"):
         calibrated.conditions(read_targets(tmp_path / "program.csv", kuka).rows)
+
+
+SCARA = "".join(
+    f'<joint name="j{i}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="{xyz}"/><axis xyz="0 0 1"/>'
+    f'<limit lower="-2" upper="2" effort="1" velocity="1"/></joint><link name="l{i + 1}"/>'
+    for i, (kind, xyz) in enumerate(
+        [("revolute", "0 0 0.4"), ("revolute", "0.4 0 0"), ("prismatic", "0.3 0 0"), ("revolute", "0 0 -0.1")]
+    )
+)
+
+
+@pytest.mark.parametrize(
+    ("robot", "words"),
+    [
+        (f'<robot name="scara"><link name="l0"/>{SCARA}</robot>', "about x and y of its base frame"),
+        ("ur10", "about 2 of three axes, which differ from pose to pose"),
+        ("kuka", ""),
+    ],
+)
+def test_an_arm_of_few_joints_says_which_orientations_it_misses(
+    robot: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A SCARA turns its tool about the vertical alone; what a tilt of its axes asks for is told, and how much is left."""
+    if robot == "kuka":
+        arm = ARMS["kuka"]()
+    else:
+        arm = Robot.from_urdf("ur10", tip="wrist_1_link") if robot == "ur10" else Robot.from_urdf(robot.encode())
+    model = Model(Chain.of(arm), GEOMETRIC)
+    values = 1e-3 * np.random.default_rng(4).uniform(-1.0, 1.0, model.n_parameters)
+    covered = Covered(np.tile([-4.0, 4.0], (arm.n_joints, 1)), np.zeros(2))
+    estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
+    save_model(tmp_path / "model.json", CalibratedModel(model, estimate, "pose", np.zeros(3), covered, np.ones(2), {}))
+    q = np.array([0.4, 0.9, -0.3, 0.5, 0.6, 0.2])[: arm.n_joints] + np.linspace(-0.2, 0.2, 9)[:, None]
+    write_table(tmp_path / "program.csv", dict(zip(arm.joint_names, q.T, strict=True)))
+    with pytest.raises(SystemExit) as end:
+        main(["compensate", str(tmp_path / "model.json"), str(tmp_path / "program.csv"), "--out", str(tmp_path / "c.csv")])
+    told = capsys.readouterr().err
+
+    assert end.value.code == 0
+    assert ("too few joints to turn the target" in told) == bool(words) and words in told

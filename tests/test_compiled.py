@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import logging
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,25 @@ def test_a_damaged_file_is_compiled_anew(
         assert again(2.0) == 6.0 and after(2.0) == 6.0
 
     assert [sum(loop.stats.cache_misses.values()) for loop in (again, after)] == [1, 0]
-    assert sum("compiled anew" in record.message for record in caplog.records) == 1
+    assert sum("recompiling" in record.message for record in caplog.records) == 1
+
+
+def test_a_loop_is_compiled_anew_if_a_file_changed_that_it_has_parts_of(
+    fresh: Callable[[], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a loop calls may stand in another file, and is compiled into it."""
+    part, text = tmp_path / "part.py", "from numba import njit\n\n@njit\ndef scaled(x):\n    return {} * x\n"
+    (tmp_path / "loop.py").write_text("from part import scaled\n" + _LOOP.replace("3.0 * x", "scaled(x)"))
+    monkeypatch.syspath_prepend(tmp_path)
+    found = []
+    for factor in ("3.0", "3.0", "40.0"):
+        if not part.exists() or factor not in part.read_text():
+            part.write_text(text.format(factor))
+        monkeypatch.delitem(sys.modules, "part", raising=False)
+        importlib.invalidate_caches()
+        loop = fresh()
+        found.append((loop(2.0), sum(loop.stats.cache_misses.values())))
+    assert found == [(6.0, 1), (6.0, 0), (80.0, 1)]
 
 
 def test_a_loop_needs_no_place_to_be_kept(
@@ -98,7 +117,7 @@ def test_a_loop_needs_no_place_to_be_kept(
 
     assert [record.message.partition(":")[0] for record in caplog.records] == [
         "each run compiles its loops",
-        "what was compiled can't be kept",
+        "compiled loops can't be cached",
     ]
 
 

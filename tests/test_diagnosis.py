@@ -18,10 +18,10 @@ import pincal
 from pincal import ELASTIC, CalibratedModel, Measurements, Options, Robot
 from pincal.calibration.placing import place_station
 from pincal.cli import main
-from pincal.diagnosis.evidence import Known, weigh
-from pincal.diagnosis.excluded import farthest_apart, separation, tell_apart
-from pincal.diagnosis.lineup import Lineup
-from pincal.diagnosis.run import verdict_of
+from pincal.diagnosis.excluded import most_different_poses, separation, tell_apart
+from pincal.diagnosis.lineup import ChangeHypotheses
+from pincal.diagnosis.robot_diagnosis import changes_since
+from pincal.diagnosis.row_evidence import Known, weighted_rows
 from pincal.errors import BadInputError, ChangedRobotError, MeasurementError
 from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.schemas import shipped
@@ -65,10 +65,10 @@ def least_error_if_told(model: CalibratedModel, new: Measurements, others: Measu
     """Return the error at other poses of a fit that knows what changed: the best of all forms of the right answers."""
     (hidden,) = answer["hidden"]
     placed = place_station(model, new)
-    lineup = Lineup.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
     right = [i for i, c in enumerate(lineup.changes) if c.name in hidden["effects"] and c.joint in hidden["joints"]]
     assert right
-    return min(error_mm(lineup.mended([i], lineup.mend([i], lineup.start)), others) for i in right)
+    return min(error_mm(lineup.reidentified([i], lineup.reidentify([i], lineup.start)), others) for i in right)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monk
     model = calibrated(change_examples / "cases", "loose40_cobot_6r")
     new = rows(change_examples / "cases" / "loose40_cobot_6r" / "new.csv", model.model.chain.robot)
     placed = place_station(model, new)
-    verdict = verdict_of(model, placed, 0.01)
+    verdict = changes_since(model, placed, 0.01)
     lineup = verdict.lineup
     change = verdict.happened[0]
     rival = next(i for i, c in enumerate(lineup.changes) if c.heading != lineup.changes[change].heading and c.parts is False)
@@ -105,7 +105,7 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monk
 
     told = re.match(r"measure (\d+) more poses in which the two differ most, by [0-9.]+ mm at the target: joints at", words)
     assert told is not None
-    there, apart = farthest_apart(verdict, change, rival)
+    there, apart = most_different_poses(verdict, change, rival)
     assert separation(verdict, there.select(np.arange(int(told[1]))), change, rival) > 30.0
     # The two, each fitted without the other; rows of before tell part of it.
     assert apart[: int(told[1])].min() > 2.0 * lineup.robot.sigma[0]
@@ -115,7 +115,7 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monk
     ).all()
 
     exact = apart * 2.3e-9 / apart[0]
-    monkeypatch.setattr("pincal.diagnosis.excluded.farthest_apart", lambda *_: (there, exact))
+    monkeypatch.setattr("pincal.diagnosis.excluded.most_different_poses", lambda *_: (there, exact))
     assert tell_apart(verdict, step).startswith("the two differ by at most 2.3e-06 mm, too little for any instrument;")
 
 
@@ -149,7 +149,7 @@ def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measur
     """With V = 1 + R C R^T + M S M^T + B B^T written out, a change gains what least squares beside what is free says."""
     model, table = offset
     placed = place_station(model, table)
-    lineup = Lineup.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
     found = lineup.weigh(lineup.start, ())
     station, known = lineup.station, lineup.known
     ((_, r, J),) = station.linearise(lineup.start, np.ones(len(lineup.start), bool))
@@ -169,8 +169,8 @@ def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measur
         return float(np.sum((white @ y - B @ np.linalg.lstsq(B, white @ y, rcond=1e-9)[0]) ** 2))
 
     # Parameters move the target by 1e5 times the noise and nearly cancel: their covariance, kept to 2e-15, gives 1e-6.
-    assert found.square == pytest.approx(left(lineup.own), rel=1e-5)
-    assert found.degrees == len(y) - len(lineup.own)
+    assert found.form.square == pytest.approx(left(lineup.own), rel=1e-5)
+    assert found.form.degrees == len(y) - len(lineup.own)
     for places in lineup.places[::9]:
         gain, rank = found.gain(places)
         if rank == len(places):
@@ -252,7 +252,10 @@ def test_the_command_says_it_by_its_exit_code(
     assert printed == written
     jsonschema.validate(written, json.loads(shipped("diagnosis").read_text()))
     assert error_mm(mended, rows(new, mended.model.chain.robot)) < 0.1
-    assert "<h1>Diagnosis of" in (tmp_path / "out" / "report.html").read_text()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<h1>Diagnosis of" in page and ">What has changed</h2>" in page
+    parameters = [name for change in written["changes"] for name in change["parameters"]]
+    assert all(name in page for name in parameters) and ("Nothing: the model as it was" in page) == (code == 0)
     table = excluded_table(msgspec.convert(written, DiagnosisFile), mended.model.chain.robot.joint_names)
     effects = [str(row[0]).strip() for row in table.rows]
     assert len(set(effects)) == len(effects) > 10
@@ -265,11 +268,11 @@ def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedMod
     """What is left once a change is released is what the first order said, for a change as small as this."""
     model, table = offset
     placed = place_station(model, table)
-    lineup = Lineup.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
     start = lineup.release((), lineup.start)
     i = next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_2.theta",))
     before = lineup.weigh(start, ())
-    after = weigh(
+    after = weighted_rows(
         lineup.station,
         lineup.release((i,), start),
         lineup.known,
@@ -278,7 +281,7 @@ def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedMod
         sigma=lineup.robot.sigma,
     )
 
-    assert before.square - after.square == pytest.approx(before.gain(lineup.places[i])[0], rel=1e-2)
+    assert before.form.square - after.form.square == pytest.approx(before.gain(lineup.places[i])[0], rel=1e-2)
 
 
 def test_a_change_of_a_drawn_robot_is_named() -> None:
@@ -317,7 +320,7 @@ def test_a_robot_that_has_not_changed_is_left_alone() -> None:
     for seed in range(500):
         case = draw_case(seed, temperature=seed % 9 < 3)
         assert case is not None
-        alarms.append(verdict_of(case.model, place_station(case.model, case.new), 0.01).changed)
+        alarms.append(changes_since(case.model, place_station(case.model, case.new), 0.01).changed)
     print(f"alarms {np.mean(alarms):.4f} of {len(alarms)}")
 
     assert np.mean(alarms) <= 0.015
@@ -352,7 +355,7 @@ def test_a_model_that_left_strong_effects_raises_no_alarm() -> None:
     for seed in range(200):
         case = draw_case(seed, missed=3)
         assert case is not None
-        alarms.append(verdict_of(case.model, place_station(case.model, case.new), 0.01).changed)
+        alarms.append(changes_since(case.model, place_station(case.model, case.new), 0.01).changed)
     print(f"alarms {np.mean(alarms):.4f} of {len(alarms)}")
 
     assert np.mean(alarms) <= 0.015
@@ -364,7 +367,7 @@ def test_what_is_excluded_would_have_been_noticed() -> None:
     case = draw_case(1)
     assert case is not None
     placed = place_station(case.model, case.new)
-    lineup = Lineup.of(placed.model, placed.station, Known.of(case.model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(case.model))
     quiet = pincal.diagnose(case.model, case.new)
     entry = next(e for e in quiet.excluded if e.parameter == "axis_3.theta")
     places = lineup.places[next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_3.theta",))]
@@ -372,8 +375,8 @@ def test_what_is_excluded_would_have_been_noticed() -> None:
     i, noticed = int(places[0]), []
     for _ in range(2000):
         # Beside the change only its own test counts: its score is normal about what it should be.
-        along = entry.smallest * found.P[i, i] + np.sqrt(found.P[i, i]) * rng.standard_normal()
-        noticed.append(along**2 / found.P[i, i])
+        along = entry.smallest * found.form.H[i, i] + np.sqrt(found.form.H[i, i]) * rng.standard_normal()
+        noticed.append(along**2 / found.form.H[i, i])
     limit = np.quantile(np.square(rng.standard_normal(4_000_000)), 1.0 - 0.008 / len(lineup.changes))
 
     # The noise, known by the calibration's rows alone, makes the real limit a little larger.

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pincal.discover.decisions import CandidateTable, Decision, Row, decide, each_heading_once, is_own_curve
+from pincal.discover.decisions import (
+    CandidateTable,
+    Decision,
+    Row,
+    Unfitted,
+    accepted,
+    decide,
+    each_heading_once,
+    is_own_curve,
+)
+from pincal.discover.first_order import ScoreResult
 from pincal.discover.policy import Policy
-from pincal.discover.score_tests import Score
 from pincal.model.catalogue import (
     AxisWobble,
     Backlash,
@@ -54,26 +63,51 @@ class Told:
         """Return what the test says, else that they are told apart beyond doubt."""
         return self.beside.get((tuple(which), tuple(given)), 1e-12)
 
-    def predicts(self, which: int) -> bool:
-        """Return whether it is not silent."""
-        return which not in self.silent
+    def left_out(self, which: int) -> Unfitted:
+        """Return that it predicts if it is not silent."""
+        return Unfitted(0.0 if which in self.silent else 5.0)
 
 
 def row(effect: Effect, cost: float, *, p: float = 1e-9, gain: float = 200.0, rank: int = 1) -> Row:
     """Return a row of a table whose p-values have to stay below 1e-4."""
-    return Row(effect, Score(gain, rank, p, cost), cost, 1e-4)
+    return Row(effect, ScoreResult(gain, rank, p, cost), cost, among=POLICY.false_name / 1e-4, least=LEAST)
 
 
 def table(*rows: Row, told: Told | None = None) -> CandidateTable:
     """Return a table."""
     told = told or Told()
-    return CandidateTable(rows, LEAST, told.left_given, told.cost_together, told.predicts, told.left_beside)
+    rows = tuple(replace(of, left_out=partial(told.left_out, i)) for i, of in enumerate(rows))
+    return CandidateTable(rows, told.left_given, told.cost_together, told.left_beside)
 
 
 def decided(names: CandidateTable, *nameless: Row, told: Told | None = None) -> Decision | None:
     """Return the decision between the names of a table, the cheapest first, and some dependences without a name."""
     close = sorted(names.rows, key=lambda entry: entry.cost)
     return decide(names, lambda _: table(*close, *nameless, told=told), POLICY)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, True),
+        ({"score": ScoreResult(200.0, 1, 2e-4, 0.0)}, False),
+        ({"among": 1.0, "score": ScoreResult(200.0, 1, 2e-4, 0.0)}, True),
+        ({"among": 1.0, "score": ScoreResult(200.0, 1, 2e-4, 0.0), "question": "elastic"}, False),
+        ({"among": 1.0, "score": ScoreResult(200.0, 1, 6e-4, 0.0), "question": "stay"}, False),
+        ({"among": 1.0, "score": ScoreResult(200.0, 1, 0.01, 0.0), "question": "rest"}, True),
+        ({"least": 201.0}, False),
+        ({"evidence": 9.3}, True),
+        ({"evidence": 9.1}, False),
+        ({"left_out": lambda: Unfitted(1.1)}, True),
+        ({"left_out": lambda: Unfitted(0.9)}, False),
+        ({"left_out": lambda: Unfitted(1.1), "enough": 2.0}, False),
+        ({"left_out": lambda: Unfitted(1.1, lambda: 2e-4)}, False),
+        ({"left_out": lambda: Unfitted(1.1, lambda: 0.5e-4)}, True),
+    ],
+)
+def test_a_name_is_accepted_by_every_criterion_or_not_at_all(change: dict[str, Any], expected: bool) -> None:
+    """Chance, by what is asked; size; priors; blocks left out, and those whatever the noise is: each can refuse alone."""
+    assert accepted(replace(row(RATIO, -50.0), **change), POLICY) is expected
 
 
 @pytest.mark.parametrize(
@@ -93,7 +127,11 @@ def test_the_cheapest_that_is_more_than_chance_is_chosen(rows: list[Row], expect
     """A name has to pass its limit and matter; a dependence without a name has to be cheaper, its surcharge included."""
     names = [entry for entry in rows if not entry.effect.is_nameless]
     # The surcharge stands in the cost of a row already: here it is put on.
-    nameless = [Row(r.effect, r.score, r.cost + POLICY.without_name, r.limit) for r in rows if r.effect.is_nameless]
+    nameless = [
+        Row(r.effect, r.score, r.cost + POLICY.without_name, among=r.among, least=LEAST)
+        for r in rows
+        if r.effect.is_nameless
+    ]
     found = decided(table(*names), *nameless)
 
     assert (None if found is None else found.effect) == expected
@@ -220,20 +258,3 @@ def test_each_heading_is_listed_once() -> None:
 def test_simple_curves_are_functions_of_the_joints_own_position(effect: Effect, expected: bool) -> None:
     """They act about the joint's own axis and follow nothing else; the drive curve itself is none."""
     assert is_own_curve(effect) is expected
-
-
-def _tests() -> set[str]:
-    """Return all tests and benchmarks by file and name."""
-    found = set[str]()
-    for path in Path(__file__).parent.glob("*.py"):
-        names = (n.name for n in ast.parse(path.read_text("utf-8")).body if isinstance(n, ast.FunctionDef))
-        found |= {path.name, *(f"{path.name}::{name}" for name in names)}
-    return found
-
-
-def test_every_number_of_the_policy_has_an_origin_and_a_test() -> None:
-    """Each says its unit, its meaning, why it has this value, and which test fixes it; these tests exist."""
-    known = _tests()
-    for entry in fields(Policy):
-        assert all(entry.metadata[key].strip() for key in ("unit", "meaning", "origin", "pinned_by")), entry.name
-        assert entry.metadata["pinned_by"] in known, entry.name

@@ -9,11 +9,10 @@ from discovery_cases import SIGMA, draw_case
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal.discover.candidate_tests import Search, is_small_table, variants
-from pincal.discover.history import State
-from pincal.discover.loop import add_effects, compare_frames, discover_effects
-from pincal.discover.moment_frames import _still_to_gain
+from pincal.discover.loop import _still_to_gain, compare_frames, discover_effects
 from pincal.discover.policy import POLICY
 from pincal.discover.score_tests import score_test
+from pincal.discover.steps import SearchState, add_effects
 from pincal.identify.calibrate import refit
 from pincal.identify.split import row_groups
 from pincal.model.chain import MOMENT_FRAMES
@@ -26,7 +25,7 @@ def test_what_was_found_in_a_wrong_frame_is_taken_over_by_the_one_that_fits_bett
     first = calibrate(case.robot, case.rows, replace(case.options, moment_frame="paper"))
     groups = row_groups(case.rows, split="blocked", seed=0) % 8
     search = Search(POLICY, (), first, groups, MOMENT_FRAMES)
-    wrong = add_effects(State(first), search)
+    wrong = add_effects(SearchState(first), search)
 
     found = compare_frames(wrong, search)
 
@@ -55,7 +54,7 @@ def test_a_base_that_moves_with_time_is_nothing_for_another_frame_to_gain() -> N
 
 
 def test_loads_have_something_to_gain_where_they_predict_rows_left_out() -> None:
-    """A base that gives way; in rows left out at random and in none but one block, which tells nothing of others."""
+    """A base that is compliant; in rows left out at random and in none but one block, which tells nothing of others."""
     case = draw_case("base_elasticity", 9662, n=200, strength=200.0)
     fit = calibrate(case.robot, case.rows, replace(case.options, effects=ELASTIC))
     blocks, one = np.arange(len(case.rows)) % 8, np.zeros(len(case.rows), int)
@@ -77,5 +76,5 @@ def test_what_a_discovery_ends_with_is_settled() -> None:
     np.testing.assert_allclose(*moved, rtol=0.0, atol=2e-3 * SIGMA)
 
 
-def _names(state: State) -> list[tuple[str, str | None]]:
+def _names(state: SearchState) -> list[tuple[str, str | None]]:
     return [(step.effect.name, step.effect.locus.joint) for step in state.steps if not step.is_elastic]

@@ -57,14 +57,14 @@ _UNNAMED = "test_effects_outside_the_catalogue_get_no_name"
 _SOUND = ("masses 3 % off", "masses 10 % off", "outliers", "heavy tails", "a rigid arm")
 CI: list[tuple[str, float, int, str]] = [
     *(
-        (f"a name in sound data ({words})", rate, n, "test_sound_data_bring_in_no_name")
+        (f"a name in data without an effect ({words})", rate, n, "test_sound_data_bring_in_no_name")
         for words, (_, rate, n) in zip(_SOUND, SOUND, strict=True)
     ),
-    ("an effect that masses can't imitate without its name", 0.03, HIDDEN_EACH * len({*NAMED, *SOFT} - {*IMITATED}), _NAMED),
-    ("a false name beside a hidden effect", 0.02, HIDDEN_EACH * len({*NAMED, *SOFT}), _NAMED),
-    ("one of two effects without its name", 0.05, PAIRS_EACH * len(PAIRS), "test_two_hidden_effects_are_both_named"),
-    ("what is not in the catalogue at another joint", 0.05, FOREIGN_EACH * (len(FOREIGN) - 1), _UNNAMED),
-    ("a name for what is not in the catalogue", 0.05, FOREIGN_EACH * len(FOREIGN), _UNNAMED),
+    ("an effect that masses can't imitate not named", 0.03, HIDDEN_EACH * len({*NAMED, *SOFT} - {*IMITATED}), _NAMED),
+    ("a false name in addition to a hidden effect", 0.02, HIDDEN_EACH * len({*NAMED, *SOFT}), _NAMED),
+    ("one of two effects not named", 0.05, PAIRS_EACH * len(PAIRS), "test_two_hidden_effects_are_both_named"),
+    ("an effect outside the catalogue at another joint", 0.05, FOREIGN_EACH * (len(FOREIGN) - 1), _UNNAMED),
+    ("a name for an effect outside the catalogue", 0.05, FOREIGN_EACH * len(FOREIGN), _UNNAMED),
 ]
 
 

@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
-from pincal.calibration.calibrated import CalibratedModel, estimate_of, load_model, save_model
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import load_model, save_model
 from pincal.cli import main
 from pincal.discover.levers import levers
 from pincal.discover.locate import _window, locate
-from pincal.discover.policy import ALPHA
-from pincal.discover.power import critical_gain, detectable_noncentrality, minimum_detectable, power_of
-from pincal.discover.precheck import precheck
+from pincal.discover.policy import POLICY
+from pincal.discover.precheck import critical_gain, detectable_noncentrality, minimum_detectable, power_of, precheck
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, _tone_gains, period_of
@@ -30,8 +30,9 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
+from pincal.parameters import estimate_of
+from pincal.report.judgement import relative_to_noise, verdict_of_search
 from pincal.report.plots.found import effect_figure, shrinking_figure
-from pincal.report.verdict import beside_noise, verdict_of_search
 from pincal.report.words import gain_words
 
 HIDDEN = (
@@ -252,9 +253,9 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
         values = np.concatenate([fit.values, sight.size * beta / np.linalg.norm(beta)])
         position = model.predict(values, conditions)[:, :, 3] + SIGMA * rng.standard_normal((len(conditions), 3))
         again = calibrate(case.robot, case.rows.with_readings(position=position), fit.options)
-        tested = score_test(again, [sight.effect], [], np.zeros(len(conditions), int))
+        tested = score_test(again, [sight.effect], np.zeros(len(conditions), int))
         score = tested.score([0], len(effects))
-        hits.append(score.p_value < ALPHA / groups)
+        hits.append(score.p_value < POLICY.false_name / groups)
 
     assert 0.78 <= np.mean(hits) <= 0.99
 
@@ -510,7 +511,7 @@ def test_words_never_contradict_their_numbers(
 ) -> None:
     """Whatever the figures: larger is not said of what is shown as smaller, nor noise of what is said to be unexplained."""
     ratio = max(ratio, 1.0 + 1e-6) if is_misfit else ratio
-    words = beside_noise(ratio, "the noise", is_misfit=is_misfit)
+    words = relative_to_noise(ratio, "the noise", is_misfit=is_misfit)
     assert ("no larger" in words) <= (not is_misfit and ratio < 1.01)
     assert not re.search(r"\b(0\.\d\d|1\.00) times", words)
     assert is_misfit != (("chance" in words and "too many rows" not in words) or "no larger" in words)
@@ -530,4 +531,4 @@ def test_words_never_contradict_their_numbers(
     name: dict[str, Any] = {"effect": "backlash", "joint": "elbow", "parameters": {}, "equivalent": (), "tell_apart": ""}
     figures, _, said = gain_words(FoundEffect(**name, p_value=1e-9, **sizes)).partition(": ")
     mm, mrad = (float(b) < float(a) for a, b in re.findall(r"(\d\.\d{4}) to (\d\.\d{4})", figures))
-    assert said == ("" if mm else "it gains in orientation only" if mrad else "it gains nothing on these rows")
+    assert said == ("" if mm else "improves orientation only" if mrad else "no improvement on these rows")

@@ -18,7 +18,7 @@ import transcripts
 from nbclient import NotebookClient
 
 from pincal.cli import pincal
-from pincal.io.effect_entry import known_effects
+from pincal.io.entries import known_effects
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -59,7 +59,7 @@ def test_every_effect_is_drawn_and_explained() -> None:
     assert set(sections) == names
     for name, section in sections.items():
         assert re.findall(r"^\*[^*].*\*$|\*\*(\w[\w -]+)\*\*", section, re.MULTILINE) == [
-            "", "Signature", "look-alikes" if "](" not in section else "Look-alikes", "Told apart by", "Source"
+            "", "Signature", "look-alikes" if "](" not in section else "Look-alikes", "Distinguished by", "Source"
         ], name  # fmt: skip
         # What stands for others has no picture of its own.
         assert f"](../pictures/effects/{name}.png)" in section or "those of whatever it stands for" in section, name

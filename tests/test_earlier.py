@@ -10,12 +10,12 @@ from test_stations import NOISE, tracked
 
 from pincal import ELASTIC, GEOMETRIC, Fit, Options, Robot, calibrate, calibrate_parts, load_model
 from pincal import simulate as sim
-from pincal.calibration.stations import load_stations
+from pincal.calibration.calibrated_robot import load_stations
 from pincal.discover.score_tests import score_test
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Equations, Linearised
-from pincal.identify.problem import Problem
+from pincal.identify.problem import Problem, extended
 from pincal.identify.station import Station
 from pincal.measure.table import concatenate, read_measurements, row_parts, write_table
 from pincal.model.catalogue import GearEccentricity
@@ -54,7 +54,7 @@ def old_alone(both: Fit) -> Estimate:
     station = both.problem.stations[0]
     places, equations = joint_places(both, station), equations_alone(both, station)
     values, free, sizes = both.values[places], both.solution.free[places], both.priors.sizes[places]
-    values[free] += equations.step(np.full(len(equations.g), np.inf))[0]
+    values[free] += equations.step(np.full(len(equations.form.g), np.inf))[0]
     found = Estimate(station.parameters, values, free, equations.posterior.joint_covariance, sizes)
     return found.take(p.name for p, own in zip(station.parameters, station.is_own, strict=True) if not own)
 
@@ -96,15 +96,14 @@ def test_score_tests_beside_it_are_those_of_all_rows(both: Fit) -> None:
         weights=np.ones(len(new)),
     )
     priors = replace(both.priors, sizes=both.priors.sizes[places], bounds=both.priors.bounds[places])
-    found = score_test(
-        replace(both, problem=problem, solution=solution, priors=priors), candidates, [], np.arange(len(new)) % 4
-    )
+    found = score_test(replace(both, problem=problem, solution=solution, priors=priors), candidates, np.arange(len(new)) % 4)
     # The same by dense matrices: what was known before stands below the rows of the new station.
-    wide, known = problem.extended(candidates)
+    wide, known = extended(problem, candidates)
     values = np.zeros(len(wide.parameters))
     values[known] = solution.values
-    ((_, r, J),) = wide.station.linearise(values, np.ones(len(values), bool))
-    places, old = wide.remembered or pytest.fail("nothing is known from before")
+    ((_, r, J),) = wide.stations[0].linearise(values, np.ones(len(values), bool))
+    (old,) = wide.beliefs.terms
+    places = old.places
     root = np.linalg.cholesky(old.information).T
     further = np.zeros((len(places), len(values)))
     further[:, places] = root
@@ -117,7 +116,7 @@ def test_score_tests_beside_it_are_those_of_all_rows(both: Fit) -> None:
 
     free = known[solution.free]
     for k in range(len(candidates)):
-        with_it = np.append(free, wide.places_of(len(problem.effects) + k))
+        with_it = np.append(free, wide.places_at(wide.effects[len(problem.effects) + k]))
         assert found.gain([k])[0] == pytest.approx(left(free) - left(with_it), rel=1e-6)
 
 
@@ -169,7 +168,7 @@ def test_it_is_of_the_robot_alone(both: Fit) -> None:
 def test_too_few_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, both: Fit) -> None:
     """Four poses place the instrument and the target and tell next to nothing of the noise."""
     few = tracked(machine, kuka, 1, poses=8).select(np.arange(4))
-    with pytest.raises(MeasurementError, match="nothing is left to tell the noise from"):
+    with pytest.raises(MeasurementError, match="the noise can't be estimated"):
         calibrate(kuka, few, Options(effects=ELASTIC, earlier=both.robot_estimate))
 
 

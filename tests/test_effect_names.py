@@ -7,15 +7,17 @@ import ast
 import pytest
 from test_layers import MODULES
 
-from pincal.io.effect_entry import known_effects
+from pincal.io.entries import known_effects
 
 CLASSES = {cls.__name__: cls for cls in known_effects().values() if cls.__module__.split(".")[0] == "pincal"}
 # Who may name which effects, and why. The simulator has effects of its own, which share no code with these.
 ALLOWED = {
-    "pincal.model.registry": "registers the effects that a model is made of",
+    "pincal.model.effect_registry": "registers the effects that a model is made of",
     "pincal.model.catalogue": "registers the catalogue",
     "pincal.model.effects": "lists what an elastic model is made of",
-    "pincal.model.catalogue.bearings": "is the elasticity of a bearing in directions of its own",
+    "pincal.model.catalogue.bearing_features": "is the elasticity of a bearing in directions of its own",
+    "pincal.validate.agreement": "zeros that data have pulled far are looked for",
+    "pincal.validate.zeros": "looks for the zeros of joints",
     "pincal.identify.explain": "a reason names base and tool",
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on",
     "pincal.identify.problem": "makes them for each station",
@@ -24,7 +26,7 @@ ALLOWED = {
 }
 # Who may tell parameters apart by the name of the effect that they belong to, and why.
 ALLOWED_TEXTS = {
-    "pincal.diagnosis.run": "a misfit that nothing explains is a change without a name",
+    "pincal.diagnosis.robot_diagnosis": "a misfit that nothing explains is a change without a name",
     "pincal.identify.calibrate": "the paper's stages are lists of names",
     "pincal.io.urdf_export": "notes what a URDF can't hold",
     "pincal.viewer.scene": "draws where the base is known",

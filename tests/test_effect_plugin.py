@@ -16,7 +16,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.cli import pincal as pincal_command
 from pincal.errors import BadInputError, ModelFileError
 from pincal.measure.table import write_table
-from pincal.model.registry import EFFECTS
+from pincal.model.effect_registry import EFFECTS
 
 PLUGIN = Path(__file__).parents[1] / "examples" / "hose_pull.py"
 NOISE, POSES = 5e-5, 200

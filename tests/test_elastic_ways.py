@@ -1,4 +1,4 @@
-"""How an arm gives way: one drive or bearing alone, as a whole, or not at all."""
+"""How an arm is compliant: one drive or bearing alone, as a whole, or not at all."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from scipy.stats import chi2
 
 import pincal.simulate as sim
 from pincal import GEOMETRIC, Options, PincalWarning, Robot, calibrate, measurements_from_arrays, read_measurements
-from pincal.discover.elastic_ways import elastic_way, with_features
-from pincal.discover.forward import bent
-from pincal.discover.moment_frames import elastic_ways, single_compliance
-from pincal.discover.nuisance import missing_compliances
+from pincal.discover.elastic import elastic_way, sure_compliances, with_features
+from pincal.discover.levers import missing_compliances
+from pincal.discover.loop import elastic_ways, single_compliance
 from pincal.discover.policy import POLICY
-from pincal.discover.where import sure_compliances
-from pincal.identify.calibrate import Until, refit, with_bearings
-from pincal.identify.fit import Fit
+from pincal.discover.steps import bent
+from pincal.identify.calibrate import Tolerance, refit, with_bearings
+from pincal.identify.fit import ModelFit
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import ELASTIC, BearingElasticity, JointElasticity
 
 
-def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect, drives: float = 0.0) -> Fit:
+def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect, drives: float = 0.0) -> ModelFit:
     """Return a geometric fit of a skew arm whose drives are as soft as told, with what is hidden."""
     path, rng = tmp_path / "arm.urdf", np.random.default_rng(3)
     path.write_text(random_urdf(rng, heavy=True, frames="skew"))
@@ -38,7 +37,7 @@ def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect, drives: float = 0.0) -> Fi
 
 
 def test_one_soft_bearing_enters_alone(tmp_path: Path) -> None:
-    """In its own convention of moments, with its own directions; once it is in, nothing else gives way."""
+    """In its own convention of moments, with its own directions; once it is in, nothing else is compliant."""
     soft = sim.BearingElasticity(joint="axis_3", size=6e-7, size_y=2e-7, moment_frame="before")
     fit = fit_of(tmp_path, soft)
 
@@ -85,7 +84,7 @@ def test_none_of_a_rigid_arm_is_named_alone(tmp_path: Path) -> None:
 def test_a_wrist_alone_may_be_as_soft_as_its_load_lets_it(tmp_path: Path) -> None:
     """Beside all others, a drive that carries little is taken for one that carries a tenth of the largest moment."""
     fit = fit_of(tmp_path)
-    alone, together = (refit(fit, [*GEOMETRIC, JointElasticity(j)], until=Until.ROUGH) for j in (("axis_6",), None))
+    alone, together = (refit(fit, [*GEOMETRIC, JointElasticity(j)], until=Tolerance.ROUGH) for j in (("axis_6",), None))
     sizes = [of.priors.sizes[of.estimate.names.index("axis_6.k_z")] for of in (alone, together)]
 
     assert sizes[0] > 3.0 * sizes[1]

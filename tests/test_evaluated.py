@@ -11,9 +11,11 @@ from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.posterior import posterior, posterior_covariance, spent_parameters, unseen_directions
-from pincal.model.catalogue.curves import TransmissionError
+from pincal.identify.posterior import Balance, posterior
+from pincal.identify.problem import extended
+from pincal.identify.quadratic import Form
 from pincal.model.catalogue.drives import GearEccentricity
+from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.conditions import part_of
 from pincal.model.evaluated import plain_terms
@@ -84,7 +86,9 @@ def test_products_of_thin_and_dense_columns_are_those_of_the_whole_jacobian() ->
         whole[at] = rows[:, None] * column
     r, weights = rng.normal(size=(4, n)), rng.uniform(0.0, 2.0, n)
     jacobian = Jacobian(12, np.array([4, 7, 9]), dense, families)
-    G, g = jacobian.part(slice(1, 4), slice(10, n)).grams(r[1:, 10:], np.array([0, 60, 140]), weights[10:])
+    G, g = np.zeros((2, 12, 12)), np.zeros((2, 12))
+    some = jacobian.part(slice(1, 4), slice(10, n))
+    some.add_grams(r[1:, 10:], np.array([0, 60, 140]), G, g, weights=weights[10:])
     for s, here in enumerate((slice(10, 70), slice(70, n))):
         A, b = ((of[..., 1:, here] * weights[here]).reshape(*of.shape[:-2], -1) for of in (whole, r))
         np.testing.assert_allclose(G[s], A @ A.T, rtol=1e-12, atol=1e-12)
@@ -125,24 +129,18 @@ def test_a_part_of_a_table_is_the_same_object_as_long_as_it_is_asked_for() -> No
     assert part_of(replace(whole), rows, (2, 5)) is not part_of(whole, rows, (2, 5))
 
 
-def test_parts_of_a_posterior_are_found_without_the_whole() -> None:
-    """The parameters that data spend, the covariance, and the directions that nothing sees, one of them here."""
+def test_parameters_spent_are_found_without_the_posterior() -> None:
+    """Priors counted, and without what is believed beyond them."""
     rng = np.random.default_rng(4)
     J, sizes = rng.normal(size=(9, 30)) * 10.0 ** rng.uniform(-3.0, 2.0, (9, 1)), np.r_[np.inf, np.inf, np.ones(7)]
     known = np.zeros((9, 9))
     known[4:6, 4:6] = [[2.0, -1.0], [-1.0, 1.0]]
-    G, nothing = J @ J.T + known, np.zeros(9)
-    found = posterior(G, nothing, sizes, nothing)
+    H = J @ J.T + known
+    found = posterior(Form.of(H), sizes)
     of_data = found.shared_effective - float(np.sum(found.covariance * known))
-    assert spent_parameters(G, sizes) == pytest.approx(found.shared_effective, rel=1e-9)
-    assert spent_parameters(G, sizes, known) == pytest.approx(of_data, rel=1e-9)
-    J[8] = J[7]
-    found = posterior(J @ J.T, nothing, sizes, nothing)
-    has_prior, unseen = unseen_directions(J @ J.T, sizes)
-    covariance = posterior_covariance(J @ J.T, sizes, diagonal=np.sum(J**2, axis=1), unseen=unseen)
-    assert np.array_equal(has_prior, found.has_prior) and np.count_nonzero(found.information == 0.0) == 1
-    np.testing.assert_allclose(np.abs(unseen.T @ found.directions[:, 0]), 1.0, rtol=1e-9)
-    np.testing.assert_allclose(covariance, found.covariance, rtol=1e-6, atol=1e-12)
+    balance = Balance(Form.of(H), sizes, np.zeros(9))
+    assert balance.spent() == pytest.approx(found.shared_effective, rel=1e-9)
+    assert balance.spent(known) == pytest.approx(of_data, rel=1e-9)
 
 
 @pytest.mark.parametrize("blocks", [1, 4])
@@ -159,8 +157,8 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     point, alone = (Linearised(fit.problem, of.values, free, of.weights, fit.priors.sizes) for free in (of.free, few))
     narrow, expected = point.narrowed(few).equations(of.sigma), alone.equations(of.sigma)
     scale = expected.metric
-    assert np.allclose(narrow.G / np.outer(scale, scale), expected.G / np.outer(scale, scale), atol=1e-12)
-    assert np.allclose(narrow.g / scale, expected.g / scale, atol=1e-9)
+    assert np.allclose(narrow.form.H / np.outer(scale, scale), expected.form.H / np.outer(scale, scale), atol=1e-12)
+    assert np.allclose(narrow.form.g / scale, expected.form.g / scale, atol=1e-9)
     candidates = [GearEccentricity("joint_3"), GearEccentricity("joint_4", order=2), GearEccentricity("joint_5")]
     groups = np.arange(90) % blocks
     found = score_test(fit, candidates, groups=groups).among([1, 2], fit.names_of([gone]))
@@ -185,16 +183,16 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     tilted = Unnamed("joint_4", "s_x", "joint_4", "waves", order=3)
     candidates = [*waves, *(TransmissionError.over(f"joint_{i}", q[:, i - 1], 24) for i in (3, 5)), tilted]
     tests = score_test(fit, candidates)
-    problem, known = fit.problem.extended(candidates)
+    problem, known = extended(fit.problem, candidates)
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, fit.solution.free
-    ((_, residuals, jacobian),) = problem.station.linearise(values, free)
+    ((_, residuals, jacobian),) = problem.stations[0].linearise(values, free)
     A, r = (of.reshape(*of.shape[:-2], -1) / fit.solution.estimated[0] for of in (jacobian, residuals))
     scale = np.sqrt(np.diag(A @ A.T))
     cross, products = tests.products.cross, tests.products
-    S = np.block([[tests.model.S, cross], [cross.T, products.inner]])
+    S = np.block([[tests.model.rows.H, cross], [cross.T, products.inner]])
     np.testing.assert_allclose(S / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
-    np.testing.assert_allclose(np.append(tests.model.b, products.b) / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.append(tests.model.rows.g, products.g) / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
     whole = replace(tests, products=replace(products, blocks_inner=products.inner[None], is_partial=False))
     assert np.count_nonzero(products.blocks_inner) < np.count_nonzero(products.inner)
     for which in ([7], [0, 6], [1, 5, 7]):

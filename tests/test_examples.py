@@ -140,7 +140,7 @@ def test_a_hidden_effect_is_named_and_the_gap_closes(tmp_path: Path, effect: str
     text = run("hidden_effect.py", "--effect", effect, folder=tmp_path)
     before, after, noise, *_ = numbers(text, "gap, rms")
 
-    assert re.search(rf"put in +{effect} of (joint_\d)", text)[1] == re.search(rf"found +{effect} of (joint_\d)", text)[1]
+    assert re.search(rf"simulated +{effect} of (joint_\d)", text)[1] == re.search(rf"found +{effect} of (joint_\d)", text)[1]
     assert before > 0.5
     assert after < 1.2 * noise
     if effect == "gear_eccentricity":
@@ -163,7 +163,7 @@ def test_a_corrected_program_arrives(tmp_path: Path, seed: str) -> None:
     assert numbers(text, "unreachable")[0] == 0.0
     assert "backlash of joint_2" in text and "gear_eccentricity of joint_3" in text
     if seed == "1":
-        pattern = "misses by # mm as programmed, by # mm compensated with geometry and elasticity, and by # mm compensated"
+        pattern = "has an error of # mm as programmed, # mm compensated with geometry and elasticity, and # mm compensated"
         told = figures("docs/guide/compensation.md", pattern)
         assert told == pytest.approx([before[0], plain[0], found[0]], rel=0.1)
 
@@ -260,7 +260,7 @@ def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     assert after < 0.12
     told = (
         figures("README.md", "geometry and elasticity leave # mm on"),
-        figures("README.md", "one joint after the other, and # mm are left"),
+        figures("README.md", "joint by joint; # mm remain"),
     )
     assert told[0] == pytest.approx([elastic[0]], abs=0.01) and told[1] == pytest.approx([after], abs=0.01)
 
@@ -278,7 +278,7 @@ def test_a_robots_life_is_told_by_its_figures(tmp_path: Path) -> None:
     """A collision is named with its size; twelve poses bring the robot back to where it was, new rows further."""
     text = run("life_of_a_robot.py", folder=tmp_path)
     (hit,) = numbers(text, "joint_offset of joint_2, joint_2.theta by")[:1]
-    (calibrated,), (missed,) = numbers(text, "two set-ups:"), numbers(text, "as it was:")
+    (calibrated,), (missed,) = numbers(text, "two set-ups:"), numbers(text, "old model:")
     mended, kept = numbers(text, "12 poses:")[0], numbers(text, "40 new rows:")[0]
 
     assert "before the collision: changed False" in text

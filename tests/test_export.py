@@ -20,20 +20,20 @@ from test_cli import run
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel, estimate_of
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.errors import BadInputError
 from pincal.export import FORMATS, Exported, Format, export_model
 from pincal.model.at_station import AtStation
-from pincal.model.catalogue.bearings import ObliqueBearing
+from pincal.model.catalogue.bearing_features import ObliqueBearing
 from pincal.model.catalogue.drives import AxisWobble
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Locus, Term
+from pincal.model.effect_registry import EFFECTS as KNOWN
 from pincal.model.effects import ELASTIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
-from pincal.model.registry import EFFECTS as KNOWN
-from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.parameters import FRAME_SYMBOLS, Parameter, estimate_of
 from pincal.robot.robot import Robot
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -484,6 +484,21 @@ def test_the_command_writes_all_that_is_asked_for(kuka: Robot, tmp_path: Path, c
     assert done.stdout.strip() == "(1, 3, 4) False"
     assert run("export", model) == 2
     assert "give at least one of" in capsys.readouterr().err
+
+
+def test_files_are_written_in_the_order_of_the_help(
+    kuka: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever the order of the options, and that in which the formats were registered."""
+    calibrated, model = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka), tmp_path / "model.json"
+    calibrated.save(model)
+    monkeypatch.setattr(FORMATS, "_classes", dict(reversed(FORMATS.registered().items())))
+    assert run("export", model, "--dh", tmp_path / "a.csv", "--mjcf", tmp_path / "a.xml", "--urdf", tmp_path / "a.urdf") == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("written to")]
+
+    assert [line.split(";")[0] for line in lines] == [
+        f"written to {tmp_path / name}" for name in ("a.urdf", "a.xml", "a.csv")
+    ]
 
 
 def test_a_format_of_a_plugin_leaves_the_command_alone(

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from pincal.calibration.calibrated import load_model
+from pincal.calibration.calibrated_robot import load_model
 from pincal.errors import ModelFileError
-from pincal.io.arrays import Matrix, Numbers, Record, Rotation, Shape, array_of
+from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record, Rotation, array_of
 from pincal.io.strict_json import MODEL_FILE, MOST_BYTES, MOST_DEPTH, MOST_DIGITS, decode
 from pincal.model.effects import Conditions
 
@@ -20,9 +20,9 @@ from pincal.model.effects import Conditions
 class Pair(Record, frozen=True, kw_only=True):
     """Two arrays of one length, and a rotation."""
 
-    names: Annotated[tuple[str, ...], Shape("n")]
-    values: Annotated[Numbers, Shape("n")]
-    table: Annotated[Matrix, Shape("n", 2)]
+    names: Annotated[tuple[str, ...], ArrayShape("n")]
+    values: Annotated[Numbers, ArrayShape("n")]
+    table: Annotated[Matrix, ArrayShape("n", 2)]
     turn: Rotation | None = None
 
 

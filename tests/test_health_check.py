@@ -17,12 +17,11 @@ from pincal import ELASTIC, CalibratedModel, Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main
-from pincal.cli.tables import print_check
-from pincal.design.guarded import guarded_changes, lineup_over, watch_of
+from pincal.cli.screen import print_check
+from pincal.design.detection import DetectionDesign, guarded_changes, lineup_over, watch_of
 from pincal.design.health import CheckRequest, HealthCheck, design_check
 from pincal.design.reach import Limits, Reach, SensorSetup
-from pincal.design.watch import Watch
-from pincal.diagnosis.lineup import Lineup
+from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.errors import BadInputError
 from pincal.model.conditions import Conditions
 from pincal.model.effects import GEOMETRIC
@@ -53,7 +52,7 @@ def measured(machine: sim.TrueMachine, q: np.ndarray, rng: np.random.Generator) 
 
 
 @pytest.fixture(scope="module")
-def watched() -> tuple[Lineup, Watch]:
+def watched() -> tuple[ChangeHypotheses, DetectionDesign]:
     """Return 40 candidates with what they tell, and the lineup of a diagnosis over them."""
     robot = Robot.from_urdf(kuka_urdf_path())
     rng = np.random.default_rng(2)
@@ -64,7 +63,7 @@ def watched() -> tuple[Lineup, Watch]:
     return lineup, watch_of(lineup, guarded, alpha=0.01, power=0.95, degrees=200.0)
 
 
-def test_the_design_works_on_the_statistic_of_the_diagnosis(watched: tuple[Lineup, Watch]) -> None:
+def test_the_design_works_on_the_statistic_of_the_diagnosis(watched: tuple[ChangeHypotheses, DetectionDesign]) -> None:
     """The non-centrality of a change is what a diagnosis gains if readings hold the change and no noise."""
     lineup, watch = watched
     chosen = np.arange(12)
@@ -74,13 +73,13 @@ def test_the_design_works_on_the_statistic_of_the_diagnosis(watched: tuple[Lineu
     rng = np.random.default_rng(0)
     guarded, _ = guarded_changes(lineup, Conditions.at(lineup.station.conditions.q), 2e-4, rng=rng)
     again = watch_of(lineup, guarded, alpha=0.01, power=0.95, degrees=200.0).noncentralities(chosen.tolist())
-    expected = [one.step @ evidence.P @ one.step for one in guarded]
+    expected = [one.step @ evidence.form.H @ one.step for one in guarded]
 
     np.testing.assert_allclose(again, expected, rtol=1e-3, atol=1e-3)
     assert found.min() >= 0.0
 
 
-def test_one_more_pose_costs_what_is_worked_out_from_scratch(watched: tuple[Lineup, Watch]) -> None:
+def test_one_more_pose_costs_what_is_worked_out_from_scratch(watched: tuple[ChangeHypotheses, DetectionDesign]) -> None:
     """The update by one pose is the design with that pose."""
     _, watch = watched
     chosen = [3, 8, 21, 30, 5, 11]
@@ -90,7 +89,7 @@ def test_one_more_pose_costs_what_is_worked_out_from_scratch(watched: tuple[Line
         assert costs[j] == pytest.approx(np.sum((watch.needed(7) / (1.0 + whole)) ** 4), rel=1e-9)
 
 
-def test_more_is_noticed_for_more_poses(watched: tuple[Lineup, Watch]) -> None:
+def test_more_is_noticed_for_more_poses(watched: tuple[ChangeHypotheses, DetectionDesign]) -> None:
     """The fewest poses notice everything, one pose less of a random choice does not; a smaller change takes more poses."""
     _, watch = watched
     larger, largest = (replace(watch, G=watch.G * times) for times in (2.0, 4.0))
@@ -147,7 +146,7 @@ def test_sockets_are_asked_for_and_only_of_a_check() -> None:
     """A check with sockets needs their places, one without has none, and a design of other kinds is refused."""
     robot, request = Robot.from_urdf(kuka_urdf_path()), CheckRequest(candidates=60, draws=2)
     for rig in (SensorSetup(sensor="socket"), SensorSetup(held_at=HELD.held_at)):
-        with pytest.raises(BadInputError, match="place"):
+        with pytest.raises(BadInputError, match=r"position|socket"):
             design_check(robot, request, options=Options(effects=GEOMETRIC), rig=rig)
     with pytest.raises(BadInputError, match="--check"):
         pincal.design_poses(robot, 20, rig=HELD)
@@ -175,8 +174,8 @@ def test_what_is_printed_says_what_is_noticed_and_what_is_not() -> None:
         print_check(found, out)
     said = " ".join(out.file.getvalue().split())  # type: ignore[attr-defined]
 
-    assert "more than 1 mm is noticed with 95 % at 1 % false alarms" in said
-    assert "6 poses, 2 minutes" in said and "not met: so many poses do not notice 0.1 mm" in said
+    assert "more than 1 mm is detected with 95 % at 1 % false alarms" in said
+    assert "6 poses, 2 minutes" in said and "not met: this many poses do not detect 0.1 mm" in said
     assert found.noticeable > found.notice and "joint_1.theta" in said
 
 

@@ -12,10 +12,10 @@ from tracker_cases import NOISE, seen, standing
 
 from pincal import load_model
 from pincal import simulate as sim
-from pincal.calibration.fit import Fit, calibrate
+from pincal.calibration.calibrated_fit import Fit, calibrate
 from pincal.discover.candidate_tests import variants
-from pincal.discover.history import History
 from pincal.discover.loop import discover_effects
+from pincal.discover.steps import History
 from pincal.export.c_source import CSource
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
@@ -106,7 +106,7 @@ def test_a_model_predicts_where_nothing_was_read(kuka: Robot, tmp_path: Path) ->
     saved = load_model(tmp_path / "model.json")
     np.testing.assert_array_equal(saved.predict(rows.q), fit.predict(rows.q))
     # Programs for controllers say where the target is, not how a tracker misreads it.
-    assert (CSource().export(saved).max_error_m or 0.0) < 1e-9 and "what the instrument reads" in " ".join(
+    assert (CSource().export(saved).max_error_m or 0.0) < 1e-9 and "an error of the instrument" in " ".join(
         rigid_notes(saved.model)
     )
 
@@ -115,10 +115,10 @@ def test_readings_in_another_frame_are_not_judged(kuka: Robot) -> None:
     """In the robot's own frame no tracker stands; a distance says nothing of directions."""
     at_base, beside = seen(place=np.eye(4)), seen()
     cases = {
-        "m from the robot's base, where no tracker stands": calibrate(
+        "m from the robot's base, where no tracker can stand": calibrate(
             kuka, at_base, Options(effects=GEOMETRIC)
         ).station.conditions,
-        "no position is read": Conditions.at(at_base.q),
+        "no positions in an instrument frame": Conditions.at(at_base.q),
     }
     for reason, conditions in cases.items():
         why = {effect.name: text for effect, text in untestable(Chain.of(kuka), conditions) if effect.name in OWN}

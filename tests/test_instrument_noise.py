@@ -11,9 +11,9 @@ import pytest
 from tracker_cases import seen, standing
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.fit import Fit, calibrate
+from pincal.calibration.calibrated_fit import Fit, calibrate
 from pincal.cli import main
-from pincal.discover.joint_noise import note_on_joints
+from pincal.discover.ending import note_on_joints
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options
 from pincal.measure.instruments import INSTRUMENTS, InstrumentNoise

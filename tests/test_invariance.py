@@ -129,7 +129,8 @@ def compensated(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
 def designed(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
     """The poses to measure and what they tell."""
     options = replace(case.options, moment_frame="after")
-    found = [pincal.design_poses(robot, 25, options, candidates=150, curve=False, seed=1) for robot in case.robots]
+    request = pincal.DesignRequest(poses=25, candidates=150, curve=False, seed=1)
+    found = [pincal.design_poses(robot, request, options) for robot in case.robots]
     return [(None, {"error": np.array(each.found.designed.error)}) for each in found]
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pincal.errors import MeasurementError, PincalWarning
+from pincal.measure.fields import TableOptions
+from pincal.measure.joined import held_poses
 from pincal.measure.measurements import Measurements
-from pincal.measure.options import TableOptions
-from pincal.measure.still import held_poses
 from pincal.measure.table import joint_columns, read_measurements, write_table
 from pincal.robot.tree import Mimic
 
@@ -127,7 +127,7 @@ def test_a_lost_row_does_not_shift_the_others(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "log", "parts"),
     [
-        (readings(), joints(Q[1:]), ["nothing says which joints", "8 rows and 7 samples", "column time"]),
+        (readings(), joints(Q[1:]), ["it is not known which joints", "8 rows and 7 samples", "column time"]),
         (readings(time=HELD + 900.0), joints(MOVING[100:], time=TIME[100:]), ["do the clocks differ?", "poses held still"]),
         (readings(time=HELD), joints(MOVING[::-1], time=TIME[::-1]),
          ["time does not increase"]),

@@ -8,12 +8,12 @@ from machines import kuka as true_kuka
 from scipy.stats import multivariate_normal
 
 from pincal import simulate as sim
-from pincal.discover.joint_noise import JointNoise, joint_noise, weighed
+from pincal.discover.ending import JointNoise, joint_noise, weighed
 from pincal.discover.levers import levers
 from pincal.discover.run import run_discovery
-from pincal.identify.calibrate import calibrate, refit
+from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import Fit
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.repeat import monte_carlo
 from pincal.identify.station import PIECE
@@ -41,12 +41,12 @@ def measured(robot: Robot, scatter: float, *, seed: int, poses: int = 150) -> Me
 
 
 @pytest.fixture(scope="module")
-def fit(kuka: Robot) -> Fit:
+def fit(kuka: Robot) -> ModelFit:
     """Return a fit whose joints scatter, weighed as if readings were even."""
-    return calibrate(kuka, measured(kuka, SCATTER, seed=0), Options(effects=GEOMETRIC))
+    return fit_tables(kuka, measured(kuka, SCATTER, seed=0), Options(effects=GEOMETRIC))
 
 
-def covariances(fit: Fit, noise: JointNoise) -> np.ndarray:
+def covariances(fit: ModelFit, noise: JointNoise) -> np.ndarray:
     """Return the covariance of each row, shape (N, m, m), by its definition."""
     J = levers(fit, tuple(map(int, fit.problem.chain.drives))).transpose(2, 1, 0)
     instrument = np.diag(np.repeat(noise.instrument**2, 3))
@@ -55,7 +55,7 @@ def covariances(fit: Fit, noise: JointNoise) -> np.ndarray:
 
 def test_noise_of_the_joints_is_found_with_its_size(kuka: Robot) -> None:
     """Over six machines; that of the instrument has what a fit is off that took its rows for even, a tenth here."""
-    fits = (calibrate(kuka, measured(kuka, SCATTER, seed=seed, poses=300), Options(effects=GEOMETRIC)) for seed in range(6))
+    fits = (fit_tables(kuka, measured(kuka, SCATTER, seed=seed, poses=300), Options(effects=GEOMETRIC)) for seed in range(6))
     found = [noise for noise in map(joint_noise, fits) if noise is not None]
 
     assert len(found) == 6
@@ -63,7 +63,7 @@ def test_noise_of_the_joints_is_found_with_its_size(kuka: Robot) -> None:
     assert np.sqrt(np.mean([noise.instrument**2 for noise in found], axis=0)) == pytest.approx(NOISE, rel=0.15)
 
 
-def test_variances_are_where_residuals_are_likeliest(fit: Fit) -> None:
+def test_variances_are_where_residuals_are_likeliest(fit: ModelFit) -> None:
     """Against the normal density of all rows: any other size of one of them makes these less likely."""
     noise, r = joint_noise(fit), fit.station.residuals(fit.values).T
     assert noise is not None
@@ -84,12 +84,12 @@ def test_even_noise_is_left_as_it_is(seed: int, kuka: Robot) -> None:
     scattered = measured(kuka, SCATTER, seed=seed)
     few = scattered.select(np.arange(16))
 
-    assert joint_noise(calibrate(kuka, sound, Options(effects=GEOMETRIC))) is None
-    assert joint_noise(calibrate(kuka, scattered, Options(effects=GEOMETRIC, sigma=1e-4))) is None
-    assert joint_noise(calibrate(kuka, few, Options(effects=GEOMETRIC))) is None
+    assert joint_noise(fit_tables(kuka, sound, Options(effects=GEOMETRIC))) is None
+    assert joint_noise(fit_tables(kuka, scattered, Options(effects=GEOMETRIC, sigma=1e-4))) is None
+    assert joint_noise(fit_tables(kuka, few, Options(effects=GEOMETRIC))) is None
 
 
-def test_equations_are_those_of_generalised_least_squares(fit: Fit) -> None:
+def test_equations_are_those_of_generalised_least_squares(fit: ModelFit) -> None:
     """J V^-1 J^T and J V^-1 r, from the dense Jacobian; the size of a block of readings is that of one of them."""
     noise = joint_noise(fit)
     assert noise is not None
@@ -97,15 +97,15 @@ def test_equations_are_those_of_generalised_least_squares(fit: Fit) -> None:
     (_, r, J), *others = fit.station.linearise(fit.values, fit.solution.free)
     sigma = np.sqrt(np.array([V[:, b, b].mean() for b in range(6)]).reshape(2, 3).mean(axis=1))
     rows = np.ones(len(fit.problem))
-    found = Linearised(whole.problem, fit.values, fit.solution.free, rows, fit.priors.sizes).equations(sigma)
+    found = Linearised(whole.problem, fit.values, fit.solution.free, rows, fit.priors.sizes).equations(sigma).form
     across = np.linalg.solve(V, J.transpose(2, 1, 0))
 
     assert not others
-    np.testing.assert_allclose(found.G, np.einsum("fmn,nmg->fg", J, across), rtol=1e-9, atol=1e-9 * np.max(found.G))
+    np.testing.assert_allclose(found.H, np.einsum("fmn,nmg->fg", J, across), rtol=1e-9, atol=1e-9 * np.max(found.H))
     np.testing.assert_allclose(found.g, np.einsum("nmf,mn->f", across, r), rtol=1e-9, atol=1e-9 * np.max(np.abs(found.g)))
 
 
-def test_whitening_goes_with_its_rows(fit: Fit) -> None:
+def test_whitening_goes_with_its_rows(fit: ModelFit) -> None:
     """With some of them, with pieces of a long table, and back to the noise as it is read."""
     noise = joint_noise(fit)
     assert noise is not None
@@ -122,7 +122,7 @@ def test_whitening_goes_with_its_rows(fit: Fit) -> None:
 def test_stations_have_the_joints_in_common(kuka: Robot) -> None:
     """Two tables of one robot: what each station says of it adds up as if it were alone."""
     table = measured(kuka, SCATTER, seed=1, poses=120)
-    fit = calibrate(kuka, [table.select(np.arange(60)), table.select(np.arange(60, 120))], Options(effects=GEOMETRIC))
+    fit = fit_tables(kuka, [table.select(np.arange(60)), table.select(np.arange(60, 120))], Options(effects=GEOMETRIC))
     noise = joint_noise(fit)
     assert noise is not None and noise.instrument.shape == (4,)
     whole = weighed(fit, noise)
@@ -140,7 +140,7 @@ def test_stations_have_the_joints_in_common(kuka: Robot) -> None:
 def test_a_discovery_weighs_its_last_fit_and_says_so(scatter: float, kuka: Robot) -> None:
     """By how much each joint is unsteady, in a note; none where noise is even."""
     found = run_discovery(kuka, measured(kuka, scatter, seed=2, poses=120))
-    notes = [str(note) for note in found.calibration.notes if "unsteady joints" in str(note)]
+    notes = [str(note) for note in found.calibration.notes if "like joint noise" in str(note)]
 
     assert len(notes) == (scatter > 0.0) and all("joint_3 4" in note or "joint_3 5" in note for note in notes)
     assert (found.trail.final.station.whitening is not None) == (scatter > 0.0)
@@ -151,7 +151,7 @@ def test_rows_weighed_by_the_joints_make_a_truer_model(kuka: Robot) -> None:
     """Over twenty machines, at other poses without noise; and the model knows how true it is."""
     ratios, told = [], []
     for seed in range(20):
-        plain = calibrate(kuka, measured(kuka, SCATTER, seed=seed), Options(effects=GEOMETRIC))
+        plain = fit_tables(kuka, measured(kuka, SCATTER, seed=seed), Options(effects=GEOMETRIC))
         noise = joint_noise(plain)
         assert noise is not None
         better = refit(weighed(plain, noise), plain.options.effects, start={})
@@ -173,7 +173,7 @@ def test_rows_weighed_by_the_joints_make_a_truer_model(kuka: Robot) -> None:
 @pytest.mark.long
 def test_simulated_fits_scatter_as_their_covariance_says(kuka: Robot) -> None:
     """Noise that is drawn for a fit is that by which its rows are weighed."""
-    fit = calibrate(kuka, measured(kuka, SCATTER, seed=0, poses=60), Options(effects=GEOMETRIC))
+    fit = fit_tables(kuka, measured(kuka, SCATTER, seed=0, poses=60), Options(effects=GEOMETRIC))
     noise = joint_noise(fit)
     assert noise is not None
     better = refit(weighed(fit, noise), fit.options.effects, start={})

@@ -22,8 +22,9 @@ LAYERS = (
     "compiled",
     "units",
     "notes",
-    "tables",
+    "result_table",
     "parameters",
+    "recorded",
     "robot",
     "model",
     "measure",
@@ -35,6 +36,7 @@ LAYERS = (
     "diagnosis",
     "design",
     "compensate",
+    "programs",
     "export",
     "report",
     "viewer",
@@ -44,8 +46,23 @@ LAYERS = (
 # Two layers that know nothing of each other.
 SIBLINGS = {"model", "measure"}
 # What stands beside the layers, and what it may import.
-ASIDE = {"builtin": {"errors"}, "simulate": {"errors", "builtin", "measure"}}
-HEAVY = ("pinocchio", "numba", "scipy", "polars", "matplotlib")
+ASIDE = {
+    "builtin": {"errors"},
+    "simulate": {"errors", "builtin", "measure"},
+    "schemas": {"atomic", "model", "io", "calibration"},
+}
+HEAVY = (
+    "pinocchio",
+    "numba",
+    "scipy",
+    "polars",
+    "matplotlib",
+    "meshcat",
+    "trimesh",
+    "example_robot_data",
+    "yourdfpy",
+    "lark",
+)
 
 
 def modules() -> dict[str, Path]:
@@ -87,8 +104,8 @@ def _absolute(module: str, node: ast.ImportFrom) -> str:
 
 
 def layer(module: str) -> str:
-    """Return the layer of a module: the name next to pincal."""
-    return module.split(".")[1]
+    """Return the layer of a module: the name next to pincal; the schemas of files see the structures of all rooms."""
+    return "schemas" if module.startswith("pincal.io.schemas") else module.split(".")[1]
 
 
 def may_import(importer: str, imported: str) -> bool:

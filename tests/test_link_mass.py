@@ -22,19 +22,18 @@ from pincal import (
     run_calibration,
 )
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.nuisance import MassError
+from pincal.discover.levers import MassError
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
-from pincal.identify.gauge import along_gauge, weight_of
-from pincal.identify.moments import found_moments
+from pincal.identify.found_masses import along_gauge, found_moments, weight_of
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.catalogue.masses import LinkMass, with_masses
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.report.moments import moments as moments_section
+from pincal.report.sections import moments as moments_section
 from pincal.report.subject import Subject
-from pincal.robot.inertia import are_placeholders, guessed_masses
+from pincal.robot.arm_of_tree import are_placeholders, guessed_masses
 from pincal.simulate import paper_positions
 from pincal.simulate.paper_machine import PAYLOAD_COM
 
@@ -275,7 +274,7 @@ def test_what_is_known_of_masses_is_said(found: Calibration) -> None:
     (note,) = [note.text for note in found.result.warnings if "masses" in note.text]
     rows = [row for row in found.result.parameters if row.effect == LinkMass.name]
 
-    assert section is not None and "of 6 links" in note and "no prediction depends" in note
+    assert section is not None and "for 6 links" in note and "predictions do not depend" in note
     assert {row.status for row in rows} <= {"identified", "prior"} and len(rows) == 24
     (rigid,) = [note for note in found.fit.export_urdf().notes if "link_mass" in note]
     assert "rigid arm" in rigid

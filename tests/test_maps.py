@@ -11,7 +11,7 @@ from pincal.identify.options import Options
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effects import GEOMETRIC
 from pincal.report.plots.found import map_figure
 from pincal.robot.robot import Robot
@@ -82,4 +82,4 @@ def test_a_map_is_as_fine_as_rows_and_positions_allow(kuka: Robot, rows: int, va
     q[:, 3] = np.linspace(-1.0, 1.0, values)[np.arange(rows) % values]
     effect = Unnamed("joint_2", "drive", "joint_4", "map", size=4, **RANGES)
 
-    assert [form.size for form in effect.resolutions(Situation(Chain.of(kuka), Conditions.at(q)))] == sizes
+    assert [form.size for form in effect.resolutions(PoseSet(Chain.of(kuka), Conditions.at(q)))] == sizes

@@ -9,7 +9,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
-from pincal.validate.midway import Change, change_in
+from pincal.validate.midway import StepChange, change_in
 
 URDF = kuka_urdf_path()
 ROBOT = Robot.from_urdf(URDF)
@@ -52,7 +52,7 @@ def _read(machine: sim.TrueMachine, q: np.ndarray, target: np.ndarray, seed: int
     return np.column_stack([columns[axis] for axis in "xyz"])
 
 
-def seen(rows: Measurements) -> Change | None:
+def seen(rows: Measurements) -> StepChange | None:
     """Return what changed midway, as a calibration would ask."""
     fit = calibrate(ROBOT, rows, Options(effects=GEOMETRIC))
     return change_in(fit.station, fit.values, fit.solution.free, rows.rows)

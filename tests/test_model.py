@@ -14,15 +14,16 @@ from numba import njit
 from numba.core import event
 from numba.core.event import EventStatus
 
+from pincal import compiled
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.model import effects as catalogue
 from pincal.model import kernels, sizes
 from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
-from pincal.model.catalogue.bearings import ObliqueBearing
+from pincal.model.catalogue.bearing_features import ObliqueBearing
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, JointOffset, LinkGeometry, ToolFrame
-from pincal.model.kernels import BLOCK, FRAME
+from pincal.model.kernel_inputs import BLOCK, FRAME
 from pincal.model.model import Model
 from pincal.model.sizes import largest_bases, largest_basis
 from pincal.parameters import FRAME_SYMBOLS
@@ -752,7 +753,7 @@ def test_an_unknown_moment_frame_is_refused() -> None:
 
 def test_compiling_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     """Whoever waits for the loops to be compiled reads why, and only once; what others compile is not our business."""
-    told, compiling = kernels._Compiling(), []
+    told, compiling = compiled._Compiling(kernels.__name__), []
     ours, other = ({"dispatcher": function} for function in (kernels.evaluate, njit(lambda: 0)))
     with caplog.at_level("INFO"):
         for data, status in (

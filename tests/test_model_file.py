@@ -16,28 +16,29 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel, estimate_of, load_model, save_model
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import load_model, save_model
 from pincal.errors import ModelFileError, OutputError
-from pincal.identify.calibrate import calibrate
-from pincal.identify.fit import Fit
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
-from pincal.io.effect_entry import known_effects
-from pincal.io.packed import packed_covariance, packed_matrix, unpacked
+from pincal.io.arrays import packed_covariance, packed_matrix, unpacked
+from pincal.io.entries import known_effects
 from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain
 from pincal.model.effect import Locus
+from pincal.model.effect_registry import register_effect
 from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
-from pincal.model.registry import register_effect
-from pincal.parameters import Parameter
+from pincal.parameters import Parameter, estimate_of
 from pincal.robot.robot import Robot
 from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 PROVENANCE = {"pincal": "0.1.0", "created": "2024-01-02T03:04:05+00:00", "seed": 3, "inputs": {"data.csv": "ab12"}}
 
 
-def simulated_fit(kind: str, options: Options, *, targets: Any = (0.0, 0.0, 0.0), **conditions: Any) -> Fit:
+def simulated_fit(kind: str, options: Options, *, targets: Any = (0.0, 0.0, 0.0), **conditions: Any) -> ModelFit:
     """Calibrate the KUKA on 60 simulated rows with noise."""
     rng = np.random.default_rng(3)
     machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
@@ -51,10 +52,10 @@ def simulated_fit(kind: str, options: Options, *, targets: Any = (0.0, 0.0, 0.0)
         given["position"] = np.column_stack([columns[name] for name in "xyz"])
     if "qx" in columns:
         given["quaternion"] = np.column_stack([columns[name] for name in ("qx", "qy", "qz", "qw")])
-    return calibrate(robot, measurements_from_arrays(robot.joint_names, rows, **given), options)
+    return fit_tables(robot, measurements_from_arrays(robot.joint_names, rows, **given), options)
 
 
-def elastic_fit() -> Fit:
+def elastic_fit() -> ModelFit:
     """Return an elastic model with two targets, of which one is known, and a payload with a lever."""
     options = Options(effects=ELASTIC, tools={"far": (0.1, 0.0, 0.4)}, payload_centre=(0.0, 0.1, 0.2), moment_frame="after")
     weights = np.tile([0.0, 60.0, 120.0], 20)
@@ -63,13 +64,13 @@ def elastic_fit() -> Fit:
 
 
 @pytest.fixture(scope="module")
-def fit() -> Fit:
+def fit() -> ModelFit:
     """Return the elastic fit."""
     return elastic_fit()
 
 
 @pytest.fixture(scope="module")
-def calibrated(fit: Fit) -> CalibratedModel:
+def calibrated(fit: ModelFit) -> CalibratedModel:
     """Return its model."""
     return CalibratedModel.of(fit, PROVENANCE)
 
@@ -121,7 +122,7 @@ def edited(path: Path, *keys: str | int, value: Any = None, edit: Callable[[Any]
     ],
 )
 def test_a_model_read_again_predicts_the_same_to_the_last_bit(
-    kind: str, options: Options | None, fit: Fit, tmp_path: Path
+    kind: str, options: Options | None, fit: ModelFit, tmp_path: Path
 ) -> None:
     """Poses, their uncertainty and everything else come back with no difference at all."""
     model = CalibratedModel.of(fit if options is None else simulated_fit(kind, options), PROVENANCE)
@@ -147,7 +148,7 @@ def test_robot_and_chain_come_back_whole(calibrated: CalibratedModel, path: Path
 
     for name in Robot.__dataclass_fields__.keys() - {"frames"}:
         np.testing.assert_array_equal(getattr(again.robot, name), getattr(chain.robot, name), err_msg=name)
-    for name in Chain.__dataclass_fields__.keys() - {"robot"}:
+    for name in Chain.__dataclass_fields__.keys() - {"robot", "kept"}:
         np.testing.assert_array_equal(getattr(again, name), getattr(chain, name), err_msg=name)
 
 
@@ -182,7 +183,7 @@ def test_a_model_predicts_where_no_urdf_and_no_pinocchio_is(tmp_path: Path) -> N
     np.save(tmp_path / "q.npy", conditions.q)
     code = (
         "import sys, numpy as np\n"
-        "from pincal.calibration.calibrated import load_model\n"
+        "from pincal.calibration.calibrated_robot import load_model\n"
         "from pincal.model.effects import Conditions\n"
         "model = load_model('model.json')\n"
         "np.save('poses.npy', model.predict(Conditions.at(np.load('q.npy'))))\n"
@@ -208,7 +209,7 @@ def test_a_model_read_again_exports_the_same_urdf(calibrated: CalibratedModel, p
     assert calibrated_urdf(again.model, again.values) == calibrated_urdf(calibrated.model, calibrated.values)
 
 
-def test_a_model_is_that_of_its_fit(fit: Fit, calibrated: CalibratedModel) -> None:
+def test_a_model_is_that_of_its_fit(fit: ModelFit, calibrated: CalibratedModel) -> None:
     """Predictions are the fit's own; what was given and not fitted has no variance."""
     poses = fit.model.predict(fit.values, fit.station.conditions)
     held = ~fit.solution.free
@@ -248,7 +249,7 @@ def test_uncertainty_of_many_poses_is_worked_out_in_pieces(calibrated: Calibrate
     np.testing.assert_allclose(calibrated.position_sigma(conditions.select(last)), whole[last], rtol=1e-12)
 
 
-def test_outside_names_rows_joints_and_ranges(fit: Fit, calibrated: CalibratedModel) -> None:
+def test_outside_names_rows_joints_and_ranges(fit: ModelFit, calibrated: CalibratedModel) -> None:
     """Training rows are covered, and so is a little more; beyond it each joint and the payload are named."""
     conditions = fit.station.conditions
     assert calibrated.outside(conditions) == []

@@ -12,10 +12,10 @@ import pincal
 from pincal import Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.moves import _Told, moves_of, said_at, spent_at
-from pincal.calibration.tables import moved_table, moved_words, repeated_table
-from pincal.identify.calibrate import calibrate
-from pincal.identify.fit import Fit
+from pincal.calibration.moves import _StationsInformation, information_at, moves_of, spent_at
+from pincal.calibration.result_tables import moved_table, repeated_table, station_changes
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit
 from pincal.model.at_station import AtStation
 from pincal.model.effects import GEOMETRIC
 
@@ -46,9 +46,9 @@ def robot() -> Robot:
     return Robot.from_urdf(kuka_urdf_path())
 
 
-def fitted(robot: Robot, tables: Mapping[str, Measurements]) -> Fit:
+def fitted(robot: Robot, tables: Mapping[str, Measurements]) -> ModelFit:
     """Return the geometric fit of all stations, their noise declared."""
-    return calibrate(robot, tables, Options(effects=GEOMETRIC, sigma=SIGMA))
+    return fit_tables(robot, tables, Options(effects=GEOMETRIC, sigma=SIGMA))
 
 
 def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> None:
@@ -67,7 +67,7 @@ def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> Non
     for record, truth in zip(records[1:], (0.0, jump, jump), strict=True):
         entry = record["parameters"][0]
         assert abs(entry["change"] - truth) < 3.0 * entry["sigma"] < 1e-3
-    words = moved_words(records)
+    words = station_changes(records)
     assert words.startswith("joint_3.theta at wednesday by 0.") and "mrad +- 0.0" in words and "thursday" not in words
     table = moved_table(records)
     assert table is not None and [row[2] for row in table.rows] == list(DAYS[1:])
@@ -79,7 +79,7 @@ def test_intervals_are_those_of_a_fit_in_which_each_day_has_its_own(robot: Robot
     tables = measured_over(5, {"a": 0.0, "b": 2e-4})
     found = {move.parameter.name: move for move in moves_of(fitted(robot, tables))[1]}["joint_3.theta"]
     effects = (*GEOMETRIC, AtStation(offsets, "b", "joint_3"))
-    apart = calibrate(robot, tables, Options(effects=effects, sigma=SIGMA))
+    apart = fit_tables(robot, tables, Options(effects=effects, sigma=SIGMA))
     place = next(i for i, p in enumerate(apart.problem.parameters) if p.name.endswith("theta_here"))
 
     assert found.change == pytest.approx(apart.values[place], rel=0.05)
@@ -106,7 +106,9 @@ def test_changes_survive_a_badly_conditioned_fit(apart: float, rounding: float) 
     scale, b = np.array([1e3, 1e5, 1.0]), np.array([3e3, -2e5, 1.0])
     G = np.outer(scale, scale) * [[1.0, 1.0 - apart, 0.3], [1.0 - apart, 1.0, 0.3], [0.3, 0.3, 1.0]]
     C = np.linalg.inv(2.0 * G) * (1.0 + rounding)
-    told = _Told(np.stack([G, G]), np.stack([b, -b]), np.ones((2, 3), bool), C, np.full(3, 1e6), np.zeros(3, bool))
+    told = _StationsInformation(
+        np.stack([G, G]), np.stack([b, -b]), np.ones((2, 3), bool), C, np.full(3, 1e6), np.zeros(3, bool)
+    )
     for chosen in ([0], [1], [2], [0, 2]):
         station, _, values, covariance = told.released(chosen)
         difference = np.where(station == 1, 1.0, -1.0) * np.repeat(np.eye(len(chosen)), 2, axis=1)
@@ -124,14 +126,14 @@ def test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred(robot: Robot) -> 
     alarms = 0
     for seed in range(300):
         tables = measured_over(100 + seed, dict.fromkeys(DAYS[: 2 + seed % 3], 0.0), poses=30)
-        alarms += any(map(len, moves_of(calibrate(robot, tables, Options(effects=GEOMETRIC)))))
+        alarms += any(map(len, moves_of(fit_tables(robot, tables, Options(effects=GEOMETRIC)))))
     assert alarms <= 9
 
 
 def test_stations_pay_for_all_parameters_together(robot: Robot) -> None:
     """What the rows of the stations spend adds up to what the fit spends, and what they say to what it knows."""
     fit = fitted(robot, measured_over(6, dict.fromkeys(DAYS[:2], 0.0)))
-    said = [said_at(fit, k).left.G for k in range(2)]
+    said = [information_at(fit, k).form.H for k in range(2)]
     sizes = fit.priors.sizes[fit.solution.free & fit.problem.is_shared]
 
     assert sum(spent_at(fit, k) for k in range(2)) == pytest.approx(fit.solution.posterior.effective, rel=1e-6)

@@ -12,20 +12,20 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated import CalibratedModel, load_model, save_model
-from pincal.calibration.run import run_calibration
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import load_model, save_model
+from pincal.calibration.calibration import run_calibration
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
-from pincal.identify.calibrate import calibrate
-from pincal.identify.fit import Fit
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.repeat import cross_validate
-from pincal.io.camera_file import read_lens, read_mount
+from pincal.io.camera_file import read_camera
 from pincal.measure.admit import scorable_rows, unobservable_notes, usable_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.named_points import KnownDistance, NamedPoints
-from pincal.measure.rows import some_rows
-from pincal.measure.setup import Setup, read_distances, read_points
+from pincal.measure.sampling import sample_rows
+from pincal.measure.setup import KnownDistance, NamedPoints, Setup, read_distances, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
@@ -93,7 +93,7 @@ def apart(first: str, second: str) -> float:
     return float(np.linalg.norm(np.subtract(SOCKETS[first], SOCKETS[second])))
 
 
-def largest(fit: Fit, table: Measurements) -> float:
+def largest(fit: ModelFit, table: Measurements) -> float:
     """Return the largest error at some rows [m]."""
     return float(np.linalg.norm(fit.readings(table).displacements(fit.values), axis=1).max())
 
@@ -123,7 +123,7 @@ def test_exact_readings_are_explained_wherever_things_stand(case: str, machine: 
     make, setup = TABLES[case]
     table = make(machine, kuka)
     held = np.random.default_rng(1).random(len(table)) < 0.25
-    fit = calibrate(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
+    fit = fit_tables(kuka, table.select(~held), Options(effects=GEOMETRIC, setup=setup))
 
     assert np.median(np.linalg.norm(fit.station.displacements(fit.nominal.values), axis=1)) > 2e-4
     assert fit.solution.converged
@@ -138,7 +138,7 @@ def test_contacts_find_the_sockets_and_the_scale(machine: sim.TrueMachine, kuka:
             KnownDistance("c", "d", float(np.linalg.norm(np.subtract(SOCKETS["c"], SOCKETS["d"])))),
         )
     )
-    fit = calibrate(kuka, contacts(machine, kuka, each=40), Options(effects=GEOMETRIC, setup=setup))
+    fit = fit_tables(kuka, contacts(machine, kuka, each=40), Options(effects=GEOMETRIC, setup=setup))
     found = fit.station.split(fit.values)[1].reshape(-1, 3)
     true = np.array([*SOCKETS.values()])
 
@@ -153,9 +153,9 @@ def test_a_known_distance_sets_the_scale(machine: sim.TrueMachine, kuka: Robot) 
     lengths = []
     for scale in (1.0, 1.001):
         gaps = tuple(KnownDistance(a, b, scale * apart(a, b), 1e-6) for a, b in ("ab", "cd", "ac", "bd"))
-        fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(distances=gaps), sigma=5e-5))
+        fit = fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=Setup(distances=gaps), sigma=5e-5))
         lengths.append(fit.values[fit.model.index("joint_2.a")])
-    alone = calibrate(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5))
+    alone = fit_tables(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5))
     place = alone.model.index("joint_2.a")
     sigma = [float(np.sqrt(CalibratedModel.of(f, {}).covariance[place, place])) for f in (alone, fit)]
 
@@ -167,7 +167,7 @@ def test_sockets_that_the_fit_never_saw_are_judged_by_their_mean(machine: sim.Tr
     """Rows in a new socket count by how well the model keeps the tool point in one place."""
     table = contacts(machine, kuka, each=40)
     new = table.socket == "d"
-    fit = calibrate(
+    fit = fit_tables(
         kuka, table.select(~new), Options(effects=GEOMETRIC, setup=Setup(distances=(KnownDistance("a", "b", 0.7),)))
     )
     problem = fit.readings(table.select(new))
@@ -199,7 +199,7 @@ def test_model_file_reads_further_rows(case: str, machine: sim.TrueMachine, kuka
     """A model that comes back from its file reads measurements of the same points as it did."""
     make, setup = TABLES[case]
     table = make(machine, kuka)
-    fit = calibrate(kuka, table, Options(effects=GEOMETRIC, setup=setup))
+    fit = fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=setup))
     save_model(tmp_path / "model.json", CalibratedModel.of(fit, {}))
     back = load_model(tmp_path / "model.json")
 
@@ -241,11 +241,11 @@ def test_rows_that_judge_nothing_are_left_out_with_a_word(machine: sim.TrueMachi
     """A new socket touched once agrees with any model; a new point of an object with none."""
     held = contacts(machine, kuka, each=5)
     had = Setup().over(held.select(np.arange(10)))
-    with pytest.warns(PincalWarning, match=r"1 rows are of points that the calibration did not have \(c\).*lines 12"):
+    with pytest.warns(PincalWarning, match=r"1 rows are of points not used in the calibration \(c\).*lines 12"):
         assert len(scorable_rows(held.select(np.arange(11)), had)) == 10
     assert len(scorable_rows(held.select(np.arange(12)), had)) == 12
     views = seen(machine, kuka, poses=2)
-    with pytest.warns(PincalWarning, match="34 rows are of points that the calibration did not have"):
+    with pytest.warns(PincalWarning, match="34 rows are of points not used in the calibration"):
         assert len(scorable_rows(views, Setup().over(views.select(np.arange(1))))) == 2
     with pytest.warns(PincalWarning, match="36 rows"):
         assert len(scorable_rows(views, Setup(points={"other": None}))) == 0
@@ -262,14 +262,14 @@ def test_what_a_kind_of_data_cannot_tell_is_said(machine: sim.TrueMachine, kuka:
     def said(table: Measurements, setup: Setup | None = None) -> str:
         return " / ".join(unobservable_notes(table, setup or Setup()))
 
-    assert "neither where its base stands" in said(held) and "scale of the arm" in said(held)
+    assert "not the pose of its base" in said(held) and "scale of the arm" in said(held)
     assert "scale" not in said(held, Setup(distances=(KnownDistance("a", "b", 0.7),)))
-    assert "neither where the base stands" in said(far)
+    assert "the pose of the base" in said(far)
     assert said(far, Setup(points=ANCHORS)) == ""
     line = {name: (float(i), 2.0 * i, 0.0) for i, name in enumerate(ANCHORS)}
     assert "stand in a line" in said(far, Setup(points=line))
     assert "fewer than three" in said(far, Setup(points={"n": (3.0, 2.0, 0.3)}))
-    assert "no scale of their own" in said(near) and said(near, Setup(points=GRID)) == ""
+    assert "do not determine the scale" in said(near) and said(near, Setup(points=GRID)) == ""
 
 
 def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, kuka: Robot) -> None:
@@ -282,26 +282,27 @@ def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, 
         run = run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=setup))
         notes[name] = " ".join(note.text for note in run.result.warnings)
 
-    assert ["another camera" in note for note in notes.values()] == [False, True, False]
+    assert ["contradict the given camera" in note for note in notes.values()] == [False, True, False]
 
 
 @pytest.mark.long
 def test_a_camera_that_was_found_can_be_given(machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
     """Lens and mount of a calibrated model come back from its camera file, and hold in another calibration."""
     table = seen(machine, kuka, poses=16, pixels=True)
-    model = CalibratedModel.of(calibrate(kuka, table, Options(effects=GEOMETRIC, setup=Setup(points=GRID))), {})
+    model = CalibratedModel.of(fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=Setup(points=GRID))), {})
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(model.camera()))
-    lens, mount = read_lens(path), read_mount(path)
+    camera = read_camera(path)
+    lens, mount = camera.lens(), camera.T_tip_camera
 
     np.testing.assert_allclose(lens.values, LENS.values, rtol=1e-6, atol=1e-9)
     assert mount is not None and np.abs(mount - MOUNT).max() < 0.01
     again = Options(effects=GEOMETRIC, setup=Setup(points=GRID, lens=lens), tools={"camera": mount})
-    fit = calibrate(kuka, table, again)
+    fit = fit_tables(kuka, table, again)
     assert largest(fit, table) < 1e-6
     assert not fit.solution.free[[fit.model.index(f"camera.{symbol}") for symbol in ("x", "rz")]].any()
     with pytest.raises(BadInputError, match="calibrated with socket, not with images"):
-        held = calibrate(kuka, contacts(machine, kuka, each=12), Options(effects=GEOMETRIC))
+        held = fit_tables(kuka, contacts(machine, kuka, each=12), Options(effects=GEOMETRIC))
         CalibratedModel.of(held, {}).camera()
 
 
@@ -314,7 +315,7 @@ def test_too_few_views_are_refused_however_many_points_they_have(machine: sim.Tr
 def test_points_that_repeat_are_all_in_a_sample_of_rows() -> None:
     """Of every point some rows are taken, whatever the order of the table, and no more than there are."""
     index = np.concatenate([np.arange(9000) % 150, [150, 150, 151]])
-    rows = some_rows(len(index), 500, index)
+    rows = sample_rows(len(index), 500, index)
     count = np.bincount(index[rows])
 
     assert np.all(np.diff(rows) > 0) and len(rows) < 1200
@@ -342,7 +343,7 @@ def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka:
         run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=Setup(distances=(KnownDistance("A", "b", 0.7),))))
     elsewhere = Setup(distances=(KnownDistance("a", "b", 0.7), KnownDistance("x", "y", 0.05)))
     notes = run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=elsewhere)).notes
-    assert any("in no row are not used: x to y" in note.text for note in notes)
+    assert any("without any row are not used: x to y" in note.text for note in notes)
     for bad in (
         lambda: KnownDistance("a", "a", 1.0),
         lambda: KnownDistance("a", "b", 0.0),
@@ -361,25 +362,24 @@ def test_side_files_are_read_with_their_units(tmp_path: Path) -> None:
 
     assert read_points(tmp_path / "points.csv") == {"A": (0.0015, 0.0, 0.003), "B": (0.0, 0.0, 1.0)}
     assert read_distances(tmp_path / "gaps.csv") == (KnownDistance("A", "B", 0.05),)
-    assert read_lens(tmp_path / "camera.json") == Lens(1000.0, 1001.5, 320.0, 240.0, -0.1)
-    assert read_mount(tmp_path / "camera.json") is None
-    np.testing.assert_array_equal(read_mount(tmp_path / "mounted.json"), MOUNT)
+    assert read_camera(tmp_path / "camera.json").lens() == Lens(1000.0, 1001.5, 320.0, 240.0, -0.1)
+    assert read_camera(tmp_path / "camera.json").T_tip_camera is None
+    np.testing.assert_array_equal(read_camera(tmp_path / "mounted.json").T_tip_camera, MOUNT)
 
 
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [
         (read_points, "point,x,y\nA,1,2\n", "no column 'z'"),
-        (read_points, "point,x,y,z\nA,1,2,3\nA,1,2,4\n", "'A' stands there twice"),
+        (read_points, "point,x,y,z\nA,1,2,3\nA,1,2,4\n", "'A' occurs twice"),
         (read_distances, "first,second,distance\nA,B,-1\n", "expected more than 0"),
-        (read_lens, "{", "no JSON"),
-        (read_lens, '{"fx": 1}', "expected an object with fx, fy, u0, v0"),
-        (read_lens, '{"fx": 0, "fy": 1, "u0": 1, "v0": 1}', "fx is 0 px"),
-        (read_lens, '{"fx": "a", "fy": 1, "u0": 1, "v0": 1}', "fx is 'a'; expected a number"),
-        (read_mount, "{", "no JSON"),
-        (read_mount, "[1]", "expected an object with fx, fy, u0, v0"),
-        (read_mount, f'{{{PINHOLE}, "T_tip_camera": [[1, 2], [3, 4]]}}', "T_tip_camera is no transform"),
-        (read_mount, f'{{{PINHOLE}, "T_tip_camera": {np.diag([1, 1, -1, 1]).tolist()}}}', "T_tip_camera is no transform"),
+        (read_camera, "{", "no JSON"),
+        (read_camera, '{"fx": 1}', "expected an object with fx, fy, u0, v0"),
+        (read_camera, '{"fx": 0, "fy": 1, "u0": 1, "v0": 1}', "fx is 0 px"),
+        (read_camera, '{"fx": "a", "fy": 1, "u0": 1, "v0": 1}', "fx is 'a'; expected a number"),
+        (read_camera, "[1]", "expected an object with fx, fy, u0, v0"),
+        (read_camera, f'{{{PINHOLE}, "T_tip_camera": [[1, 2], [3, 4]]}}', "T_tip_camera is no transform"),
+        (read_camera, f'{{{PINHOLE}, "T_tip_camera": {np.diag([1, 1, -1, 1]).tolist()}}}', "T_tip_camera is no transform"),
     ],
 )
 def test_side_files_that_cannot_be_right_are_refused(

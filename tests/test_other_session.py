@@ -15,10 +15,10 @@ from pincal import ELASTIC, GEOMETRIC, CalibratedModel, Conditions, Measurements
 from pincal.calibration.placing import place_station
 from pincal.calibration.validation import validate_rows
 from pincal.cli import main
-from pincal.diagnosis.curves import redrawn_curves
+from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.discover.run import run_discovery
 from pincal.errors import BadInputError, IdentificationError
-from pincal.model.catalogue.curves import TransmissionError
+from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import Chain
 
 NOISE = 2e-5
@@ -32,7 +32,7 @@ def smooth(joint: str) -> TransmissionError:
 
 
 def heights(seed: int) -> np.ndarray:
-    """Return a curve of a drive, of some waves a turn and 0.5 mrad rms, at its pieces [rad]."""
+    """Return a curve of a drive, of some cycles per revolution and 0.5 mrad rms, at its pieces [rad]."""
     rng, at = np.random.default_rng(seed), np.linspace(-HALF, HALF, 40)
     waves = sum(rng.standard_normal() * np.sin(w * at + rng.uniform(0, 6.3)) for w in (3.0, 5.0, 7.0, 9.0))
     return np.asarray(5e-4 * waves / np.std(waves))
@@ -159,7 +159,7 @@ def test_rows_of_which_many_are_gross_tell_nothing(
 
     assert not found.found.is_judged and "do not fit the others" in found.found.warnings[0].text
     assert not found.changed and not found.changes
-    with pytest.raises(IdentificationError, match="not taken in"):
+    with pytest.raises(IdentificationError, match="not added"):
         pincal.update(model, table)
     model.save(tmp_path / "model.json")
     columns = dict(zip((*new.joint_names, *"xyz"), np.hstack([table.q, table.readings["position"]]).T, strict=True))
@@ -168,7 +168,7 @@ def test_rows_of_which_many_are_gross_tell_nothing(
         main(["diagnose", str(tmp_path / "model.json"), str(tmp_path / "new.csv"), "--out", str(tmp_path / "out")])
     assert end.value.code == 4
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["is_judged"] is False
-    assert "can't tell" in capsys.readouterr().out
+    assert "can't show" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_touched_instrument_is_no_change(first: CalibratedModel) -> None:

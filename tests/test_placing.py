@@ -9,14 +9,14 @@ from placed_arms import FIRST, MOVE, NOISE, TOOL, measured, transform
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.fit import Fit, calibrate
+from pincal.calibration.calibrated_fit import Fit, calibrate
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options
 from pincal.model.catalogue import BaseDrift
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
-from pincal.validate.accuracy import error_table
+from pincal.validate.accuracy import error_summary
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_a_known_move_is_found(machine: sim.TrueMachine, kuka: Robot, fit: Fit) 
     assert found.moved.turned == pytest.approx(Rotation.from_matrix(MOVE[:3, :3]).magnitude(), abs=1e-4)
     assert found.moved.target == pytest.approx(0.02, abs=2e-4)
     assert found.misfit.p_value > 0.01 and found.misfit.found == 9
-    assert error_table(found.station, found.values)["mean_mm"] < 0.12
+    assert error_summary(found.station, found.values)["mean_mm"] < 0.12
 
 
 def test_it_predicts_in_the_new_frame_within_its_uncertainty(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
@@ -80,9 +80,9 @@ def test_another_instrument_can_be_placed(machine: sim.TrueMachine, kuka: Robot,
 
 def test_too_few_or_too_similar_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
     """Nine unknowns take four rows, and poses in which the tool turns."""
-    with pytest.raises(MeasurementError, match="3 rows of kind position; expected at least 4 to tell where instrument and"):
+    with pytest.raises(MeasurementError, match="3 position measurements; expected at least 4 to determine the poses"):
         place_station(fit, measured(machine, kuka, poses=3))
-    with pytest.raises(BadInputError, match="12 rows leave the place of instrument and target open"):
+    with pytest.raises(BadInputError, match="12 rows do not determine the pose of instrument and target"):
         place_station(fit, measured(machine, kuka, poses=12, turn=1e-3))
 
 
@@ -92,7 +92,7 @@ def test_a_station_of_several_can_be_placed(machine: sim.TrueMachine, kuka: Robo
         "monday": measured(machine, kuka, poses=80, seed=2),
         "tuesday": measured(machine, kuka, poses=80, seed=3, T_instrument_base=transform((0.0, 0.0, 1.0), (1.0, 1.0, 0.0))),
     }
-    stations = calibrate(kuka, tables, Options(effects=GEOMETRIC)).to_stations()
+    stations = calibrate(kuka, tables, Options(effects=GEOMETRIC))
     found = place_station(stations.at("monday"), measured(machine, kuka, seed=4, T_instrument_base=MOVE @ FIRST))
 
     assert found.moved.instrument == pytest.approx(1.3, abs=3e-4) and found.misfit.p_value > 0.01

@@ -9,19 +9,19 @@ import pytest
 from report_cases import HOSTILE, kuka_run
 
 from pincal import Robot
-from pincal.calibration.run import Calibration
-from pincal.report.evidence import Evidence, evidence_of
-from pincal.report.plots import errors, found, style
-from pincal.report.svg import inline_svg
+from pincal.calibration.calibration import Calibration
+from pincal.report.illustrations import inline_svg
+from pincal.report.plots import found, row_figures, style
+from pincal.report.row_errors import RowErrors, evidence_of
 
 OF_EVIDENCE = {
-    "histogram": errors.histogram_figure,
-    "cumulative": errors.cumulative_figure,
-    "joint": lambda evidence: errors.joint_figure(evidence, 1),
-    "top": lambda evidence: errors.workspace_figure(evidence, "top"),
-    "side": lambda evidence: errors.workspace_figure(evidence, "side"),
-    "order": errors.order_figure,
-    "drift": errors.drift_figure,
+    "histogram": row_figures.histogram_figure,
+    "cumulative": row_figures.cumulative_figure,
+    "joint": lambda evidence: row_figures.joint_figure(evidence, 1),
+    "top": lambda evidence: row_figures.workspace_figure(evidence, "top"),
+    "side": lambda evidence: row_figures.workspace_figure(evidence, "side"),
+    "order": row_figures.order_figure,
+    "drift": row_figures.drift_figure,
 }
 
 
@@ -31,18 +31,18 @@ def run(kuka: Robot) -> Calibration:
 
 
 @pytest.fixture(scope="module")
-def evidence(run: Calibration) -> Evidence:
+def evidence(run: Calibration) -> RowErrors:
     return evidence_of(run)[0]
 
 
-def only(evidence: Evidence, rows: np.ndarray) -> Evidence:
+def only(evidence: RowErrors, rows: np.ndarray) -> RowErrors:
     """Return some rows of the evidence."""
     by_row = ("is_held", "is_outlier", "q", "place", "line")
     parts = {name: getattr(evidence, name)[rows] for name in by_row}
     return replace(evidence, before=evidence.before[:, rows], after=evidence.after[:, rows], **parts)
 
 
-def test_evidence_is_that_of_the_result(run: Calibration, evidence: Evidence) -> None:
+def test_evidence_is_that_of_the_result(run: Calibration, evidence: RowErrors) -> None:
     """Sizes of errors row by row have the statistics that result.json has."""
     for model, which in (("nominal", "before"), ("calibrated", "after")):
         for part, held in (("train", False), ("test", True)):
@@ -53,7 +53,7 @@ def test_evidence_is_that_of_the_result(run: Calibration, evidence: Evidence) ->
 
 
 @pytest.mark.parametrize("name", OF_EVIDENCE)
-def test_each_figure_is_drawn(name: str, evidence: Evidence) -> None:
+def test_each_figure_is_drawn(name: str, evidence: RowErrors) -> None:
     """Each figure has axes with labels and units, and becomes an SVG without a foreign colour of text."""
     figure = OF_EVIDENCE[name](evidence)
     assert any("[" in axes.get_xlabel() or "line" in axes.get_xlabel() for axes in figure.axes)
@@ -64,20 +64,20 @@ def test_each_figure_is_drawn(name: str, evidence: Evidence) -> None:
 
 @pytest.mark.parametrize("name", OF_EVIDENCE)
 @pytest.mark.parametrize("count", [1, 5])
-def test_few_rows_are_enough(name: str, count: int, evidence: Evidence) -> None:
+def test_few_rows_are_enough(name: str, count: int, evidence: RowErrors) -> None:
     """A handful of rows, or a single one, makes a figure."""
     rows = np.flatnonzero(evidence.is_held)[:count]
     inline_svg(OF_EVIDENCE[name](only(evidence, rows)), key="k", title="few")
 
 
 @pytest.mark.parametrize("name", OF_EVIDENCE)
-def test_no_rows_are_refused(name: str, evidence: Evidence) -> None:
+def test_no_rows_are_refused(name: str, evidence: RowErrors) -> None:
     """Nothing to draw is an error that says so."""
     with pytest.raises(ValueError, match=r"no .*rows to draw"):
         OF_EVIDENCE[name](only(evidence, np.zeros(0, int)))
 
 
-def test_exact_errors_are_drawn(evidence: Evidence) -> None:
+def test_exact_errors_are_drawn(evidence: RowErrors) -> None:
     """Errors of zero have a place on logarithmic axes."""
     exact = replace(evidence, after=0.0 * evidence.after)
     for draw in OF_EVIDENCE.values():
@@ -87,11 +87,11 @@ def test_exact_errors_are_drawn(evidence: Evidence) -> None:
         inline_svg(draw(nothing), key="k", title="nothing")
 
 
-def test_time_takes_the_place_of_lines(evidence: Evidence) -> None:
+def test_time_takes_the_place_of_lines(evidence: RowErrors) -> None:
     """Where times were recorded they are the axis, in hours."""
     timed = replace(evidence, time=60.0 * np.arange(len(evidence.line)))
-    assert "[h]" in errors.order_figure(timed).axes[0].get_xlabel()
-    assert errors.drift_figure(timed).axes[0].get_xlim()[1] == pytest.approx(79 / 60, abs=0.2)
+    assert "[h]" in row_figures.order_figure(timed).axes[0].get_xlabel()
+    assert row_figures.drift_figure(timed).axes[0].get_xlim()[1] == pytest.approx(79 / 60, abs=0.2)
 
 
 def test_corrections_are_those_of_identified_parameters(run: Calibration) -> None:
@@ -104,34 +104,36 @@ def test_corrections_are_those_of_identified_parameters(run: Calibration) -> Non
         found.correction_figure([], "rad")
 
 
-def test_a_hostile_name_is_drawn_as_text(evidence: Evidence) -> None:
+def test_a_hostile_name_is_drawn_as_text(evidence: RowErrors) -> None:
     """Mark-up, dollars and line ends in a name are neither mark-up nor mathematics."""
     names = (evidence.joint_names[0], HOSTILE, *evidence.joint_names[2:])
-    svg = inline_svg(errors.joint_figure(replace(evidence, joint_names=names), 1), key="k", title=HOSTILE)
+    svg = inline_svg(row_figures.joint_figure(replace(evidence, joint_names=names), 1), key="k", title=HOSTILE)
     assert "<script" not in svg and "<b " not in svg and "&lt;script&gt;" in svg
-    assert "$x_1$" in style.plain("$x_1$").replace("\\", "")
+    assert "$x_1$" in style.drawable("$x_1$").replace("\\", "")
 
 
-def test_figures_in_one_page_share_no_identifier(evidence: Evidence) -> None:
+def test_figures_in_one_page_share_no_identifier(evidence: RowErrors) -> None:
     """Identifiers begin with the figure's key, and each that is referred to is there."""
     import re
 
     for key in ("f1", "f2"):
-        svg = inline_svg(errors.order_figure(evidence), key=key, title="order")
+        svg = inline_svg(row_figures.order_figure(evidence), key=key, title="order")
         found = re.findall(r' id="([^"]+)"', svg)
         assert found and all(name.startswith(f"{key}-") for name in found)
         assert set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg)) <= set(found)
 
 
-def test_the_same_figure_is_the_same_text(evidence: Evidence) -> None:
+def test_the_same_figure_is_the_same_text(evidence: RowErrors) -> None:
     """Drawn twice a figure is equal to the letter, so that a report is, too."""
-    first, second = (inline_svg(errors.cumulative_figure(evidence), key="k", title="t") for _ in range(2))
+    first, second = (inline_svg(row_figures.cumulative_figure(evidence), key="k", title="t") for _ in range(2))
     assert first == second
 
 
 def test_no_display_and_no_pyplot_is_touched() -> None:
     """Importing the figures imports no pyplot, whose state is everybody's."""
-    code = "import sys, pincal.report.plots.errors, pincal.report.plots.found; print('matplotlib.pyplot' in sys.modules)"
+    code = (
+        "import sys, pincal.report.plots.row_figures, pincal.report.plots.found; print('matplotlib.pyplot' in sys.modules)"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"
 

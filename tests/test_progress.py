@@ -10,12 +10,11 @@ import pytest
 from report_cases import HOSTILE
 from rich.console import Console
 
-from pincal.calibration.parameters import ParameterRow
-from pincal.calibration.tables import parameter_table
+from pincal.calibration.result_tables import ParameterRow, parameter_table
 from pincal.cli import main, progress, show_progress
 from pincal.cli.progress import console
 from pincal.identify.reasons import Cause, Reason, Status
-from pincal.tables import one_line
+from pincal.result_table import one_line
 
 REASON = Reason(Cause.ALIASED, tuple(f"joint_{i}.theta" for i in range(1, 7)))
 ROW = ParameterRow("joint_1.k_z", "rad/(N m)", 0.0, -1.234e-7, 1e-8, Status.UNIDENTIFIABLE, REASON)
@@ -95,7 +94,7 @@ def test_every_verb_tells_what_it_does(
     model = str(tmp_path / "out" / "model.json")
     for words, steps in (
         (["simulate", "ur10", "--poses", "60", "--elastic", "0", "--out", files[0]], ("planning poses", "measuring them")),
-        (["check", "ur10", files[0], "--model", "geometric"], ("reading robot", "looking at what these poses")),
+        (["check", "ur10", files[0], "--model", "geometric"], ("reading robot", "analysing what these poses")),
         (
             ["calibrate", "ur10", files[0], "--model", "geometric", "--out", files[1]],
             ("judging the fit", "drawing the report"),

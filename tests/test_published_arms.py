@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yourdfpy
 
-from pincal.calibration.calibrated import load_model
-from pincal.calibration.run import run_calibration
+from pincal.calibration.calibrated_robot import load_model
+from pincal.calibration.calibration import run_calibration
 from pincal.compensate.compensation import compensate_poses
-from pincal.design.design import design_poses
+from pincal.design.pose_design import design_poses
+from pincal.design.request import DesignRequest
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.identify.options import Options
 from pincal.measure.table import read_measurements, write_table
@@ -102,7 +103,7 @@ def test_a_measured_column_moves_both_joints(tmp_path: Path) -> None:
     back = compensate_poses(calibrated, wanted, Conditions.at(moved), orientation="free")
     np.testing.assert_allclose(back.q, robot.following(back.q), atol=0)
     assert np.mean(back.is_ok) > 0.9 and back.error[back.is_ok].max() < 1e-9
-    chosen = design_poses(robot, 10, Options(effects=GEOMETRIC, sigma=5e-5), candidates=40).q
+    chosen = design_poses(robot, DesignRequest(poses=10, candidates=40), Options(effects=GEOMETRIC, sigma=5e-5)).q
     np.testing.assert_allclose(chosen, robot.following(chosen), atol=0)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from pincal.calibration.notes import Finding, Kind, findings_on_replicates
+from pincal.calibration.caveats import Caveat, CaveatKind, findings_on_replicates
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.validate.lack_of_fit import Degrees, LackOfFit
 
@@ -65,21 +65,23 @@ LACK = LackOfFit(F=3.0, p_value=1.0, degrees=Degrees(60.0, 870.0), evenness=1.0,
         (None, 1e-9, None),
         (0.2, None, None),
         (0.2, 0.2, None),
-        (1e-6, None, Kind.LACK_OF_FIT),
-        (1e-6, 1e-9, Kind.LACK_OF_FIT),
-        (0.2, 1e-9, Kind.NOISY_REPLICATES),
+        (1e-6, None, CaveatKind.LACK_OF_FIT),
+        (1e-6, 1e-9, CaveatKind.LACK_OF_FIT),
+        (0.2, 1e-9, CaveatKind.NOISY_REPLICATES),
     ],
 )
-def test_replicates_decide_between_model_and_noise(lack: float | None, declared: float | None, kind: Kind | None) -> None:
+def test_replicates_decide_between_model_and_noise(
+    lack: float | None, declared: float | None, kind: CaveatKind | None
+) -> None:
     """Lack of fit blames the model; residuals beyond the declared noise without lack of fit blame the noise."""
     found = findings_on_replicates(None if lack is None else replace(LACK, p_value=lack), declared)
     assert [note.kind for note in found] == ([] if kind is None else [kind])
     assert all("F(60, 870) = 3" in str(note) for note in found)
 
 
-@pytest.mark.parametrize("kind", list(Kind))
-def test_every_note_has_words(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", list(CaveatKind))
+def test_every_note_has_words(kind: CaveatKind) -> None:
     """The figures named in the text of a note are all it needs; without them nothing is said."""
     names = {name for _, name, _, _ in string.Formatter().parse(kind.value) if name}
-    text = str(Finding(kind, {name: 4.0 for name in names}))
+    text = str(Caveat(kind, {name: 4.0 for name in names}))
     assert text and "{" not in text and ("4" in text) == bool(names)

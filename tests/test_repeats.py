@@ -1,21 +1,24 @@
 """Joints that take the same positions again and again: what can't be told of them is said, and no curve is finer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
 
 from pincal import simulate as sim
-from pincal.discover import resolution
+from pincal.discover import drive_curves
+from pincal.discover.drive_curves import curves_over, notes_on_repeats, resolved
+from pincal.discover.policy import CURVES
 from pincal.discover.precheck import precheck
-from pincal.discover.resolution import curves_over, notes_on_repeats, resolved
 from pincal.discover.run import run_discovery
-from pincal.identify.calibrate import calibrate
+from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.catalogue import TransmissionError
 from pincal.model.catalogue.candidates import testable as candidates_on
 from pincal.model.catalogue.candidates import untestable
-from pincal.model.conditions import Situation
+from pincal.model.conditions import PoseSet
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
 
@@ -46,7 +49,7 @@ def test_what_repeated_positions_can_not_tell_is_said(kuka: Robot, rows: Measure
     said = [note for note in report.warnings if "distinct positions" in note.text]
     texts = [note.text for note in said]
     assert [text.split()[0] for text in texts] == ["joint_2", "joint_3"]
-    assert f"takes 5 distinct positions in {ROWS} rows" in texts[0] and f"a wave shorter than {step:.3g} deg" in texts[0]
+    assert f"takes 5 distinct positions in {ROWS} rows" in texts[0] and f"a period shorter than {step:.3g} deg" in texts[0]
     assert [joint.distinct for joint in report.joints[1:3]] == [5, 12]
     assert set(said) <= set(run_discovery(kuka, rows, options, test_fraction=0.0).calibration.result.warnings)
 
@@ -61,8 +64,8 @@ def test_nothing_is_said_of_positions_that_do_not_repeat(kuka: Robot) -> None:
 
 def test_no_curve_is_finer_than_the_positions_of_its_joint(kuka: Robot, rows: Measurements) -> None:
     """Of 5 positions none is tried, with the reason; of 12 none of more than 12 pieces; else a sixth of the rows."""
-    fit = calibrate(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5))
-    situation = Situation(fit.model.chain, fit.station.conditions)
+    fit = fit_tables(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5))
+    situation = PoseSet(fit.model.chain, fit.station.conditions)
     found = [c for c in candidates_on(situation) if isinstance(c.effect, TransmissionError)]
     finest = {c.effect.locus.joint: max(form.size for form in c.forms) for c in found}
     lost = untestable(situation.chain, situation.conditions)
@@ -78,12 +81,12 @@ def test_curves_tested_a_few_at_a_time_are_the_same(
     kuka: Robot, rows: Measurements, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One at a time or all at once: the same resolution and heights, but for rounding."""
-    fit = calibrate(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5))
-    situation = Situation(fit.model.chain, fit.station.conditions)
+    fit = fit_tables(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5))
+    situation = PoseSet(fit.model.chain, fit.station.conditions)
     curve = TransmissionError.over("joint_1", situation.positions("joint_1"), 8)
     found = []
     for most in (1, 10**6):
-        monkeypatch.setattr(resolution, "_AT_ONCE", most)
+        monkeypatch.setattr(drive_curves, "CURVES", replace(CURVES, at_once=most))
         found.append(resolved(fit, curve, np.arange(ROWS) % 8))
     (one, heights, _), (other, same, _) = found
     assert one == other

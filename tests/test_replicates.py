@@ -12,6 +12,7 @@ from test_cli import run
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.identify.quadratic import Form
 from pincal.identify.station import station_of
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.poses import replicate_groups
@@ -19,12 +20,11 @@ from pincal.measure.sensor import Block
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.report.verdict import verdict_of
+from pincal.report.judgement import judged
 from pincal.robot.se3 import quaternions
-from pincal.validate.lack_of_fit import lack_of_fit
+from pincal.validate.accuracy import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy
+from pincal.validate.lack_of_fit import evenness, lack_of_fit, replicate_squares, scatter_of
 from pincal.validate.misfit import explained_by_uncertainty
-from pincal.validate.pure_error import evenness, spread_of, squares_of
-from pincal.validate.replicates import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy
 
 URDF = kuka_urdf_path()
 
@@ -161,7 +161,7 @@ def test_squares_by_hand(ur10):
     q = np.array([[0.1] * 6, [0.1] * 6, [0.4] * 6, [0.4] * 6, [0.4] * 6])
     offsets = 1e-3 * np.array([[1, 0, 0], [3, 0, 0], [0, 1, 0], [0, 2, 0], [0, 3, 0.0]])
     visits = visits_of(ur10, q, offsets)
-    found = squares_of(visits, np.zeros(0), np.array([1e-3]))
+    found = replicate_squares(visits, np.zeros(0), np.array([1e-3]))
     assert (found.total, found.pure) == pytest.approx((1 + 9 + 1 + 4 + 9, 2 + 2))
     assert (found.readings, found.degrees, found.poses) == (15, 9, 2)
     test = lack_of_fit([visits], np.zeros(0), np.array([1e-3]), spent=0.0)
@@ -178,7 +178,7 @@ def test_uncertainty_explains_what_woodbury_says(rng):
     J, root, r = rng.standard_normal((9, 4)), rng.standard_normal((4, 2)), rng.standard_normal(9)
     C = root @ root.T
     expected = r @ r - r @ np.linalg.solve(np.eye(9) + J @ C @ J.T, r)
-    assert explained_by_uncertainty(J.T @ J, J.T @ r, C) == pytest.approx(expected)
+    assert explained_by_uncertainty(Form.of(J.T @ J, J.T @ r), C) == pytest.approx(expected)
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ def test_evenness_is_that_of_the_covariances():
 
     def even(y):
         means = np.stack([np.bincount(pose, row) / 6.0 for row in y])
-        return evenness(spread_of(y - means[:, pose], pose))
+        return evenness(scatter_of(y - means[:, pose], pose))
 
     assert even(x) == pytest.approx(1.0, abs=0.02)
     assert even(np.tile(x[:1], (3, 1))) == pytest.approx(1.0 / 3.0, abs=0.03)
@@ -273,10 +273,10 @@ def soft(kuka):
 def test_a_missing_effect_is_told_without_any_declared_noise(kuka, soft):
     """Geometry alone does not fit a robot that bends; with elasticity it does, and RP is the same."""
     lacking = soft.result
-    assert lacking.lack_of_fit.p_value < 1e-6 and verdict_of(lacking).judgement == "not adequate"
+    assert lacking.lack_of_fit.p_value < 1e-6 and judged(lacking).judgement == "not adequate"
     assert any("lack of fit" in words.text for words in lacking.warnings)
     whole = run_calibration(kuka, visited(50, 3, 0, compliance=3e-7), Options(effects=ELASTIC)).result
-    assert whole.lack_of_fit.p_value > 1e-3 and verdict_of(whole).judgement == "adequate"
+    assert whole.lack_of_fit.p_value > 1e-3 and judged(whole).judgement == "adequate"
     assert whole.lack_of_fit.pure_error["sigma_m"] == pytest.approx(5e-5, rel=0.15)
     for part in ("train", "test"):
         before, after = (result.iso9283["calibrated"][part] for result in (lacking, whole))

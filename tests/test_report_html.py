@@ -11,16 +11,15 @@ import pytest
 from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, page_of, panda_run
 
 from pincal import Robot
-from pincal.calibration.run import Calibration
+from pincal.calibration.calibration import Calibration
 from pincal.discover.run import Discovery
 from pincal.identify.reasons import Cause, Reason
-from pincal.report.advice import narrow_joints, unidentified_groups
 from pincal.report.blocks import Section, paragraph
 from pincal.report.html import SECTIONS, report_page
+from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups
 from pincal.report.subject import Subject
-from pincal.report.verdict import next_steps, verdict_of
 from pincal.report.words import effect_meaning
-from pincal.tables import Column, Kind, Table
+from pincal.result_table import Column, Kind, Table
 from pincal.units import fixed
 
 
@@ -175,17 +174,17 @@ def test_a_discovery_is_told_step_by_step(found: Discovery) -> None:
     for entry in found.report["effects"]:
         assert entry["effect"] in text and effect_meaning(entry["effect"]) in text
     assert page.count("without and with it") == len(found.traces) and "Error on held-out rows after each step" in page
-    assert "noise alone" in text and "chance that noise looks like this" in text
+    assert "noise alone" in text and "p-value" in text
 
 
 def test_verdicts(run: Calibration, found: Discovery) -> None:
     """Declared noise is a measure, estimated noise none; a fit that did not settle is not to be used."""
     result = run.result
-    assert verdict_of(result).judgement == "adequate"
-    assert verdict_of(replace(result, chi2_p_value=None)).judgement == "not judged"
-    assert verdict_of(replace(result, chi2_p_value=1e-9)).judgement == "not adequate"
-    assert verdict_of(replace(result, converged=False)).judgement == "not adequate"
-    assert verdict_of(found.calibration.result, found).judgement == found.report["verdict"]
+    assert judged(result).judgement == "adequate"
+    assert judged(replace(result, chi2_p_value=None)).judgement == "not judged"
+    assert judged(replace(result, chi2_p_value=1e-9)).judgement == "not adequate"
+    assert judged(replace(result, converged=False)).judgement == "not adequate"
+    assert judged(found.calibration.result, found).judgement == found.report["verdict"]
 
 
 def test_next_steps_follow_from_what_is_wrong(run: Calibration) -> None:

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from pincal.atomic import drafted
+from pincal.calibration.model_file import read_model
 from pincal.errors import ModelFileError, OutputError
 from pincal.io import result_folder
-from pincal.io.model_file import read_model
 from pincal.io.result_folder import RESULTS, output_folder
 
 DISCOVERY = ("model.json", "result.json", "discovery.json", "calibrated.urdf", "residuals.csv", "report.html")
@@ -44,8 +44,8 @@ def is_mixed(folder: Path) -> bool:
     try:
         read_model(folder / "model.json")
     except ModelFileError as error:
-        assert re.search("was not written with it.*calibrate again", str(error)) or "is missing" in str(error)
-        return "was not written with it" in str(error)
+        assert re.search("was not written by the same run.*calibrate again", str(error)) or "is missing" in str(error)
+        return "was not written by the same run" in str(error)
     return False
 
 
@@ -85,7 +85,7 @@ def test_a_folder_of_two_runs_is_refused(tmp_path: Path, way: str) -> None:
     assert not is_mixed(tmp_path / "b")
     (tmp_path / "a" / "result.json").rename(tmp_path / "b" / "result.json")
 
-    with pytest.raises(ModelFileError, match=r"result\.json beside it was not written with it"):
+    with pytest.raises(ModelFileError, match=r"result\.json beside it was not written by the same run"):
         read_model(model)
 
 
@@ -151,6 +151,9 @@ def test_leftovers_of_killed_runs_are_swept_and_drafts_of_living_ones_are_not(tm
 
 
 def _write_for_ever(folder: Path, mark: str) -> None:
+    # What tests before this one have left in this process may take a Ctrl-C for itself.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
     for n in range(10**9):
         write(folder, f"{mark}{n}", DISCOVERY if n % 2 else CALIBRATION)

@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pincal.errors import BadInputError, PincalWarning, RobotFileError
-from pincal.robot.robot import Robot, find_file
-from pincal.robot.urdf import robot_name
+from pincal.robot.robot import Robot
+from pincal.robot.urdf_file import find_file, robot_name
 
 # Lengths [m] and entries of rotations; rounding of ten products of 4x4 matrices is some 1e-15.
 EXACT = 1e-12

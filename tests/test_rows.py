@@ -6,18 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from row_cases import draw_rows_case
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays, run_calibration
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.score_tests import standard_errors
+from pincal.discover.decisions import standard_errors
+from pincal.discover.run import run_discovery
+from pincal.identify.block_scatter import _largest_factor
 from pincal.identify.dependence import dependence, is_dependent, serial_noise
-from pincal.identify.fit import Fit
+from pincal.identify.fit import ModelFit
 from pincal.identify.serial import Serial
 from pincal.identify.split import ways_held_out
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
 from pincal.simulate import paper_positions
-from pincal.validate.gathered import gathering_of
+from pincal.validate.gathered import bump_in, gathering_of
 
 NOISE = 5e-5  # [m]
 
@@ -155,12 +158,12 @@ def test_intervals_cover_under_correlated_noise(kuka: Robot) -> None:
     assert np.mean(covered) > 0.95 - 4.0 * np.std(covered) / np.sqrt(60)
 
 
-def _told(fit: Fit) -> np.ndarray:
+def _told(fit: ModelFit) -> np.ndarray:
     """Return which parameters the data tell, not their priors, shape (P,)."""
     return np.asarray(np.isfinite(fit.priors.sizes) & (fit.estimate.sigma < 0.03 * fit.priors.sizes))
 
 
-def _without_noise(kuka: Robot, seed: int) -> Fit:
+def _without_noise(kuka: Robot, seed: int) -> ModelFit:
     return calibrate(kuka, table(kuka, 150, np.zeros((150, 3)), seed), Options(effects=GEOMETRIC, sigma=NOISE, serial=False))
 
 
@@ -205,6 +208,40 @@ def test_the_worse_way_leads(kuka: Robot) -> None:
     assert errors["test"]["mean_mm"] == max(errors[way]["mean_mm"] for way in ("regions", "stretches"))
 
 
+def test_blocks_of_rows_widen_what_rows_that_hang_together_say(kuka: Robot) -> None:
+    """Closed form of blocks of an autoregression; standard deviations of a fit by independent rows are as much wider."""
+    rng, phi, n = np.random.default_rng(8), 0.6, 4000
+    scores = np.ascontiguousarray(autoregression(rng, n, phi).T)
+    factor = _largest_factor(scores, n * np.eye(3))
+    forms = [1.0 + 2.0 * sum((1.0 - k / length) * phi**k for k in range(1, length)) for length in (5, 10, 20, 40)]
+
+    assert min(abs(factor / form - 1.0) for form in forms) < 0.1
+    assert _largest_factor(rng.standard_normal((3, n)), n * np.eye(3)) == 1.0
+
+    options = Options(effects=GEOMETRIC, serial=False)
+    along, even = (table(kuka, 300, NOISE * e) for e in (autoregression(rng, 300, 0.95), rng.standard_normal((300, 3))))
+    wide, plain = calibrate(kuka, along, options).solution, calibrate(kuka, even, options).solution
+
+    assert plain.of_blocks == 1.0 and plain.wide is None
+    assert wide.of_blocks > 1.2 and wide.wide is not None
+    ratio = np.sqrt(np.diag(wide.wide.covariance) / np.diag(wide.equations.posterior.covariance))
+    np.testing.assert_allclose(ratio.max(), np.sqrt(wide.of_blocks), rtol=0.01)
+
+
+def test_a_joint_that_moved_steadily_with_each_load_is_told(kuka: Robot) -> None:
+    """Poses sorted by a joint, then again with a load, leave no row that tells a drift from the joint; shuffled ones do."""
+    rows = table(kuka, 120, NOISE * np.random.default_rng(4).standard_normal((120, 3)), payload=np.repeat([0.0, 90.0], 60))
+    order = np.concatenate([60 * half + np.argsort(rows.q[60 * half : 60 * half + 60, 0]) for half in (0, 1)])
+
+    def notes(of: Measurements) -> str:
+        return " ".join(map(str, run_calibration(kuka, of, Options(effects=GEOMETRIC, sigma=NOISE)).result.warnings))
+
+    assert "joint_1 moved steadily" in notes(
+        table(kuka, 120, NOISE * np.zeros((120, 3)), payload=rows.payload).select(order)
+    )
+    assert "moved steadily" not in notes(rows)
+
+
 # Outliers, and blocks of poses
 
 
@@ -227,3 +264,41 @@ def test_outliers_gather_or_do_not(kuka: Robot) -> None:
         anywhere = np.zeros(300, bool)
         anywhere[rng.choice(300, 15, replace=False)] = True
         assert gathering_of(fit.station, anywhere) is None
+
+
+def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot) -> None:
+    """.15 mrad on ten neighbouring rows of 300; of 50 draws without, half of them with gross errors, none has one."""
+    rng = np.random.default_rng(3)
+
+    def fitted(positions: np.ndarray, q: np.ndarray) -> ModelFit:
+        return calibrate(kuka, measurements_from_arrays(kuka.joint_names, q, position=positions), Options(effects=GEOMETRIC))
+
+    for draw in range(50):
+        q = kuka.random_configurations(300, rng)
+        noise = NOISE * rng.standard_normal((300, 3))
+        noise[rng.choice(300, 15 * (draw % 2), replace=False)] += 2e-3
+        positions = paper_positions(q, tool_offset=(0.05, 0.03, 0.12), with_elasticity=False) + noise
+        fit = fitted(positions, q)
+        assert bump_in(fit.station, fit.values) is None
+    at = float(np.median(q[:, 2]))
+    near = np.argsort(np.abs(q[:, 2] - at))[:10]
+    moved = q.copy()
+    moved[near, 2] += 1.5e-4
+    positions = paper_positions(moved, tool_offset=(0.05, 0.03, 0.12), with_elasticity=False) + noise
+    fit = fitted(positions, q)
+    found = bump_in(fit.station, fit.values)
+
+    assert found is not None and found.variable == kuka.joint_names[2] and found.size == pytest.approx(1.5e-4, rel=0.4)
+    assert set(found.rows) <= set(near) and len(found.rows) >= 5
+
+
+@pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+def test_names_beside_a_change_midway_are_taken_back() -> None:
+    """A tool that is exchanged midway is told with its line, and nothing that it looks like is said of the robot."""
+    case = draw_rows_case("tool_exchanged", 45002)
+    found = run_discovery(case.robot, case.rows, case.options)
+    result = found.calibration.result
+
+    assert "on the tool" in result.shift and abs(int(result.shift.split()[2]) - case.line) <= 3
+    assert {entry.effect for entry in found.findings.effects} <= {"joint_elasticity", "bearing_elasticity"}
+    assert any("withdrawn" in str(note) for note in result.warnings)

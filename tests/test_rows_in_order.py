@@ -8,19 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pincal import GEOMETRIC, Options, Robot, calibrate, run_discovery
+from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays, run_discovery
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.loop import discover_effects
 from pincal.errors import PincalWarning
 from pincal.identify.split import row_groups
-from pincal.measure.approach import BY_COLUMNS, moves_by_order, note_on_sides, sides_by_order
+from pincal.measure.approach import BY_COLUMNS, moves_by_order, note_on_sides, sides_of
 from pincal.measure.measurements import Measurements, concatenate
+from pincal.measure.poses import by_pose
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import Backlash, ShortOfTarget, ThermalExpansion
 from pincal.model.catalogue.candidates import untestable
 from pincal.model.chain import Chain
-from pincal.model.conditions import INSTEAD, Conditions
+from pincal.model.conditions import Conditions
+from pincal.recorded import RECORDABLE
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -55,7 +57,7 @@ def test_sides_are_those_to_which_play_was_dragged(machine: sim.TrueMachine) -> 
     rng = np.random.default_rng(3)
     q = np.repeat(sim.plan_poses(machine.nominal, 60, rng), rng.integers(1, 4, 60), axis=0)
     q[20:, 1] = q[20, 1] + np.cumsum(rng.choice([0.0, 3e-5, -3e-5, 0.2, -0.2], len(q) - 20))
-    sides = sides_by_order(q)
+    sides = sides_of(moves_by_order(q))
     told = sides[:, 1] != 0.0
 
     assert 0.5 < told.mean() < 0.95 and not sides[0].any()
@@ -63,19 +65,35 @@ def test_sides_are_those_to_which_play_was_dragged(machine: sim.TrueMachine) -> 
     np.testing.assert_allclose(recorded[told], dragged[told], atol=1e-12)
 
 
+def test_a_pose_that_is_read_again_came_from_where_it_came() -> None:
+    """Encoders read each pose three times, 2 urad apart: one row for each pose, and no move of some micro-radians."""
+    rng = np.random.default_rng(7)
+    q = np.repeat(rng.uniform(-1.0, 1.0, (40, 6)), 3, axis=0) + rng.uniform(-2e-6, 2e-6, (120, 6))
+    sides = sides_of(moves_by_order(q))
+
+    np.testing.assert_array_equal(sides[3:], np.repeat(sides[3::3], 3, axis=0))
+    rows = measurements_from_arrays("abcdef", q, position=np.zeros((120, 3)), approach=sides)
+    # Of the first pose nobody knows where it came from.
+    assert len(by_pose(rows)) == 40
+
+
 def test_the_order_tells_only_what_has_no_column(machine: sim.TrueMachine, tmp_path: Path) -> None:
     """A column is read to the letter, the other joints follow the rows, and a warning says so; else nothing is guessed."""
     said = np.where(np.arange(N) % 2, 1.0, 0.0)
     path = table(machine, tmp_path / "rows.csv", approach_joint_3=said)
-    with pytest.warns(PincalWarning, match="rows.csv: the side from which joint_1, joint_2, joint_4.* the row before"):
+    with pytest.warns(
+        PincalWarning, match="rows.csv: the direction of approach of joint_1, joint_2, joint_4.* the row before"
+    ):
         rows = read(path)
 
     assert rows.approach is not None
-    assert rows.approach_from == "the sign of the move from the row before; of joint_3 what columns say"
-    assert "the side from which joints arrived is the sign of" in str(note_on_sides("rows.csv", rows.approach_from))
+    assert rows.approach_from == "the sign of the move from the row before; for joint_3 its column"
+    assert "the direction of approach is the sign of" in str(note_on_sides("rows.csv", rows.approach_from))
     assert concatenate([rows, read(path, in_order=False)]).approach_from == f"{rows.approach_from}, {BY_COLUMNS}"
     np.testing.assert_array_equal(rows.approach[:, 2], said)
-    np.testing.assert_array_equal(np.delete(rows.approach, 2, axis=1), np.delete(sides_by_order(rows.q), 2, axis=1))
+    np.testing.assert_array_equal(
+        np.delete(rows.approach, 2, axis=1), np.delete(sides_of(moves_by_order(rows.q)), 2, axis=1)
+    )
     alone = read(path, in_order=False)
     untold = alone.approach
     assert alone.approach_from == BY_COLUMNS and note_on_sides("rows.csv", BY_COLUMNS) is None
@@ -129,11 +147,11 @@ def test_times_say_the_order(machine: sim.TrueMachine, tmp_path: Path) -> None:
     half = read(table(machine, tmp_path / "stations.csv", time=time, station=np.where(odd, "a", "b")))
 
     assert in_order is not None and rows.approach is not None
-    np.testing.assert_array_equal(rows.approach[shuffled], sides_by_order(rows.q[shuffled]))
+    np.testing.assert_array_equal(rows.approach[shuffled], sides_of(moves_by_order(rows.q[shuffled])))
     assert not np.array_equal(rows.approach, in_order)
     own = shuffled[odd[shuffled] == 1]
     assert half.approach is not None
-    np.testing.assert_array_equal(half.approach[own], sides_by_order(half.q[own]))
+    np.testing.assert_array_equal(half.approach[own], sides_of(moves_by_order(half.q[own])))
 
 
 def test_the_reason_names_the_option() -> None:
@@ -142,7 +160,7 @@ def test_the_reason_names_the_option() -> None:
     reasons = dict(untestable(chain, Conditions.at(np.random.default_rng(0).uniform(-1.0, 1.0, (30, 6)))))
 
     assert reasons[Backlash("joint_2")].startswith("column approach_<joint> is missing (")
-    assert reasons[ShortOfTarget("joint_2")] == f"column time is missing ({INSTEAD['move']})"
+    assert reasons[ShortOfTarget("joint_2")] == f"column time is missing ({RECORDABLE['move'].instead})"
     assert "--rows-in-order" in reasons[Backlash("joint_2")]
     assert "--rows-in-order" not in reasons[ThermalExpansion()]
 
@@ -154,7 +172,7 @@ def test_play_is_found_by_the_order_of_rows(machine: sim.TrueMachine, tmp_path: 
     discovery = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA))
     (found,) = discovery.findings.effects
     assert discovery.report["approach_from"] == "the sign of the move from the row before"
-    assert any("rows.csv: the side from which joints arrived" in note.text for note in discovery.calibration.result.warnings)
+    assert any("rows.csv: the direction of approach" in note.text for note in discovery.calibration.result.warnings)
     (half,) = found.parameters.values()
 
     assert (found.effect, found.joint) == ("backlash", "joint_2")

@@ -7,9 +7,9 @@ import pytest
 from machines import kuka as true_kuka
 
 from pincal import simulate as sim
-from pincal.calibration.rows import Parts, StationRows, as_measured
+from pincal.calibration.held_out import StationRows, as_measured
 from pincal.discover.scatter import Excess, find_excess, find_scatter, related, visits
-from pincal.identify.calibrate import calibrate
+from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
 from pincal.identify.station import station_of
 from pincal.measure.measurements import Measurements, measurements_from_arrays
@@ -47,7 +47,7 @@ def measured(
 @pytest.mark.parametrize("size", [1e-4, 5e-5])
 def test_scatter_of_a_joint_is_found_with_its_size(size: float, kuka: Robot) -> None:
     """It is the same for all targets of a visit: 70 draws of it tell its size to about a tenth."""
-    found = find_scatter(calibrate(kuka, measured(kuka, size, seed=3), Options(effects=GEOMETRIC, sigma=NOISE)))
+    found = find_scatter(fit_tables(kuka, measured(kuka, size, seed=3), Options(effects=GEOMETRIC, sigma=NOISE)))
 
     assert found is not None and found.joint == "joint_3"
     assert found.sigma_rad == pytest.approx(size, rel=0.3)
@@ -56,13 +56,13 @@ def test_scatter_of_a_joint_is_found_with_its_size(size: float, kuka: Robot) -> 
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_of_several_targets_is_no_scatter(seed: int, kuka: Robot) -> None:
     """Sound readings raise no alarm."""
-    assert find_scatter(calibrate(kuka, measured(kuka, 0.0, seed=seed), Options(effects=GEOMETRIC, sigma=NOISE))) is None
+    assert find_scatter(fit_tables(kuka, measured(kuka, 0.0, seed=seed), Options(effects=GEOMETRIC, sigma=NOISE))) is None
 
 
 def _excess_of_rows(kuka: Robot, table: Measurements, options: Options) -> Excess | None:
     """Return the excess of a calibration, whose poses are means, as the rows of the table tell it."""
-    fit = calibrate(kuka, table, options)
-    return find_excess(fit, as_measured(fit, [StationRows.of("", Parts(table, table.select(slice(0))))]))
+    fit = fit_tables(kuka, table, options)
+    return find_excess(fit, as_measured(fit, [StationRows.of("", table)]))
 
 
 def test_replicates_show_that_a_joint_scatters(kuka: Robot) -> None:
@@ -82,8 +82,8 @@ def test_replicates_show_that_a_joint_scatters(kuka: Robot) -> None:
 def test_a_function_of_two_joints_is_no_scatter(kuka: Robot) -> None:
     """Without replicates poses that are neighbours in both joints tell; where they are too few, that is said."""
     options = Options(effects=GEOMETRIC, sigma=NOISE)
-    follows = find_excess(calibrate(kuka, measured(kuka, 0.0, seed=2, poses=100, product=2e-4), options))
-    few = find_excess(calibrate(kuka, measured(kuka, 6e-5, seed=2, poses=24), options))
+    follows = find_excess(fit_tables(kuka, measured(kuka, 0.0, seed=2, poses=100, product=2e-4), options))
+    few = find_excess(fit_tables(kuka, measured(kuka, 6e-5, seed=2, poses=24), options))
 
     assert follows is not None and follows.joint == "joint_3" and follows.scattering is None
     assert {"joint_3", "joint_5"} <= set(follows.follows) and "it does not scatter" in follows.statement

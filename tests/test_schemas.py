@@ -1,6 +1,7 @@
 """The schemas that come with the package are those of the structures, and of all files that pincal writes."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.result import ResultFile
 from pincal.io.camera_file import CameraFile
 from pincal.io.discovery_file import Findings
-from pincal.io.result_file import ResultFile
 from pincal.io.schemas import FILES, schema_of, shipped, text_of
 from pincal.model.effects import GEOMETRIC
 from pincal.simulate import Instrument, TrueMachine, plan_poses
@@ -83,6 +84,6 @@ def test_a_camera_that_was_found_is_valid() -> None:
     camera = pincal.load_model(DATA / "model_0_1_0_camera.json").camera()
 
     valid("camera", camera)
-    assert {"fx", "T_tip_camera"} <= set(CameraFile.__struct_fields__) & camera.keys()
+    assert {"fx", "T_tip_camera"} <= {field.name for field in fields(CameraFile)} & camera.keys()
     with pytest.raises(jsonschema.ValidationError):
         valid("camera", camera | {"fx": "wide"})

@@ -11,12 +11,11 @@ from scipy.stats import multivariate_normal
 from selection_cases import bent_panda, waving_ur5
 
 from pincal import GEOMETRIC, Measurements, Options
-from pincal.discover.first_order import Doubt
-from pincal.discover.information import Information
-from pincal.discover.products import Products
+from pincal.discover.first_order import Doubt, ScoreTests
+from pincal.discover.products import Information, Products
 from pincal.discover.run import Discovery, run_discovery
-from pincal.discover.score_tests import ScoreTests
-from pincal.identify.fit import Fit
+from pincal.identify.fit import ModelFit
+from pincal.identify.quadratic import Form
 from pincal.model.catalogue import GearRatio
 from pincal.validate.accuracy import pose_error_sizes
 
@@ -35,7 +34,7 @@ def linear(rng: np.random.Generator) -> tuple[ScoreTests, np.ndarray, np.ndarray
         names=tuple("abcde"),
         values=values,
         sizes=sizes,
-        model=Information(S[:, N, N], b[:, N], np.diag(precision), values * precision),
+        model=Information(Form.of(S[:, N, N], b[:, N]), Form.of(np.diag(precision), -values * precision)),
         products=Products((np.arange(2),), S[:, N, C], S[:, C, C], b[:, C]),
         squares=float(np.sum(r**2)),
         readings=r.size,
@@ -80,7 +79,8 @@ def test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without(rng
     """T is the ratio of the largest densities of the readings, over the candidate's values and two sizes of parameters."""
     tests, A, r = linear(rng)
     doubt = Doubt(np.array([False, False, True, False, True]), (0.1, 3.0), (0.0, 4.0))
-    model = replace(tests.model, pull=tests.model.pull * ~doubt.columns)
+    prior = replace(tests.model.prior, g=tests.model.prior.g * ~doubt.columns)
+    model = replace(tests.model, prior=prior)
     tests = replace(tests, doubt=doubt, values=tests.values * ~doubt.columns, model=model)
     A, r = A.reshape(-1, _MODEL + 2), r.ravel()
     whole = r + A[:, :_MODEL] @ tests.values
@@ -101,7 +101,7 @@ def discovered(rows: Measurements, found: Discovery, clean: np.ndarray) -> list[
     """Return the mean error at the other poses at the start and after each change of the model [mm]."""
     others = rows.with_readings(position=clean).select(np.arange(len(rows) // 2, len(rows)))
 
-    def error(fit: Fit) -> float:
+    def error(fit: ModelFit) -> float:
         return float(pose_error_sizes(fit.readings(others), fit.values)["mm"].mean())
 
     return [error(fit) for fit in (found.trail.first, *(change.fit for change in found.trail.changes))]

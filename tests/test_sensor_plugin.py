@@ -15,6 +15,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import pincal as pincal_command
 from pincal.errors import MeasurementError, ModelFileError
+from pincal.measure.fields import TableRows
 from pincal.measure.registry import SENSORS
 from pincal.measure.table import write_table
 from pincal.plugins import load_plugin
@@ -89,7 +90,7 @@ def test_a_laser_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureFix
     """Checked, calibrated, validated, predicted with, discovered with, drawn and reported; the truth comes out."""
     scene.run("check", "robot.urdf", "fit.csv", "--model", "geometric")
     said = capsys.readouterr().out
-    assert "range" in said and "see neither where the base stands" in said
+    assert "range" in said and "do not determine the position of the base" in said
     scene.run("calibrate", "robot.urdf", "fit.csv", "--out", "out", "--model", "geometric", "--split", "random", "--view")
     result = scene.read("out/result.json")
     found = {entry["name"]: entry for entry in result["parameters"]}  # type: ignore[attr-defined]
@@ -138,3 +139,11 @@ def test_a_sensor_does_not_take_the_columns_of_another(known_sensors: None) -> N
     clash = type("Clash", (laser,), {"fields": (type(laser.fields[0])("height", ("z",), "length"),)})
     with pytest.raises(TypeError, match="the columns z are known as 'position'"):
         SENSORS.register(clash)
+
+
+def test_the_old_name_of_what_a_sensor_reads() -> None:
+    """Sensors from outside that were written for 0.1.0 still find the type of a table, with a warning."""
+    with pytest.warns(DeprecationWarning, match="TableRows"):
+        from pincal.measure.fields import Table
+
+    assert Table is TableRows

@@ -9,13 +9,13 @@ from discovery_cases import SIGMA
 from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays, run_discovery
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.settling import linearised_about_itself
-from pincal.identify.calibrate import calibrate
+from pincal.discover.steps import linearised_about_itself
+from pincal.identify.calibrate import fit_tables
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import JointCreep, ThermalGrowth
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
-from pincal.model.effect import Settling
+from pincal.model.effect import ExponentialDrift
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -39,10 +39,12 @@ CASES = [
 
 
 @pytest.mark.parametrize(("hidden", "start", "size"), CASES, ids=lambda case: getattr(case, "effect", ""))
-def test_the_time_constant_is_found_and_its_uncertainty(hidden: sim.HiddenEffect, start: Settling, size: float) -> None:
+def test_the_time_constant_is_found_and_its_uncertainty(
+    hidden: sim.HiddenEffect, start: ExponentialDrift, size: float
+) -> None:
     """From one that is 3 or 5 times too long or short; amplitude and time constant lie within 3 sigma of the truth."""
     robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
-    fit = calibrate(robot, measured(hidden), Options(effects=(*GEOMETRIC, start), sigma=SIGMA))
+    fit = fit_tables(robot, measured(hidden), Options(effects=(*GEOMETRIC, start), sigma=SIGMA))
     fit, effect = linearised_about_itself(fit, start)
     found = fit.estimate.take(fit.names_of([effect]))
     values = found.values + [parameter.nominal for parameter in found.parameters]
@@ -71,7 +73,7 @@ def test_the_slope_is_that_of_the_shape() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(("hidden", "start", "size"), CASES, ids=lambda case: getattr(case, "effect", ""))
-def test_it_is_one_effect(hidden: sim.HiddenEffect, start: Settling, size: float) -> None:
+def test_it_is_one_effect(hidden: sim.HiddenEffect, start: ExponentialDrift, size: float) -> None:
     """A discovery names it alone, no curve of time and no drift beside it, with its time constant."""
     robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
     (found,) = run_discovery(robot, measured(hidden), Options(effects=GEOMETRIC, sigma=SIGMA)).findings.effects

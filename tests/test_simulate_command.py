@@ -9,7 +9,7 @@ from test_cli import run
 
 from pincal import Robot, read_measurements
 from pincal.builtin import kuka_urdf_path
-from pincal.cli.effect_option import effect_help, parse_effect
+from pincal.cli.simulate import effect_help, parse_effect
 from pincal.errors import BadInputError
 from pincal.simulate import HIDDEN_EFFECTS, TrueMachine, plan_poses
 from pincal.simulate.tracker import ReadingEffect

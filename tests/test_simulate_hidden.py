@@ -86,7 +86,7 @@ def test_a_lost_zero_is_the_same_at_every_angle() -> None:
 
 
 def test_a_wheel_of_a_stage_and_an_encoders_lines_make_fine_waves() -> None:
-    """A crank behind a ratio errs by e sin(phase - k q); offset and amplitude of a signal once and twice a line."""
+    """A crank behind a ratio errs by e sin(phase - k q); offset and amplitude of a signal once and twice per line."""
     q, e, k = sweep(), 1e-5, 101.0
     crank = sim.GearRipple(joint="lift", size=e, order=k, phase=0.7)
     np.testing.assert_allclose(angles(planar(effects=(crank,)), q), e * np.sin(0.7 - k * q[:, 0]), rtol=0, atol=k * e**2)

@@ -12,7 +12,7 @@ from pincal import read_measurements
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
-from pincal.robot.robot import find_file
+from pincal.robot.urdf_file import find_file
 from pincal.simulate.contact import hold
 from pincal.simulate.lens import draw_lens
 from pincal.simulate.sensors import SENSORS, SetupOptions, draw_setup

@@ -15,12 +15,13 @@ from scipy.stats import multivariate_normal
 
 from pincal import GEOMETRIC, Measurements, Options, Robot
 from pincal import simulate as sim
-from pincal.calibration.calibrated import load_model
-from pincal.calibration.fit import Fit as CalibratedFit
-from pincal.discover.nuisance import situation_of
-from pincal.discover.smoothness import Quadratic, smoothed
-from pincal.identify.calibrate import calibrate, refit
-from pincal.identify.fit import Fit
+from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import load_model
+from pincal.discover.drive_curves import CurveSquares, smoothed
+from pincal.discover.levers import situation_of
+from pincal.identify.calibrate import fit_tables, refit
+from pincal.identify.fit import ModelFit
+from pincal.identify.quadratic import Form
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.basis import spline_basis, spline_roughness
 from pincal.model.catalogue import TransmissionError
@@ -35,14 +36,12 @@ def line(rng: np.random.Generator, n: int, sigma: float) -> tuple[np.ndarray, np
     return x, np.sin(3.0 * x) + 0.3 * x + sigma * rng.standard_normal(n), spline_basis(x, 0.0, 2.0, n + 2)
 
 
-def quadratic(B: np.ndarray, y: np.ndarray, sigma: float, *, size: float) -> Quadratic:
+def quadratic(B: np.ndarray, y: np.ndarray, sigma: float, *, size: float) -> CurveSquares:
     """Return the squares of readings about a curve of height zero."""
     K, nothing = len(B), np.zeros(len(B))
-    return Quadratic(
-        G=B @ B.T / sigma**2,
-        g=B @ y / sigma**2,
-        believed=np.zeros((K, K)),
-        slope=nothing,
+    return CurveSquares(
+        rows=Form.of(B @ B.T / sigma**2, B @ y / sigma**2),
+        believed=Form.of(np.zeros((K, K))),
         sizes=np.full(K, size),
         values=nothing,
         squares=float(y @ y) / sigma**2,
@@ -103,7 +102,7 @@ def test_roughness_is_where_the_readings_are_likeliest(rng: np.random.Generator,
     best = np.exp(minimize(cost, np.log([sigma, 3.0]), method="Nelder-Mead").x)
     every = quadratic(np.vstack([B, np.ones(len(y))]), y, sigma, size=size)
     level = np.arange(len(B) + 1) == len(B)
-    every = replace(every, sizes=np.where(level, np.sqrt(2.0), 1.0) * size, believed=np.diag(0.5 * level / size**2))
+    every = replace(every, sizes=np.where(level, np.sqrt(2.0), 1.0) * size, believed=Form.of(np.diag(0.5 * level / size**2)))
     (w,), step, variance = every.likeliest([np.arange(len(B))], [R])
     # In the last step the prior of the level is 31 times as sure, what is believed beyond it is not.
     across, C = covariance(sigma * np.sqrt(variance), w, level=size / 4.0)
@@ -126,16 +125,16 @@ def rows(kuka: Robot) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def fits(kuka: Robot, rows: Measurements) -> tuple[Fit, Fit]:
+def fits(kuka: Robot, rows: Measurements) -> tuple[ModelFit, ModelFit]:
     """Return fits of the table with a coarse curve, and with the smooth one that it calls for."""
     curve = TransmissionError.over("joint_2", rows.q[:, 1], 18)
-    coarse = calibrate(kuka, rows, Options(effects=(*GEOMETRIC, curve)))
+    coarse = fit_tables(kuka, rows, Options(effects=(*GEOMETRIC, curve)))
     chosen, near = smoothed(coarse, [curve])
     ((smooth, heights),) = chosen.values()
     return coarse, refit(near, [*GEOMETRIC, smooth], start={smooth: heights})
 
 
-def test_a_fit_with_a_smooth_curve_is_penalised_least_squares(fits: tuple[Fit, Fit]) -> None:
+def test_a_fit_with_a_smooth_curve_is_penalised_least_squares(fits: tuple[ModelFit, ModelFit]) -> None:
     """The slope of data, priors and roughness vanishes, and their information is that of the posterior."""
     fit = fits[1]
     curve = next(e for e in fit.options.effects if isinstance(e, TransmissionError))
@@ -156,7 +155,7 @@ def test_a_fit_with_a_smooth_curve_is_penalised_least_squares(fits: tuple[Fit, F
     assert fit.solution.posterior.effective == pytest.approx(spent, rel=1e-3)
 
 
-def test_a_smooth_curve_is_closer_to_the_true_one(fits: tuple[Fit, Fit]) -> None:
+def test_a_smooth_curve_is_closer_to_the_true_one(fits: tuple[ModelFit, ModelFit]) -> None:
     """Over the whole range, but for level and slope, which the geometry has; rows are few in the middle of it."""
     errors = []
     for fit in fits:
@@ -171,7 +170,7 @@ def test_a_smooth_curve_is_closer_to_the_true_one(fits: tuple[Fit, Fit]) -> None
     assert errors[1] < 0.8 * errors[0]
 
 
-def test_a_smooth_curve_has_no_more_pieces_than_rows_carry_and_no_fewer_than_usual(fits: tuple[Fit, Fit]) -> None:
+def test_a_smooth_curve_has_no_more_pieces_than_rows_carry_and_no_fewer_than_usual(fits: tuple[ModelFit, ModelFit]) -> None:
     """Asked for any number; a piece of a degree is fine, and two thirds of one the finest."""
     situation = situation_of(fits[0])
     curve = next(e for e in fits[0].options.effects if isinstance(e, TransmissionError))
@@ -183,17 +182,18 @@ def test_a_smooth_curve_has_no_more_pieces_than_rows_carry_and_no_fewer_than_usu
 
 
 def test_what_an_earlier_fit_knows_of_a_curve_has_its_smoothness(
-    fits: tuple[Fit, Fit], kuka: Robot, rows: Measurements
+    fits: tuple[ModelFit, ModelFit], kuka: Robot, rows: Measurements
 ) -> None:
     """So that it is not counted again; and a file keeps it."""
     fit = fits[1]
     options = replace(fit.options, earlier=CalibratedFit.of(fit).robot_estimate)
-    later = calibrate(kuka, rows.select(slice(0, 60)), options)
+    later = fit_tables(kuka, rows.select(slice(0, 60)), options)
 
-    assert fit.problem.smooth and not later.problem.smooth
+    assert [term.sigma is None for term in fit.problem.beliefs.terms] == [True]
+    assert all(term.sigma is not None for term in later.problem.beliefs.terms)
 
 
-def test_a_file_keeps_how_rough_a_curve_is(fits: tuple[Fit, Fit], tmp_path: Path) -> None:
+def test_a_file_keeps_how_rough_a_curve_is(fits: tuple[ModelFit, ModelFit], tmp_path: Path) -> None:
     """And one that says nothing of it is of a curve of which nothing was known."""
     fit = CalibratedFit.of(fits[1])
     fit.save(tmp_path / "model.json")

@@ -129,5 +129,5 @@ def test_workers_of_a_discovery_that_is_killed_end(tmp_path: Path) -> None:
     pincal, table = [sys.executable, "-m", "pincal"], tmp_path / "table.csv"
     subprocess.run([*pincal, "simulate", "ur5", "--poses", "60", "--seed", "3", "--out", table], check=True)
     command = [*pincal, "discover", "ur5", table, "--out", tmp_path / "found"]
-    ends_whole(command, after="half of the poses 2 of 20", by=signal.SIGKILL)
+    ends_whole(command, after="subsample 2 of 20", by=signal.SIGKILL)
     assert not (tmp_path / "found").exists()

@@ -11,23 +11,21 @@ from discovery_cases import Case, draw_case
 from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
-from pincal.calibration.fit import Fit as CalibratedFit
-from pincal.discover.bootstrap import chance_of_best
-from pincal.discover.judge import findings_of
-from pincal.discover.nuisance import MassError, missing_features, score_test_beside_nuisances
-from pincal.discover.run import Discovery, run_discovery
-from pincal.discover.score_tests import ScoreTests, score_test
-from pincal.discover.stability import Halves, _halves, begin_halves
-from pincal.discover.widened import of_bearings, of_candidates, of_masses
+from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.discover.ending import of_bearings, of_candidates, of_masses
+from pincal.discover.findings import chance_of_best, findings_of
+from pincal.discover.levers import MassError, missing_features
+from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
+from pincal.discover.score_tests import ScoreTests, score_test, score_test_given_nuisances
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
 from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings, Repeated, Stability
-from pincal.model.catalogue.bearings import bearing_features
+from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
 from pincal.report.illustrations import stability_drawings
-from pincal.report.search import _named
+from pincal.report.missing import _named
 
 COUNT = 2
 
@@ -47,7 +45,7 @@ def test_halves_are_complementary_pairs_of_whole_regions() -> None:
     rng = np.random.default_rng(0)
     regions = np.concatenate([rng.integers(0, 20, 400), rng.integers(20, 32, 100)])
     stations = [np.arange(20), np.arange(20, 32)]
-    halves = list(_halves(stations, regions, 6))
+    halves = list(_subsamples(stations, regions, 6))
 
     for one, other in zip(halves[::2], halves[1::2], strict=True):
         assert sorted([*one, *other]) == list(range(32))
@@ -60,7 +58,7 @@ def test_a_name_counts_where_it_is_named_or_could_be_meant() -> None:
     """The source of a coupling is part of its name; what came up first in most halves and is not known is told."""
     by_2, by_3 = (("joint_coupling", "a", source) for source in ("joint_2", "joint_3"))
     gear = ("gear_ratio", "b", None)
-    halves = Halves((((by_2, gear),), ((by_3,), (gear, by_2)), ((gear,),)), 50)
+    halves = Subsamples((((by_2, gear),), ((by_3,), (gear, by_2)), ((gear,),)), 50)
 
     assert [halves.count(name) for name in (by_2, by_3, gear)] == [2, 1, 3]
     assert halves.others([by_2], 0.6) == [(gear, 2)]
@@ -92,7 +90,7 @@ def test_an_executor_brings_the_same(case: Case, found: Discovery) -> None:
     """Here threads; the order of the halves is kept."""
     regions = [row_groups(found.calibration.train, split="blocked", seed=0)]
     with ThreadPoolExecutor(2) as pool:
-        spread, here = (begin_halves(found.trail, regions, 2, executor=e)() for e in (pool, None))
+        spread, here = (begin_subsamples(found.trail, regions, 2, executor=e)() for e in (pool, None))
 
     assert spread == here and len(here) == 2
 
@@ -107,7 +105,7 @@ def test_hints_stand_apart_and_all_are_drawn(found: Discovery) -> None:
     bare = tuple(msgspec.structs.replace(entry, stability=None) for entry in findings.effects)
 
     assert few.is_hint and not others[0].is_hint
-    assert page.index(others[0].effect) < page.index("Hints") < page.index("in 1 of 4 halves")
+    assert page.index(others[0].effect) < page.index("Hints") < page.index("in 1 of 4 subsamples")
     assert "gear_ratio of joint_4 (in 3 of 4)" in page
     ((figure, _, _),) = stability_drawings(findings)
     assert len(figure.axes[0].patches) == len(findings.effects) + 1
@@ -116,15 +114,16 @@ def test_hints_stand_apart_and_all_are_drawn(found: Discovery) -> None:
 
 def told(tests: ScoreTests, of_model: np.ndarray, of_candidates: np.ndarray, squares: float) -> ScoreTests:
     """Return tests of other residuals, given their products with the columns, at the minimum beside priors, and squares."""
-    model = replace(tests.model, blocks_b=(of_model + tests.model.pull)[None])
-    return replace(tests, model=model, products=replace(tests.products, blocks_b=of_candidates[None]), squares=squares)
+    blocks = replace(tests.model.blocks, g=(of_model - tests.model.prior.g)[None])
+    model = replace(tests.model, blocks=blocks)
+    return replace(tests, model=model, products=replace(tests.products, blocks_g=of_candidates[None]), squares=squares)
 
 
 def test_a_bootstrap_of_noise_has_any_chance_alike(found: Discovery) -> None:
     """Of sixty tables of nothing but noise the p-values are uniform."""
     tests = score_test(found.trail.final, found.trail.last.effects[:12])
     model, cross = tests.model, tests.products.cross
-    rng, root = np.random.default_rng(5), root_of(np.block([[model.S, cross], [cross.T, tests.products.inner]]))
+    rng, root = np.random.default_rng(5), root_of(np.block([[model.rows.H, cross], [cross.T, tests.products.inner]]))
     root, unseen = root[:, np.linalg.norm(root, axis=0) > 0.0], tests.readings
     chances = []
     for seed in range(60):
@@ -132,7 +131,7 @@ def test_a_bootstrap_of_noise_has_any_chance_alike(found: Discovery) -> None:
         b, squares = root @ noise, float(noise @ noise + rng.chisquare(unseen - len(noise)))
         # Noise about a fit of the model, which takes its part of the squares.
         of_model, of_candidates = np.split(b, [tests.n_model])
-        squares -= float(of_model @ np.linalg.solve(model.S + model.known, of_model))
+        squares -= float(of_model @ np.linalg.solve(model.rows.H + model.prior.H, of_model))
         table = told(tests, of_model, of_candidates, squares)
         chances.append(chance_of_best(table, 100, seed))
 
@@ -181,11 +180,11 @@ def test_bearings_may_give_way_in_directions_that_no_data_called_for(found: Disc
     """Each direction and place counts less than it could take off the squares; of a rigid arm there is none."""
     fit = found.trail.final
     refused = [e for e in bearing_features(fit.problem.chain, fit.options.effects) if e not in fit.options.effects]
-    gains = [score_test_beside_nuisances(fit, [effect]).gain([0])[0] for effect in refused]
+    gains = [score_test_given_nuisances(fit, [effect]).gain([0])[0] for effect in refused]
 
-    assert 0.0 < of_bearings(score_test_beside_nuisances(fit, refused)) < sum(gains)
+    assert 0.0 < of_bearings(score_test_given_nuisances(fit, refused)) < sum(gains)
     rigid = refit(fit, GEOMETRIC)
-    assert of_bearings(score_test_beside_nuisances(rigid, [])) == of_masses(rigid, score_test(rigid, [])) == 0.0
+    assert of_bearings(score_test_given_nuisances(rigid, [])) == of_masses(rigid, score_test(rigid, [])) == 0.0
 
 
 def test_masses_add_what_the_data_leave_of_their_priors(found: Discovery) -> None:
@@ -198,7 +197,7 @@ def test_masses_add_what_the_data_leave_of_their_priors(found: Discovery) -> Non
     expected = (C @ b) @ S @ (C @ b) + np.sum(S * C)
 
     assert expected > 0.0
-    assert of_masses(fit, score_test_beside_nuisances(fit, missing_features(fit))) == pytest.approx(expected, rel=1e-6)
+    assert of_masses(fit, score_test_given_nuisances(fit, missing_features(fit))) == pytest.approx(expected, rel=1e-6)
 
 
 def test_fewer_than_no_halves_are_refused(case: Case) -> None:

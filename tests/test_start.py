@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.calibrate import calibrate
-from pincal.identify.fit import Fit
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.sensor import Sensor
@@ -85,7 +85,7 @@ def measure(scene: Scene, kind: str, seed: int, rng: np.random.Generator, *, pos
     return measurements_from_arrays(robot.names, np.column_stack([columns[name] for name in robot.names]), **readings)
 
 
-def base_and_tools(fit: Fit, values: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def base_and_tools(fit: ModelFit, values: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the base and the tools, shape (4, 4) each, of a fit's values."""
     model, chain = fit.station.model, fit.station.model.chain
     found = dict(zip(model.names, values, strict=True))
@@ -108,7 +108,7 @@ def expected_base(scene: Scene, kind: str) -> np.ndarray:
     return expected
 
 
-def assert_found(fit: Fit, scene: Scene, kind: str, *, values: np.ndarray | None = None) -> None:
+def assert_found(fit: ModelFit, scene: Scene, kind: str, *, values: np.ndarray | None = None) -> None:
     """Check base and tools against the truth, and that nothing but the errors of the arm is left."""
     values = fit.nominal.values if values is None else values
     base, tools = base_and_tools(fit, values)
@@ -133,7 +133,7 @@ def test_any_placement_is_found(kuka: Robot, kind: str, n_targets: int, seed: in
     rng = np.random.default_rng(seed)
     scene = Scene.draw(rng, n_targets)
 
-    assert_found(calibrate(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
+    assert_found(fit_tables(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -146,7 +146,7 @@ def test_a_tracker_upside_down_five_metres_away_is_found(kuka: Robot, kind: str,
     scene.base[:3, 3] = 5.0, 0.0, 1.0
     scene.tools["A"][:3, 3] = 0.0, 0.3, 0.4
 
-    assert_found(calibrate(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
+    assert_found(fit_tables(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -157,7 +157,7 @@ def test_instrument_and_tool_at_the_robots_own_frames_are_found(kuka: Robot, kin
     scene = Scene(np.eye(4), {"A": np.eye(4)})
     scene.base[2, 3] = 0.5
 
-    assert_found(calibrate(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
+    assert_found(fit_tables(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -167,7 +167,7 @@ def test_a_dozen_poses_are_enough(kuka: Robot, kind: str, seed: int) -> None:
     rng = np.random.default_rng(300 + seed)
     scene = Scene.draw(rng, 1)
 
-    assert_found(calibrate(kuka, measure(scene, kind, seed, rng, poses=12), FRAMES_ONLY), scene, kind)
+    assert_found(fit_tables(kuka, measure(scene, kind, seed, rng, poses=12), FRAMES_ONLY), scene, kind)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -182,7 +182,7 @@ def test_outliers_do_not_pull_base_and_tool(kuka: Robot, kind: str, seed: int) -
         spoilt = table.with_readings(distance=np.where(bad, table.distance + 0.5, table.distance))
     else:
         spoilt = table.with_readings(position=table.position + np.outer(bad, [0.3, -0.4, 0.0]))
-    fit = calibrate(kuka, spoilt, FRAMES_ONLY)
+    fit = fit_tables(kuka, spoilt, FRAMES_ONLY)
 
     assert np.all(fit.solution.weights[bad] == 0.0) and np.all(fit.solution.weights[~bad] > 0.0)
     assert_found(fit, scene, kind, values=fit.values)
@@ -212,8 +212,8 @@ def test_what_is_known_of_base_and_tool_stays(kind: str, kuka: Robot, rng: np.ra
     """A known base and known tools are taken as they are; only the rest is found."""
     scene = Scene.draw(rng, 2)
     table, known = measure(scene, kind, 1, rng), expected_base(scene, kind)
-    with_base = calibrate(kuka, table, Options(effects=(), base=known))
-    with_tool = calibrate(kuka, table, Options(effects=(), tools={"B": tuple(scene.tools["B"][:3, 3])}))
+    with_base = fit_tables(kuka, table, Options(effects=(), base=known))
+    with_tool = fit_tables(kuka, table, Options(effects=(), tools={"B": tuple(scene.tools["B"][:3, 3])}))
 
     np.testing.assert_allclose(base_and_tools(with_base, with_base.values)[0], known, rtol=0.0, atol=1e-12)
     assert_found(with_base, scene, kind)
@@ -226,11 +226,11 @@ def test_a_tool_that_no_row_has_is_refused(kuka: Robot, rng: np.random.Generator
     """A known tool whose name is not among the targets is answered with the targets there are."""
     table = measure(Scene.draw(rng, 2), "position", 1, rng)
     with pytest.raises(BadInputError, match=r"tool 'C' is given but no row has this target; targets: A, B"):
-        calibrate(kuka, table, Options(effects=(), tools={"C": (0.0, 0.0, 0.1)}))
+        fit_tables(kuka, table, Options(effects=(), tools={"C": (0.0, 0.0, 0.1)}))
 
 
 def test_a_table_without_rows_is_refused(kuka: Robot, rng: np.random.Generator) -> None:
     """There is nothing to start from without a row."""
     table = measure(Scene.draw(rng, 1), "position", 1, rng)
     with pytest.raises(MeasurementError, match="no rows to calibrate with"):
-        calibrate(kuka, table.select(np.zeros(len(table), bool)), FRAMES_ONLY)
+        fit_tables(kuka, table.select(np.zeros(len(table), bool)), FRAMES_ONLY)

@@ -10,7 +10,7 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.stations import CalibratedStations, load_stations
+from pincal.calibration.calibrated_robot import CalibratedRobot, load_stations
 from pincal.errors import ModelFileError
 from pincal.io.schemas import shipped
 from pincal.model.effects import GEOMETRIC
@@ -98,4 +98,4 @@ def test_a_station_has_to_be_chosen_to_predict(fit: pincal.Fit, path: Path) -> N
     with pytest.raises(pincal.BadInputError, match="2: east, west; choose one"):
         fit.predict(np.zeros(6))
     with pytest.raises(pincal.BadInputError, match="station 'north' is not in the model; expected one of east, west"):
-        CalibratedStations.of(fit).at("north")
+        CalibratedRobot.of(fit).at("north")

@@ -3,12 +3,15 @@
 import json
 import os
 import pty
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError, PincalWarning, printable
 
 GUARDED = """
@@ -22,6 +25,7 @@ print("note", file=sys.stderr)
 sys.stdout.flush()
 os._exit(3 if lost.lost else 0)
 """
+PINCAL = [sys.executable, "-m", "pincal"]
 REDIRECTED = {">/dev/full": 3, ">&-": 0, "| head -c 1 >/dev/null": 0, "2>/dev/full >/dev/null": 0, ">&- 2>&- <&-": 0}
 
 
@@ -84,3 +88,27 @@ def test_a_calibration_is_whole_wherever_its_words_go(tmp_path: Path, redirectio
     command = f"{calibrate} --max-error 1um {redirection}"
     ran = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, check=False)
     assert ran.returncode == 5
+
+
+@pytest.mark.long
+def test_an_interruption_is_answered_within_a_second(tmp_path: Path) -> None:
+    """As Ctrl-C on a terminal, which reaches the workers, too: no traceback, no file, exit code 130."""
+    table = tmp_path / "t.csv"
+    subprocess.run(
+        [*PINCAL, "simulate", kuka_urdf_path(), "--poses", "120", "--out", table], check=True, capture_output=True
+    )
+    words = ["discover", kuka_urdf_path(), table, "--out", tmp_path / "found"]
+    for wait in (0.0, 1.0):
+        running = subprocess.Popen([*PINCAL, *words], stderr=subprocess.PIPE, text=True, start_new_session=True)
+        assert running.stderr is not None
+        told = running.stderr.readline()
+        time.sleep(wait)
+        began = time.monotonic()
+        os.killpg(running.pid, signal.SIGINT)
+        told += running.communicate(timeout=60)[1]
+
+        # A second, and what other tests on this machine take of it.
+        assert time.monotonic() - began < 2.0
+        assert running.returncode == 130
+        assert "pincal: interrupted; nothing was written" in told and "Traceback" not in told
+        assert [file.name for file in tmp_path.iterdir()] == ["t.csv"]

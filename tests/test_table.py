@@ -197,9 +197,9 @@ HEADER = "joint_1,joint_2,distance"
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        (f"{HEADER}\n1,2,3\n1,abc,\n1,2,nan\n", ["line 3", '"joint_2"', '"abc"', "in the table: 3"]),
-        (f"{HEADER}\n1,2,3\n1,2,\n", ["line 3", '"distance"', "an empty cell", "a finite number"]),
-        (f"{HEADER}\n1,2,NaN\n", ["line 2", '"distance"', "nan", "a finite number"]),
+        (f"{HEADER}\n1,2,3\n1,abc,4\n,2,4\n1,2,nan\n", ["line 3", '"joint_2"', '"abc"', "in the table: 2"]),
+        (f"{HEADER}\n1,2,3\n1,,3\n", ["line 3", '"joint_2"', "an empty cell", "a finite number"]),
+        (f"{HEADER}\n1,2,NaN\n", ["line 2", "none of 1 rows", "distance", "a finite number"]),
         (f"{HEADER}\n1,inf,1\n", ["line 2", '"joint_2"', "inf"]),
         (f"{HEADER}\n1,2,0\n1,2,-1\n", ["line 2", '"distance"', "> 0", "rows like this: 2"]),
         (f"{HEADER},sigma\n1,2,1,1\n1,2,1,0\n", ["line 3", '"sigma"', "> 0"]),

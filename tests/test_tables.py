@@ -8,10 +8,9 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from pincal.calibration.parameters import ParameterRow
-from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table
+from pincal.calibration.result_tables import ParameterRow, correlation_table, error_table, iso9283_table, parameter_table
 from pincal.identify.reasons import IDENTIFIED, Cause, Reason, Status
-from pincal.tables import Column, Kind, Table
+from pincal.result_table import Column, Kind, Table
 from pincal.units import Quantity, fixed
 
 WEAK = Reason(Cause.UNINFORMED, size=1e-6, unit="rad/(N m)")

@@ -10,26 +10,26 @@ import pytest
 from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays, run_discovery
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover import tones
+from pincal.discover import levers
 from pincal.discover.backward import _is_close
 from pincal.discover.candidate_tests import Search, hidden_wave
-from pincal.discover.forward import add_hidden_waves
-from pincal.discover.history import State, Step
-from pincal.discover.nuisance import score_test_beside_nuisances, situation_of
+from pincal.discover.first_order import ScoreResult
+from pincal.discover.levers import situation_of
 from pincal.discover.policy import POLICY
-from pincal.discover.score_tests import Score
+from pincal.discover.score_tests import score_test_given_nuisances
+from pincal.discover.steps import SearchState, SearchStep, add_hidden_waves
 from pincal.errors import BadInputError
-from pincal.identify.calibrate import calibrate
-from pincal.identify.fit import Fit
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit
 from pincal.identify.split import row_groups
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import EncoderSubdivision, GearRipple
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.catalogue.candidates import testable as could_show
-from pincal.model.catalogue.tones import independent_orders
+from pincal.model.catalogue.ripple import independent_orders
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
-from pincal.model.effect import Tone
+from pincal.model.effect import Harmonic
 from pincal.report.words import effect_words
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -56,21 +56,21 @@ def measured(machine: sim.TrueMachine, *hidden: sim.HiddenEffect, grid: float = 
     return measurements_from_arrays(machine.names, q, position=position)
 
 
-def named(machine: sim.TrueMachine, rows: Measurements, *extra: Tone) -> list[tuple[str, str | None, float | None]]:
+def named(machine: sim.TrueMachine, rows: Measurements, *extra: Harmonic) -> list[tuple[str, str | None, float | None]]:
     """Return what a discovery names, with its order."""
     robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
     found = run_discovery(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA), extra=extra)
     return [(e.effect, e.joint, e.order) for e in found.findings.effects]
 
 
-def fitted(rows: Measurements) -> Fit:
+def fitted(rows: Measurements) -> ModelFit:
     """Return the geometric model of some rows."""
-    return calibrate(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, Options(effects=GEOMETRIC, sigma=SIGMA))
+    return fit_tables(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, Options(effects=GEOMETRIC, sigma=SIGMA))
 
 
-def strongest(fit: Fit) -> list[Tone]:
+def strongest(fit: ModelFit) -> list[Harmonic]:
     """Return what the scan finds."""
-    return tones.strongest_tones(fit, could_show(situation_of(fit)), 15.0)
+    return levers.strongest_tones(fit, could_show(situation_of(fit)), 15.0)
 
 
 def test_the_scan_is_least_squares_of_a_sine_and_a_cosine() -> None:
@@ -78,7 +78,7 @@ def test_the_scan_is_least_squares_of_a_sine_and_a_cosine() -> None:
     rng = np.random.default_rng(0)
     q, lever = rng.uniform(-2.0, 2.5, 60), rng.uniform(0.1, 1.0, (3, 60))
     r = rng.standard_normal((3, 60))
-    orders, gains = tones._on_steps(q, (lever * r).sum(0), (lever**2).sum(0), start=20.0, step=0.7, end=150.0)
+    orders, gains = levers._on_steps(q, (lever * r).sum(0), (lever**2).sum(0), start=20.0, step=0.7, end=150.0)
     for k in range(0, len(orders), 11):
         A = np.stack([lever * np.sin(orders[k] * q), lever * np.cos(orders[k] * q)]).reshape(2, -1).T
         fit = A @ np.linalg.lstsq(A, r.ravel(), rcond=None)[0]
@@ -92,7 +92,7 @@ def test_what_was_searched_for_is_paid_for() -> None:
     q, lever = rng.uniform(-2.6, 2.6, 200), rng.uniform(0.5, 1.0, 200)
     step = 0.25 * 2 * np.pi / np.ptp(q)
     draws = lever * rng.standard_normal((300, 200))
-    highest = [tones._on_steps(q, along, lever**2, start=BAND[0], step=step, end=BAND[1])[1].max() for along in draws]
+    highest = [levers._on_steps(q, along, lever**2, start=BAND[0], step=step, end=BAND[1])[1].max() for along in draws]
     chances = independent_orders(q, BAND) * np.exp(-0.5 * np.array(highest))
 
     assert 0.01 < np.mean(chances < 0.1) < 0.1
@@ -101,7 +101,7 @@ def test_what_was_searched_for_is_paid_for() -> None:
 def test_the_price_is_in_the_test(machine: sim.TrueMachine) -> None:
     """A searched order's p-value is that of a known order times the number of orders, its criterion dearer by as much."""
     fit = fitted(measured(machine))
-    tests = score_test_beside_nuisances(fit, [GearRipple("joint_2", 90.0), GearRipple("joint_2", 90.0, 50.0)])
+    tests = score_test_given_nuisances(fit, [GearRipple("joint_2", 90.0), GearRipple("joint_2", 90.0, 50.0)])
     known, searched = tests.score([0], 1), tests.score([1], 1)
 
     assert searched.gain == pytest.approx(known.gain, rel=1e-9)
@@ -117,7 +117,7 @@ def test_a_stage_is_found_at_its_order(machine: sim.TrueMachine) -> None:
 
 
 def test_the_second_wave_of_two_lobes_is_in_the_band(machine: sim.TrueMachine) -> None:
-    """A usual strain wave gear of 1:101 makes 404 waves a turn beside its 202."""
+    """A usual strain wave gear of 1:101 makes 404 cycles per revolution beside its 202."""
     (tone, *_) = strongest(fitted(measured(machine, sim.GearRipple(joint="joint_2", size=6e-5, order=404.0))))
 
     assert tone.locus.joint == "joint_2" and tone.locus.order == pytest.approx(404.0, abs=0.3)
@@ -130,7 +130,7 @@ def test_a_power_of_two_is_an_encoder_beside_the_ripple_that_it_looks_like(machi
     could_be = [(e.effect, e.order) for e in found.equivalent]
 
     assert (found.effect, found.joint, found.order) == ("encoder_subdivision", "joint_2", 128.0)
-    assert found.origin.startswith("2^7, as an encoder counts")
+    assert found.origin.startswith("2^7, as of an encoder")
     assert ("gear_ripple", pytest.approx(128.0, abs=0.3)) in could_be
     assert ("encoder_subdivision", pytest.approx(64.0, abs=0.15)) in could_be
 
@@ -164,7 +164,7 @@ def test_what_the_span_does_not_tell_apart_is_one_line(machine: sim.TrueMachine)
     ("order", "resolution", "wheels", "said"),
     [
         (404.0, 1.35, {}, "4 x 101, the ratio of a usual strain wave gear"),
-        (404.0, 1.35, {202.0: "which the user named"}, "2 x 202, which the user named"),
+        (404.0, 1.35, {202.0: "given by the user"}, "2 x 202, given by the user"),
         (404.0, 6.0, {}, ""),
         (161.3, 1.2, {}, ""),
         (483.9, 1.2, {161.3: "a line of joint_1"}, "3 x 161.3, a line of joint_1"),
@@ -183,7 +183,7 @@ def test_sound_residuals_show_no_wave(machine: sim.TrueMachine) -> None:
     """Noise alone makes no candidate; nor does a wave that the model has."""
     rows = measured(machine, sim.GearRipple(joint="joint_1", size=1e-4, order=77.0))
     (tone, *_) = strongest(fitted(rows))
-    known = calibrate(fitted(rows).problem.chain.robot, rows, Options(effects=(*GEOMETRIC, tone), sigma=SIGMA))
+    known = fit_tables(fitted(rows).problem.chain.robot, rows, Options(effects=(*GEOMETRIC, tone), sigma=SIGMA))
 
     assert tone.locus.joint == "joint_1" and not strongest(known) and not strongest(fitted(measured(machine)))
 
@@ -193,7 +193,7 @@ def test_waves_behind_curves_are_added_until_there_are_none(machine: sim.TrueMac
     rows = measured(machine, sim.GearRipple(joint="joint_2", size=6e-5, order=161.3))
     fit = fitted(rows)
     search = Search(POLICY, (), fit, row_groups(rows, split="blocked", seed=0))
-    state = add_hidden_waves(State(fit), search)
+    state = add_hidden_waves(SearchState(fit), search)
     (step,) = state.steps
     part = replace(search, groups=search.groups[1:])
 
@@ -201,7 +201,7 @@ def test_waves_behind_curves_are_added_until_there_are_none(machine: sim.TrueMac
     assert step.effect.locus.order == pytest.approx(161.3, abs=0.3)
     assert step.effect in state.fit.problem.effects and [c.entered for c in state.changes] == [step.effects]
     assert hidden_wave(state.fit, search) is None
-    assert add_hidden_waves(State(fit), part) == State(fit)
+    assert add_hidden_waves(SearchState(fit), part) == SearchState(fit)
 
 
 def test_a_wave_found_again_close_by_came_in_so(machine: sim.TrueMachine) -> None:
@@ -209,8 +209,8 @@ def test_a_wave_found_again_close_by_came_in_so(machine: sim.TrueMachine) -> Non
     first, again = GearRipple("joint_2", 161.3), GearRipple("joint_2", 161.34)
     before = fitted(measured(machine, n=40))
     after, last = replace(before), replace(before)
-    step = Step((first,), Score(90.0, 2, 1e-9, -50.0), (), before, after, first, np.zeros(2))
-    state = State(before).with_step(step).tuned(step, replace(step, effects=(again,), after=last))
+    step = SearchStep((first,), ScoreResult(90.0, 2, 1e-9, -50.0), (), before, after, first, np.zeros(2))
+    state = SearchState(before).with_step(step).tuned(step, replace(step, effects=(again,), after=last))
 
     assert _is_close(first, again) and not _is_close(first, GearRipple("joint_2", 165.0))
     assert not _is_close(first, EncoderSubdivision("joint_2", 161.34))
@@ -220,7 +220,7 @@ def test_a_wave_found_again_close_by_came_in_so(machine: sim.TrueMachine) -> Non
 
 
 def test_a_grid_of_positions_does_not_tell_orders_apart(machine: sim.TrueMachine) -> None:
-    """At multiples of 5 degrees 100 waves a turn are 28, 44, 116, ... as well: all are listed."""
+    """At multiples of 5 degrees 100 cycles per revolution are 28, 44, 116, ... as well: all are listed."""
     rows = measured(machine, sim.GearRipple(joint="joint_3", size=1e-4, order=100.0), grid=np.deg2rad(5.0))
     orders = sorted(tone.locus.order or 0.0 for tone in strongest(fitted(rows)) if tone.locus.joint == "joint_3")
 
@@ -241,13 +241,13 @@ def test_a_known_order_shows_sooner(machine: sim.TrueMachine) -> None:
 
 
 def test_an_order_is_named_by_the_user() -> None:
-    """A wave is found by name with any number of waves a turn; a word is none."""
+    """A wave is found by name with any number of cycles per revolution; a word is none."""
     chain = Chain.of(Robot.from_urdf(kuka_urdf_path(), tip="tool0"))
     conditions = Conditions.at(chain.robot.random_configurations(20, np.random.default_rng(0)))
 
     assert find_effect("gear_ripple:joint_3:order=100.5", chain, conditions) == GearRipple("joint_3", 100.5)
     assert find_effect("encoder_subdivision:joint_1:order=512", chain, conditions) == EncoderSubdivision("joint_1", 512.0)
-    with pytest.raises(BadInputError, match="order=many; expected a number of waves a turn"):
+    with pytest.raises(BadInputError, match="order=many; expected a number of cycles per revolution"):
         find_effect("gear_ripple:joint_3:order=many", chain, conditions)
-    with pytest.raises(BadInputError, match="lines a turn are not known"):
+    with pytest.raises(BadInputError, match="lines per revolution are not known"):
         find_effect("encoder_subdivision:joint_1", chain, conditions)

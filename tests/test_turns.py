@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from placed_arms import run
 
-from pincal.calibration.calibrated import CalibratedModel, estimate_of
+from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import measurements_from_arrays
@@ -17,6 +17,7 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effects import BaseFrame, Effect, ToolFrame
 from pincal.model.model import Model
+from pincal.parameters import estimate_of
 from pincal.robot.robot import Robot
 
 SPAN = (-2.5, 2.5)
@@ -102,7 +103,7 @@ def test_predict_tells_it(kuka: Robot, tmp_path: Path, capsys: pytest.CaptureFix
     write_table(tmp_path / "poses.csv", dict(zip(kuka.joint_names, poses(1).q.T, strict=True)))
 
     assert run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "out.csv") == 0
-    assert "30 rows have joint_1 a turn away from where the transmission_error of joint_1" in capsys.readouterr().err
+    assert "30 rows have joint_1 a revolution away from where the transmission_error of joint_1" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("split", ["random", "blocked"])

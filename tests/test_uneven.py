@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import binom
 from test_scatter import NOISE, measured
 
-from pincal.discover.nuisance import score_test_beside_nuisances
-from pincal.discover.uneven import p_value_of_uneven_noise
-from pincal.identify.calibrate import calibrate
+from pincal.discover.scatter import p_value_of_uneven_noise
+from pincal.discover.score_tests import score_test_given_nuisances
+from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import without
 from pincal.identify.options import Options
 from pincal.model.catalogue import GearEccentricity, GearRipple
@@ -19,8 +19,8 @@ RIPPLE = GearRipple("joint_3", 77.3)
 
 def p_values(robot: Robot, scatter: float, seed: int, poses: int = 70) -> tuple[float, float]:
     """Return the p-value of the ripple by the score test, and that which holds whatever the noise is."""
-    fit = calibrate(robot, measured(robot, scatter, seed=seed, poses=poses), Options(effects=GEOMETRIC, sigma=NOISE))
-    tests = score_test_beside_nuisances(fit, [RIPPLE])
+    fit = fit_tables(robot, measured(robot, scatter, seed=seed, poses=poses), Options(effects=GEOMETRIC, sigma=NOISE))
+    tests = score_test_given_nuisances(fit, [RIPPLE])
     return tests.score([0], 1).p_value, p_value_of_uneven_noise(fit, tests)
 
 
@@ -37,10 +37,10 @@ def test_an_effect_may_go_before_another_is_tested(scatter: float, kuka: Robot) 
     """From the rows of the fit with it follows what those of the fit without it say."""
     gone = GearEccentricity("joint_2")
     table = measured(kuka, scatter, seed=4, poses=70)
-    fit = calibrate(kuka, table, Options(effects=(*GEOMETRIC, gone), sigma=NOISE))
+    fit = fit_tables(kuka, table, Options(effects=(*GEOMETRIC, gone), sigma=NOISE))
     rest = without(fit, gone)
-    tests = score_test_beside_nuisances(fit, [RIPPLE, gone]).among([0], fit.names_of([gone]))
-    expected = score_test_beside_nuisances(rest, [RIPPLE])
+    tests = score_test_given_nuisances(fit, [RIPPLE, gone]).among([0], fit.names_of([gone]))
+    expected = score_test_given_nuisances(rest, [RIPPLE])
 
     assert tests.score([0], 1).p_value == pytest.approx(expected.score([0], 1).p_value, rel=1e-3)
     assert p_value_of_uneven_noise(fit, tests) == pytest.approx(p_value_of_uneven_noise(rest, expected), rel=1e-3)

@@ -139,3 +139,19 @@ def test_a_fit_of_several_stations_is_the_same_object(fit: pincal.Fit) -> None:
     np.testing.assert_allclose(next(tips), next(tips), rtol=0.0, atol=1e-3)  # both stand in the same place [m]
     with pytest.raises(pincal.BadInputError, match=r"there are 2: east, west; choose one with fit.at\(NAME\)"):
         two.predict(q)
+
+
+def test_a_robot_of_a_file_with_one_station_is_used_as_its_model(fit: pincal.Fit, tmp_path: Path) -> None:
+    """It predicts the same, and is saved in the same bytes; names of 0.1.0 warn."""
+    paths = [tmp_path / name for name in ("model.json", "again.json")]
+    fit.save(paths[0])
+    robot = pincal.load_stations(paths[0])
+    robot.save(paths[1])
+    q = np.zeros(robot.at().model.chain.robot.n_joints)
+
+    np.testing.assert_array_equal(robot.predict(q), pincal.load_model(paths[0]).predict(q))
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    with pytest.warns(DeprecationWarning, match=r"pincal.CalibratedStations is now pincal.CalibratedRobot"):
+        assert isinstance(robot, pincal.CalibratedStations)
+    with pytest.warns(DeprecationWarning, match="to_stations"):
+        assert fit.to_stations().names == fit.names

@@ -11,9 +11,9 @@ from placed_arms import FIRST, MOVE, NOISE, measured, run, transform, written
 
 from pincal import simulate as sim
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.fit import calibrate
+from pincal.calibration.calibrated_fit import calibrate
 from pincal.calibration.validation import validate_rows
-from pincal.diagnosis.run import diagnose
+from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
@@ -21,7 +21,7 @@ from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
 from pincal.robot.robot import Robot
 from pincal.simulate.paper_machine import PaperMachine
-from pincal.validate.agreement import is_anothers
+from pincal.validate.agreement import belongs_to_other_robot
 
 AWAY = MOVE @ FIRST
 
@@ -90,7 +90,7 @@ def test_many_changes_at_once_may_be_another_robot(machine: sim.TrueMachine, kuk
     found = diagnose(model, measured(drawn(5), kuka, poses=40)).found
 
     assert found.changed and len(found.changes) >= 4
-    assert any("of this very robot" in note.text for note in found.warnings)
+    assert any("are of this robot" in note.text for note in found.warnings)
 
 
 def altered(table: Measurements, change: str) -> Measurements:
@@ -166,9 +166,9 @@ def test_a_calibration_that_is_another_robots_does_no_good() -> None:
     """Rows off by e + a of the correction d, with e across d, are another robot's from a = 1/2 on, if d is large enough."""
     d, e = np.tile([1e-3, 0.0, 0.0], (50, 1)), np.tile([0.0, 3e-4, 0.0], (50, 1))
 
-    assert is_anothers(e + 0.6 * d, e - 0.4 * d, allowed=3e-4)
-    assert not is_anothers(e + 0.4 * d, e - 0.6 * d, allowed=3e-4)
-    assert not is_anothers(e + 0.6 * d, e - 0.4 * d, allowed=6e-4)
+    assert belongs_to_other_robot(e + 0.6 * d, e - 0.4 * d, allowed=3e-4)
+    assert not belongs_to_other_robot(e + 0.4 * d, e - 0.6 * d, allowed=3e-4)
+    assert not belongs_to_other_robot(e + 0.6 * d, e - 0.4 * d, allowed=6e-4)
 
 
 def test_rows_that_are_too_few_to_place(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel) -> None:
@@ -176,20 +176,20 @@ def test_rows_that_are_too_few_to_place(machine: sim.TrueMachine, kuka: Robot, m
     here, away = (measured(machine, kuka, poses=2, T_instrument_base=at) for at in (FIRST, AWAY))
 
     assert validate_rows([model], here).placed == "as calibrated"
-    with pytest.raises(BadInputError, match=r"2 rows of kind position; .* as calibrated, they are off by \d+ mm"):
+    with pytest.raises(BadInputError, match=r"2 position measurements; .* as calibrated, they are off by \d+ mm"):
         validate_rows([model], away)
 
 
 def test_the_nearest_station_is_taken(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Of a robot calibrated at two stations the one that the rows are of; one that is chosen stays."""
     tables = {name: measured(machine, kuka, seed=k, poses=80, T_instrument_base=at) for k, (name, at) in enumerate(ENDS)}
-    models = calibrate(kuka, tables, Options(effects=GEOMETRIC)).to_stations().models
+    models = calibrate(kuka, tables, Options(effects=GEOMETRIC)).models
     rows = measured(machine, kuka, seed=9, T_instrument_base=AWAY)
     found = validate_rows(list(models.values()), rows)
 
     assert found.placed == "as calibrated" and found.model is models["tuesday"]
     forced = validate_rows([models["monday"]], rows, refit=False)
-    assert forced.placed == "as calibrated" and "fit another place" in forced.notes[0].text and forced.doubt == ""
+    assert forced.placed == "as calibrated" and "fit another pose" in forced.notes[0].text and forced.doubt == ""
 
 
 ENDS = (("monday", FIRST), ("tuesday", AWAY))
@@ -215,7 +215,7 @@ def test_the_command_tells_places_and_exits(
     assert found["mean_mm"] < 0.12 and found["stations"][1]["error"]["mean_mm"] < 0.12
 
     assert run("validate", tmp_path / "model.json", away) == 0
-    assert "placed again from these rows: the instrument moved by 1300 mm" in capsys.readouterr().out
+    assert "located again from these rows: the instrument moved by 1300 mm" in capsys.readouterr().out
     assert run("validate", tmp_path / "model.json", here, bent, "--max-error", "1um") == 6
     told = capsys.readouterr()
     assert "bent.csv: off by" in told.err and "pincal diagnose" in told.err and "calibrated" in told.out

@@ -15,15 +15,14 @@ from scipy.stats import chi2, f
 from pincal import Options, Robot, measurements_from_arrays, run_calibration, run_discovery
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.run import Calibration
-from pincal.io.result_file import ResultFile
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.result import ResultFile
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.notes import Note, Severity, doubts_first
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
-from pincal.validate.misfit import MISFIT
-from pincal.validate.verdict import POWER, TWICE, Beside, Verdict, judge, tells
+from pincal.validate.misfit import MISFIT, POWER, TWICE, NoiseTest, Verdict, judge, tells
 
 URDF = kuka_urdf_path()
 DOUBT, REMARK = Note(Severity.DOUBT, "something is wrong", (3, 4)), Note(Severity.NOTE, "something is so")
@@ -51,7 +50,7 @@ def written(path: Path, table: Measurements) -> Path:
 
 def test_the_rule_of_verdicts() -> None:
     """Adequate needs a known noise, residuals within it, enough poses, no doubt and nothing left; nothing else is said."""
-    fits, misses = Beside("the noise", 1.0, 0.5), Beside("the noise", 1.5, 1e-6)
+    fits, misses = NoiseTest("the noise", 1.0, 0.5), NoiseTest("the noise", 1.5, 1e-6)
     cases = itertools.product((None, fits, misses), ((), (DOUBT,)), *[(False, True)] * 3)
     for beside, doubts, unusable, left, few in cases:
         verdict = judge(beside, doubts, unusable=unusable, left=left, few=few)

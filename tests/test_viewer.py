@@ -13,7 +13,8 @@ import trimesh
 from click.testing import CliRunner
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel, estimate_of, save_model
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import save_model
 from pincal.calibration.covered import Covered
 from pincal.cli import main
 from pincal.cli.view import view
@@ -24,6 +25,7 @@ from pincal.model.catalogue import AxisWobble, GearEccentricity, ThermalOffset
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
+from pincal.parameters import estimate_of
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
@@ -254,7 +256,7 @@ def test_hostile_names_stay_text(rng: np.random.Generator) -> None:
     escaped = HOSTILE.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     robot = small_robot(name=escaped, joint=escaped)
     calibrated = machine(robot, rng)
-    text = page(build_scene(calibrated, measured(calibrated, rng), grid=30, notes=["</script>\n<b>"]))
+    text = page(build_scene(calibrated, measured(calibrated, rng), grid=30).opening(notes=["</script>\n<b>"]))
 
     assert robot.name == HOSTILE
     assert "<script>alert" not in text
@@ -295,13 +297,13 @@ def test_a_robot_that_hangs_is_drawn_hanging(kuka: Robot, rng: np.random.Generat
     assert np.allclose(scene.T_scene_base[:3, :3] @ gravity, [0.0, 0.0, -np.linalg.norm(gravity)])
 
 
-@pytest.mark.parametrize(
-    ("options", "word"), [({"scale": 0.0}, "scale"), ({"q": np.zeros(3)}, "pose"), ({"grid": 0}, "nothing")]
-)
+@pytest.mark.parametrize(("options", "word"), [({"scale": 0.0}, "scale"), ({"grid": 0}, "nothing")])
 def test_what_can_not_be_drawn_is_refused(kuka: Robot, rng: np.random.Generator, options: dict, word: str) -> None:
     """Factors, poses and fields that make no sense are named."""
     with pytest.raises(BadInputError, match=word):
         build_scene(machine(kuka, rng), **{"grid": 30, **options})
+    with pytest.raises(BadInputError, match="pose"):
+        build_scene(machine(kuka, rng), grid=30).opening(np.zeros(3))
 
 
 def test_held_out_rows_are_those_that_the_calibration_names(tmp_path: Path, kuka: Robot, rng: np.random.Generator) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from pincal.cli import main
 from pincal.errors import PincalWarning, RobotFileError
-from pincal.robot.packages import find_mesh, packages_beside
+from pincal.robot.packages import find_mesh, neighbouring_packages
 from pincal.robot.robot import Robot
 
 ARM = """<robot name="$(arg name)" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -43,7 +43,7 @@ def workspace(tmp_path: Path) -> Path:
 
 def test_packages_are_found_around_the_file(workspace: Path) -> None:
     """Packages go by the name in their package.xml, wherever in the workspace they lie; so do the meshes in them."""
-    found = packages_beside(workspace)
+    found = neighbouring_packages(workspace)
     mesh = workspace.parents[2] / "group/parts_v2/mesh/link.stl"
 
     assert found == {"arm": workspace.parents[1], "parts": mesh.parents[1]}

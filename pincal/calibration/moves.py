@@ -18,10 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr, chdtrc
 
-from pincal.identify.fit import Fit
+from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
-from pincal.identify.posterior import Contribution, eliminate, posterior
-from pincal.model.effect import Effect, Family
+from pincal.identify.posterior import eliminate, posterior
+from pincal.identify.quadratic import Form, Quadratic
+from pincal.identify.selection import Scored, select_stepwise
+from pincal.model.effect import Family
 from pincal.parameters import Parameter
 
 # Chance that anything is said to have moved on a robot that is the same at all stations.
@@ -45,7 +47,7 @@ _MOST, _MOST_STATIONS = 6, 100
 
 
 @dataclass(frozen=True)
-class Move:
+class ParameterChange:
     """What a parameter of the robot is at a station.
 
     Attributes:
@@ -62,27 +64,18 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Said:
-    """What the rows of a station say of the C parameters of the robot that are free.
+class StationInformation:
+    """What the rows of a station say of the C parameters of the robot that are free, its own ones eliminated.
 
     Attributes:
+        form: their squares, in units of the noise.
         places: shape (C,), where these stand among all that are shared and free.
-        left: what is left with the station's own parameters eliminated.
-        whole: shape (C,), the diagonal of their information before that.
-        square: sum of squares of the readings in units of their noise.
-        readings: number of readings.
+        own_spent: number of parameters that the station spends on its own ones.
     """
 
+    form: Quadratic
     places: np.ndarray
-    left: Contribution
-    whole: np.ndarray
-    square: float
-    readings: float
-
-    @property
-    def own_spent(self) -> float:
-        """Number of parameters that the station spends on its own ones."""
-        return float(np.sum(self.left.alone.frame_rank + self.left.alone.has_prior.sum()))
+    own_spent: float
 
     @property
     def noise_squared(self) -> float:
@@ -90,17 +83,13 @@ class Said:
 
         1 unless it is smaller than chance allows: a fit takes for noise what it can't follow.
         """
-        values, vectors = np.linalg.eigh(self.left.G * np.outer(scale := np.maximum(self.whole, 1e-300) ** -0.5, scale))
-        seen = values > _SEEN
-        along = vectors[:, seen].T @ (scale * self.left.g) / np.sqrt(values[seen])
-        own = self.left.alone.step @ self.left.information @ self.left.alone.step
-        degrees = self.readings - self.own_spent - int(seen.sum())
-        square = self.square - float(along @ along) - float(own)
+        gain, rank = self.form.gain(np.arange(len(self.places)), _SEEN)
+        square, degrees = self.form.square - gain, self.form.degrees - rank
         return max(square, 1e-12) / degrees if degrees > 0 and chdtr(degrees, square) < _UNLIKELY else 1.0
 
 
 @dataclass(frozen=True)
-class _Told:
+class _StationsInformation:
     """What K stations say of the robot's F parameters.
 
     Attributes:
@@ -155,25 +144,25 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.asarray((spread / values) @ spread.T)
 
 
-def moves_of(fit: Fit) -> tuple[tuple[Move, ...], ...]:
+def moves_of(fit: ModelFit) -> tuple[tuple[ParameterChange, ...], ...]:
     """Return, for each of several stations, those parameters of the robot that are not the same at all of them."""
     n = len(fit.problem.stations)
     own = [list(_of_station(fit, k)) for k in range(n)]
     if n > _MOST_STATIONS:
         return tuple(map(tuple, own))
     shared = np.flatnonzero(fit.solution.free & fit.problem.is_shared)
-    told = _told(fit, shared)
+    told = _information_of(fit, shared)
     chosen = _moved(told)
     if chosen:
         station, parameter, values, covariance = told.released(chosen)
         for p in chosen:
             rows = np.flatnonzero(parameter == p)
             for k, change, sigma, moved in _course(station[rows], values[rows], covariance[np.ix_(rows, rows)]):
-                own[k].append(Move(fit.problem.parameters[shared[p]], change, sigma, moved))
+                own[k].append(ParameterChange(fit.problem.parameters[shared[p]], change, sigma, moved))
     return tuple(map(tuple, own))
 
 
-def _told(fit: Fit, shared: np.ndarray) -> _Told:
+def _information_of(fit: ModelFit, shared: np.ndarray) -> _StationsInformation:
     problem, solution, F = fit.problem, fit.solution, len(shared)
     K = len(problem.stations)
     G, g, seen = np.zeros((K, F, F)), np.zeros((K, F)), np.zeros((K, F), bool)
@@ -182,58 +171,62 @@ def _told(fit: Fit, shared: np.ndarray) -> _Told:
         weights = solution.weights[rows]
         # So many rows do not contradict the robot by mistake: it is another one there.
         weights = weights if np.mean(weights == 0.0) <= _OUTLIERS else np.ones_like(weights)
-        said = said_at(fit, k, weights)
+        said = information_at(fit, k, weights)
         declared = fit.noise.declared[blocks.start] or 0.0
         at, noise = said.places, max(said.noise_squared, (declared / solution.sigma[blocks.start]) ** 2)
-        G[k][np.ix_(at, at)], g[k, at] = said.left.G / noise, said.left.g / noise
-        seen[k, at] = np.diag(said.left.G) > _SEEN * said.whole
+        G[k][np.ix_(at, at)], g[k, at] = said.form.H / noise, said.form.g / noise
+        seen[k, at] = np.diag(said.form.H) > _SEEN * said.form.whole
     model, _ = fit.arm
-    of_drives = {p.name for e in model.effects if _is_usual(e) for p in e.parameters(model.chain)}
+    zeros = (e for e in model.effects if e.family is Family.GEOMETRY and e.locus.acts_on == "drive")
+    of_drives = {p.name for effect in zeros for p in effect.parameters(model.chain)}
     usual = np.array([problem.parameters[place].name in of_drives for place in shared], bool)
     sizes, offsets = fit.priors.sizes[shared], fit.values[shared]
-    found = posterior(G.sum(axis=0), g.sum(axis=0), sizes, offsets)
-    return _Told(G, g - G @ found.step, seen & np.isfinite(sizes), found.covariance, _WIDE * sizes, usual)
+    found = posterior(Form.of(G.sum(axis=0), g.sum(axis=0)), sizes, offsets)
+    return _StationsInformation(G, g - G @ found.step, seen & np.isfinite(sizes), found.covariance, _WIDE * sizes, usual)
 
 
-def _is_usual(effect: Effect) -> bool:
-    return effect.family is Family.GEOMETRY and effect.locus.acts_on == "drive"
-
-
-def said_at(fit: Fit, k: int, weights: np.ndarray | None = None) -> Said:
+def information_at(fit: ModelFit, k: int, weights: np.ndarray | None = None) -> StationInformation:
     """Return what a station says of the robot; with weights of its rows, shape (N,), other than those of the fit."""
     problem, solution = fit.problem, fit.solution
     station, places, blocks = problem.stations[k], problem.places[k], problem.block_spans[k]
     free, values = solution.free[places], solution.values[places]
     weights = solution.weights[problem.rows[k]] if weights is None else weights
     normal = accumulate(station, values, free, weights)
-    own = ~problem.is_shared[places][free]
-    G, g = normal.at(solution.sigma[blocks])
-    left = eliminate(G, g, own, fit.priors.sizes[places][free], values[free])
-    at = np.searchsorted(np.flatnonzero(solution.free & problem.is_shared), places[free][~own])
-    square = float(normal.squares @ solution.sigma[blocks] ** -2.0)
+    is_own, form = station.is_own[free], normal.at(solution.sigma[blocks])
+    left, own = eliminate(form, is_own, fit.priors.sizes[places][free], values[free])
+    spent, step = float(np.sum(own.alone.frame_rank + own.alone.has_prior.sum())), own.alone.step
+    square = float(normal.squares @ solution.sigma[blocks] ** -2.0 - step @ own.balance.form.H @ step)
+    square -= float(own.precision @ step**2)
     readings = float(np.sum(weights > 0.0) * sum(block.size for block in station.sensor.blocks))
-    return Said(at, left, np.diag(G)[~own], square, readings)
+    robots = problem.is_shared & solution.free
+    # A station that is alone shares all.
+    robots[places[station.is_own]] = False
+    shared = np.flatnonzero(robots)
+    at = np.searchsorted(shared, places[free][~is_own])
+    names = tuple(problem.parameters[place].name for place in shared[at])
+    found = Quadratic(**vars(left), names=names, square=square, degrees=readings - spent)
+    return StationInformation(found, at, spent)
 
 
-def spent_at(fit: Fit, k: int) -> float:
+def spent_at(fit: ModelFit, k: int) -> float:
     """Return how many parameters the rows of a station pay for: its own ones, and its part of the robot's."""
-    said = said_at(fit, k)
+    said = information_at(fit, k)
     covariance = fit.solution.posterior.covariance[np.ix_(said.places, said.places)]
-    return said.own_spent + float(np.sum(said.left.G * covariance))
+    return said.own_spent + float(np.sum(said.form.H * covariance))
 
 
-def _moved(told: _Told) -> list[int]:
+def _moved(told: _StationsInformation) -> tuple[int, ...]:
     """Return the parameters that are not the same at all stations, the one that explains most first."""
     candidates = [p for p in range(told.G.shape[1]) if told.seen[:, p].sum() > 1]
-    chosen: list[int] = []
-    while len(chosen) < _MOST:
+
+    def gains(chosen: tuple[int, ...]) -> Iterator[Scored[int]]:
         before = told.gain(chosen)
-        gains = {p: told.gain([*chosen, p]) - before for p in candidates if p not in chosen}
-        best = max(gains, key=lambda p: gains[p] + _USUAL * told.usual[p], default=None)
-        if best is None or chdtrc(told.seen[:, best].sum() - 1, gains[best]) >= _ALPHA / len(candidates):
-            break
-        chosen.append(best)
-    return chosen
+        for p in (p for p in candidates if p not in chosen):
+            gain = told.gain([*chosen, p]) - before
+            chance = chdtrc(told.seen[:, p].sum() - 1, gain)
+            yield Scored(p, -gain - _USUAL * told.usual[p], chance < _ALPHA / len(candidates))
+
+    return select_stepwise((), gains, lambda chosen, p: (*chosen, p), most=_MOST)
 
 
 def _course(station: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[int, float, float, bool]]:
@@ -251,7 +244,7 @@ def _between(i: int, j: int, values: np.ndarray, covariance: np.ndarray) -> tupl
     return float(values[j] - values[i]), float(max(variance, 1e-300))
 
 
-def _of_station(fit: Fit, k: int) -> Iterator[Move]:
+def _of_station(fit: ModelFit, k: int) -> Iterator[ParameterChange]:
     """Yield what the model itself has of a joint at a station alone."""
     station, places = fit.problem.stations[k], fit.problem.places[k]
     model, sigma = station.model, fit.estimate.fitted_sigma
@@ -259,4 +252,4 @@ def _of_station(fit: Fit, k: int) -> Iterator[Move]:
         if effect.locus.station is not None and effect.locus.joint is not None:
             for local in range(span.start, span.stop):
                 place = places[local]
-                yield Move(model.parameters[local], float(fit.values[place]), float(sigma[place]), moved=True)
+                yield ParameterChange(model.parameters[local], float(fit.values[place]), float(sigma[place]), moved=True)

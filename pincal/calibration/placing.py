@@ -12,17 +12,18 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_of
-from pincal.calibration.day import of_the_day, rows_with_means, unrecorded, varied_by, with_means, words_of
+from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.covered import of_the_day, unrecorded, varied_by, with_means, words_of
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import bounds_of
+from pincal.identify.fit import Priors, Solution
 from pincal.identify.initial import place_arm
 from pincal.identify.noise import Noise
 from pincal.identify.normal import accumulate
 from pincal.identify.options import Options
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors, Solution, solve
+from pincal.identify.solve import solve
 from pincal.identify.station import Station
 from pincal.measure.admit import check_placeable
 from pincal.measure.measurements import Measurements
@@ -30,11 +31,11 @@ from pincal.measure.registry import blocks_of
 from pincal.measure.sensor import Block
 from pincal.measure.setup import Setup
 from pincal.model.effect import Effect
-from pincal.parameters import FRAME_SYMBOLS, Estimate
+from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.robot.se3 import placed as frame_at
 from pincal.robot.se3 import rotation_vectors
 from pincal.units import format_readable
-from pincal.validate.misfit import Misfit, misfit
+from pincal.validate.misfit import Misfit, misfit_at
 
 # Rows that leave a reading elsewhere open by more than this many times its noise have not told where things stand.
 _UNTOLD = 100.0
@@ -43,7 +44,7 @@ _LOOKED_AT = 64
 
 
 @dataclass(frozen=True)
-class Moved:
+class FrameShift:
     """How far things moved from one station to another.
 
     Attributes:
@@ -68,7 +69,7 @@ class Moved:
             ("the target moved by", self.target, "m"),
         )
         told = [f"{words} {format_readable(way, unit, '.4g')}" for words, way, unit in ways if way is not None]
-        return ", ".join(told) or "how far they moved can't be told from such readings"
+        return ", ".join(told) or "such readings do not show how far they moved"
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,7 +87,7 @@ class Placed:
     model: CalibratedModel
     station: Station
     solution: Solution
-    moved: Moved
+    moved: FrameShift
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -99,14 +100,9 @@ class Placed:
 
     def misfit_of(self, rows: np.ndarray) -> Misfit:
         """Return what is left at some of the rows, a mask of shape (N,)."""
-        return misfit(
-            self.station,
-            self.values,
-            covariance=self.model.covariance,
-            found=self.solution.free,
-            sigma=self.model.sigma,
-            robust=rows.astype(float),
-        )
+        known, found, robust = self.model, self.solution.free, rows.astype(float)
+        at = self.station, self.values
+        return misfit_at(*at, covariance=known.covariance, sigma=known.sigma, robust=robust, found=found)
 
     @cached_property
     def misfit(self) -> Misfit:
@@ -115,17 +111,17 @@ class Placed:
 
 
 def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
-    """Find where instrument and targets of a new station stand; the robot stays as it was calibrated.
+    """Locate instrument and targets of a new station; the robot stays as calibrated.
 
     Args:
-        calibrated: the calibrated robot; of several stations, the first one tells how far things moved.
+        calibrated: the calibrated robot; of several stations, displacements refer to the first.
         measurements: rows of the new station, with any instrument.
 
     Returns:
         The robot at the new station. Outliers are left out.
 
     Raises:
-        BadInputError: if the rows are too few, or too much alike, to tell where things stand.
+        BadInputError: if the rows are too few, or too similar, to determine the poses.
 
     Example:
         >>> from pincal import Chain, Conditions, Model, Options, Robot, calibrate, measurements_from_arrays
@@ -140,7 +136,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     known = calibrated.robot_predictor()
     setup = _setup_over(known.setup, measurements)
     check_placeable(measurements, setup)
-    measurements, as_recorded = rows_with_means(measurements, known.model, known.covered.days), measurements
+    measurements, as_recorded = with_means(measurements, known.model, known.covered.days), measurements
     arm = known.with_effects(lambda effect: effect.scope == "robot")
     x, y, z = map(float, known.payload_centre)
     options = Options(payload_centre=(x, y, z), setup=setup)
@@ -148,7 +144,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     problem = Problem((station,))
     free = station.is_own.copy()
     station.split(free)[1][:] = ~station.sensor.fixed
-    unknown, notes = _of_another_day(known, station, as_recorded)
+    unknown, notes = _of_another_session(known, station, as_recorded)
     in_metres = [block.unit == "m" for block in station.sensor.blocks]
     noise = expected_noise(known, station.sensor.blocks, measurements)
     sigma = np.where(in_metres, np.hypot(noise, unknown), noise) if unknown else noise
@@ -164,16 +160,16 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         setup=setup,
         nominal_values=None,
     )
-    _refuse_untold(model, station, solution, source=measurements.source)
+    _refuse_undetermined(model, station, solution, source=measurements.source)
     return Placed(model, station, solution, moved(known, model), notes)
 
 
-def _of_another_day(known: CalibratedModel, station: Station, rows: Measurements) -> tuple[float, tuple[str, ...]]:
+def _of_another_session(known: CalibratedModel, station: Station, rows: Measurements) -> tuple[float, tuple[str, ...]]:
     """Return what a model does not know of rows of another day or set-up, per axis [m], and that in words.
 
     It is as much as effects that are not taken along, and those that follow what the rows lack, did to the target.
     """
-    lacking = set(unrecorded(known.model, lambda column: getattr(rows, column) is not None))
+    lacking = set(unrecorded(known.model, rows))
     left = [effect for effect in known.model.effects if effect in lacking or _is_of_instrument(effect)]
     days, square, notes = known.covered.days, 0.0, []
     for effect in left:
@@ -241,9 +237,9 @@ def _with_own(station: Station, solution: Solution, of_arm: np.ndarray) -> np.nd
     """
     own, known = solution.free, np.diag(of_arm) > 0.0
     free = own | known
-    G, g = accumulate(station, solution.values, free, solution.weights).at(solution.sigma)
+    form = accumulate(station, solution.values, free, solution.weights).at(solution.sigma)
     sizes = np.array([parameter.size for parameter in station.parameters])
-    part = eliminate(G, g, own[free], sizes[free], solution.values[free])
+    _, part = eliminate(form, own[free], sizes[free], solution.values[free])
     C = of_arm[np.ix_(known, known)]
     covariance = of_arm.copy()
     covariance[np.ix_(own, own)] = part.alone.covariance + part.carried @ C @ part.carried.T
@@ -252,7 +248,7 @@ def _with_own(station: Station, solution: Solution, of_arm: np.ndarray) -> np.nd
     return covariance
 
 
-def _refuse_untold(model: CalibratedModel, station: Station, solution: Solution, *, source: str) -> None:
+def _refuse_undetermined(model: CalibratedModel, station: Station, solution: Solution, *, source: str) -> None:
     """Refuse rows that leave open where things stand: in other poses, the readings would be anywhere."""
     if station.sensor.blocks[0].unit != "m":
         return
@@ -264,8 +260,9 @@ def _refuse_untold(model: CalibratedModel, station: Station, solution: Solution,
     worst = max(float(np.einsum("imn,ij,jmn->mn", J[:, :size], K, J[:, :size]).max()) for _, _, J in pieces) ** 0.5
     if worst > _UNTOLD * solution.sigma[0]:
         raise BadInputError(
-            f"{source}: {len(station)} rows leave the place of instrument and target open: in other poses of the robot by "
-            f"{1e3 * worst:.3g} mm; add rows in different poses and with the tool turned in different ways"
+            f"{source}: {len(station)} rows do not determine the pose of instrument and target: predictions in other "
+            f"poses are uncertain by {1e3 * worst:.3g} mm; add rows in different poses and with the tool turned in "
+            "different ways"
         )
 
 
@@ -279,7 +276,7 @@ def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[Cal
     """
     gone = [
         effect
-        for effect in unrecorded(calibrated.model, lambda column: getattr(rows, column) is not None)
+        for effect in unrecorded(calibrated.model, rows)
         if effect.scope == "station" and not set(of_the_day(effect)) <= set(calibrated.covered.days)
     ]
     notes = tuple(words_of(effect, rows.source, size=None, is_left_out=True) for effect in gone)
@@ -287,11 +284,11 @@ def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[Cal
     return found, (*notes, *found.notes_on_day(rows))
 
 
-def moved(before: CalibratedModel, after: CalibratedModel) -> Moved:
+def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
     """Return how far instrument and targets are from where they were, for the same robot at two stations."""
     both = set(before.estimate.names) & set(after.estimate.names)
     instrument = turned = target = None
-    T_instrument_base = [_base(model) for model in (before, after)]
+    T_instrument_base = [frame_at(m.model.chain.base_rotation, _coordinates(m, "base")) for m in (before, after)]
     if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[:3]} <= both:
         origins = [np.linalg.inv(T)[:3, 3] for T in T_instrument_base]
         instrument = float(np.linalg.norm(origins[1] - origins[0]))
@@ -304,12 +301,7 @@ def moved(before: CalibratedModel, after: CalibratedModel) -> Moved:
     if pairs:
         ways = [_coordinates(before, a)[:3] - _coordinates(after, b)[:3] for a, b in pairs]
         target = float(np.linalg.norm(ways, axis=1).max())
-    return Moved(instrument, turned, target)
-
-
-def _base(model: CalibratedModel) -> np.ndarray:
-    """Return the frame of the robot's base in that of the instrument, shape (4, 4)."""
-    return frame_at(model.model.chain.base_rotation, _coordinates(model, "base"))
+    return FrameShift(instrument, turned, target)
 
 
 def _coordinates(model: CalibratedModel, element: str) -> np.ndarray:

@@ -12,11 +12,10 @@ from msgspec import UNSET, to_builtins
 from scipy.special import chdtrc
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.moves import Move, moves_of, spent_at
-from pincal.calibration.notes import (
+from pincal.calibration.caveats import (
     UNUSABLE,
-    Finding,
-    Kind,
+    Caveat,
+    CaveatKind,
     Readings,
     findings_on_data,
     findings_on_fit,
@@ -26,18 +25,18 @@ from pincal.calibration.notes import (
     findings_on_plausibility,
     findings_on_replicates,
 )
-from pincal.calibration.parameters import ParameterRow, parameter_rows
+from pincal.calibration.held_out import LeftOut, StationRows, errors_held_out, headline_of
+from pincal.calibration.moves import ParameterChange, moves_of, spent_at
 from pincal.calibration.placing import moved
-from pincal.calibration.rows import LeftOut, StationRows, errors_held_out, headline_of
-from pincal.identify.fit import Fit
+from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
+from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
-from pincal.io.result_file import Correlation, Errors, MovedParameter, NoiseRecord, Outcome, StationRecord
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, doubts_first, doubts_of
-from pincal.validate.accuracy import error_statistics, pose_error_sizes
+from pincal.validate.accuracy import Replicates, error_statistics, error_summary, iso9283, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
-from pincal.validate.replicates import Replicates, iso9283
-from pincal.validate.verdict import Beside, Verdict, judge, tells
+from pincal.validate.misfit import NoiseTest, Verdict, judge, tells
+from pincal.validate.outcome import Correlation, Errors, MovedParameter, NoiseRecord, Outcome, StationRecord
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
 _CORRELATED = 0.9
@@ -51,7 +50,7 @@ class Result(Outcome):
 
     parameters: tuple[ParameterRow, ...]
     doubt: str = ""
-    """Why this is no calibration though the fit converged; empty if it is one."""
+    """Why the calibration is rejected though the fit converged; empty if it is not."""
     shift: str = ""
     """Where rows shift from some line on, so that they are of two set-ups and not of one; empty if they do not."""
 
@@ -61,19 +60,18 @@ class Result(Outcome):
         return doubts_of(self.warnings)
 
     @property
-    def beside(self) -> Beside | None:
+    def beside(self) -> NoiseTest | None:
         """The residuals beside a noise that is known without the model; None if there is none.
 
         Where repeated poses tell the noise it is theirs, which holds what the robot itself does not repeat.
         """
         lacks = [self.lack_of_fit] if self.stations is UNSET else [record.get("lack_of_fit") for record in self.stations]
-        known = [lack for lack in lacks if lack is not None and tells(lack.degrees.misfit, lack.degrees.pure_error)]
+        known = [beside for lack in lacks if lack is not None and (beside := lack.beside) is not None]
         if known and len(known) == len(lacks):
-            worst = min(known, key=lambda lack: lack.p_value)
-            return Beside("the scatter between repeated measurements of a pose", worst.F**0.5, worst.p_value)
+            return min(known, key=lambda beside: beside.p_value)
         if self.chi2_p_value is None:
             return None
-        return Beside("the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value)
+        return NoiseTest("the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value)
 
     def verdict_of(self, *, left: bool = False) -> Verdict:
         """Return whether the model explains the data; ``left`` says that a search saw that it does not."""
@@ -99,8 +97,22 @@ class Result(Outcome):
         return contents | {"verdict": self.verdict_of().value}
 
 
+@dataclass(frozen=True, kw_only=True)
+class ResultFile(Outcome):
+    """The whole of ``result.json``.
+
+    Attributes:
+        parameters: every parameter, those that were not identified with the reason.
+        verdict: whether the residuals are explained by the noise; not in files of version 0.1.0.
+    """
+
+    parameters: tuple[ParameterRecord, ...]
+    warnings: tuple[Note | str, ...]  # type: ignore[assignment]
+    verdict: Verdict = Verdict.NOT_JUDGED
+
+
 def result_of(
-    fit: Fit,
+    fit: ModelFit,
     rows: Sequence[StationRows],
     *,
     seconds: float,
@@ -122,7 +134,12 @@ def result_of(
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
     again = [_replicates(fit, k, part) for k, part in enumerate(seen)]
     iso, lack = again[0] if len(seen) == 1 else (None, None)
-    on_replicates = [n for part, (_, lack) in zip(seen, again, strict=True) for n in _on_replicates(part, lack, p_value)]
+    # Of the only station nothing tells which it is.
+    on_replicates = [
+        replace(found, station=part.rows.name)
+        for part, (_, lack) in zip(seen, again, strict=True)
+        for found in findings_on_replicates(lack, p_value)
+    ]
     read = Readings.of(fit, [part.poses[0] for part in seen])
     found = [
         *findings_on_plausibility(fit, [part.train for part in rows]),
@@ -131,9 +148,9 @@ def result_of(
         *_on_rows(seen, left_out),
         *on_replicates,
     ]
-    if len(on_replicates) == len(seen) and all(n.kind is Kind.NOISY_REPLICATES for n in on_replicates):
+    if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
         # What exceeds the declared noise is the scatter between replicates, which is told.
-        found = [n for n in found if n.kind is not Kind.NOISE_EXCEEDED]
+        found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]
     fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
     error = _errors(fit, seen)
     alone = [one for one in left_out if one.sizes]
@@ -160,7 +177,7 @@ def result_of(
         warnings=doubts_first([*notes, *(n.note for n in found)]),
         degrees=read.degrees,
         doubt=next((str(n) for n in found if n.kind in UNUSABLE), ""),
-        shift=next((str(n) for n in found if n.kind is Kind.STEP), ""),
+        shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
         iso9283=iso,
         lack_of_fit=lack,
         stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
@@ -190,7 +207,7 @@ class _Seen:
     free: np.ndarray
 
     @classmethod
-    def of(cls, fit: Fit, k: int, rows: StationRows) -> _Seen:
+    def of(cls, fit: ModelFit, k: int, rows: StationRows) -> _Seen:
         problem = fit.problem
         values = {"nominal": fit.nominal.values[problem.places[k]], "calibrated": fit.values[problem.places[k]]}
         weights = fit.solution.weights[problem.rows[k]]
@@ -213,14 +230,14 @@ class _Seen:
         return [int(line) for line in self.rows.measured[0].rows[self.rows.by_row(self.weights) == 0.0]]
 
     @property
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[Caveat]:
         """What to say of them."""
         values, rejected = self.values["calibrated"], self.weights == 0.0
         found = findings_on_outliers(self.train, values, self.free, table=self.rows.train, rejected=rejected)
         return [*found, *findings_on_order(self.train)]
 
 
-def _errors(fit: Fit, seen: Sequence[_Seen]) -> Errors:
+def _errors(fit: ModelFit, seen: Sequence[_Seen]) -> Errors:
     """Return the errors of stations taken together, by model and part.
 
     Where rows are held out in two ways, the one in which the model predicts worse is the part "test".
@@ -237,20 +254,8 @@ def _errors(fit: Fit, seen: Sequence[_Seen]) -> Errors:
     return found
 
 
-def _errors_of_stations(seen: Sequence[_Seen]) -> Errors:
-    """Return the errors of stations taken together, by model and part, however rows are held out."""
-    parts = [part for part in ("train", "test") if any(part in station.parts for station in seen)]
-    return {
-        model: {
-            part: error_statistics(pose_error_sizes(s.parts[part], s.values[model]) for s in seen if part in s.parts)
-            for part in parts
-        }
-        for model in ("nominal", "calibrated")
-    }
-
-
 def _records(
-    fit: Fit,
+    fit: ModelFit,
     seen: Sequence[_Seen],
     left_out: Sequence[LeftOut],
     again: Sequence[tuple[dict[str, Any] | None, LackOfFit | None]],
@@ -264,7 +269,10 @@ def _records(
             "rows": {"train": len(station.rows.measured[0]), "test": len(station.rows.measured[1])},
             "noise": _noise(fit, station.blocks),
             "outliers": station.outliers,
-            "error": _errors_of_stations([station]),
+            "error": {
+                model: {part: error_summary(at, values) for part, at in station.parts.items()}
+                for model, values in station.values.items()
+            },
         }
         way = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
         if way is not None:
@@ -281,25 +289,25 @@ def _records(
         yield record
 
 
-def _moved(move: Move) -> MovedParameter:
+def _moved(move: ParameterChange) -> MovedParameter:
     at = move.parameter
     return {"name": at.name, "unit": at.unit, "change": move.change, "sigma": move.sigma, "moved": move.moved}
 
 
-def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Finding]:
+def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Caveat]:
     """Yield what was found of the rows of each station: the fitted ones, then those that judge."""
     for part in seen:
         yield from part.findings
     if not left_out and not any(part.test for part in seen):
-        yield Finding(Kind.NOT_HELD_OUT)
+        yield Caveat(CaveatKind.NOT_HELD_OUT)
     for one in left_out:
         if one.obstacle:
-            yield Finding(Kind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
+            yield Caveat(CaveatKind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
     for part in seen:
         yield from findings_on_held_out(part.test, part.values["calibrated"], part.rows.test)
 
 
-def _replicates(fit: Fit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
+def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where a station measured poses again."""
     (train, test), (train_poses, test_poses) = seen.rows.measured, seen.poses
     if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
@@ -315,12 +323,7 @@ def _replicates(fit: Fit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, L
     return iso9283(found, seen.values), lack
 
 
-def _on_replicates(seen: _Seen, lack: LackOfFit | None, p_value: float | None) -> Iterator[Finding]:
-    """Yield what the replicates of a station say; of the only one nothing tells which it is."""
-    yield from (replace(found, station=seen.rows.name) for found in findings_on_replicates(lack, p_value))
-
-
-def _noise(fit: Fit, blocks: slice = slice(None)) -> NoiseRecord:
+def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
     """Return the noise of some blocks of readings; of several of one unit the root mean square over readings."""
     of_blocks = zip(fit.problem.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True)
     rows = np.repeat([len(station) for station in fit.problem.stations], [b.stop - b.start for b in fit.problem.block_spans])
@@ -341,7 +344,7 @@ def _root_mean_square(sizes: list[tuple[float, float]]) -> float:
     return float(np.sqrt(np.average(values**2, weights=weights)))
 
 
-def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:
+def _correlations(fit: ModelFit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:
     """Return the strongest correlations between identified parameters, those of base and tool left out."""
     C = fit.solution.posterior.covariance
     sd = np.sqrt(np.diag(C))
@@ -349,7 +352,7 @@ def _correlations(fit: Fit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation
     shared = fit.solution.free & fit.problem.is_shared
     parameters = [p for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared]
     identified = {row.name for row in rows if row.status == "identified"}
-    inner = np.array([np.isfinite(p.size) and p.name in identified for p in parameters], bool)
+    inner = np.array([not p.is_extrinsic and p.name in identified for p in parameters], bool)
     pairs = [
         (float(correlation[i, j]), parameters[i].name, parameters[j].name)
         for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1) & np.outer(inner, inner)), strict=True)

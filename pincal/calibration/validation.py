@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import inside_curves
-from pincal.calibration.placing import Moved, Placed, expected_noise, place_station
+from pincal.calibration.placing import FrameShift, Placed, expected_noise, place_station
 from pincal.errors import BadInputError
 from pincal.identify.fingerprints import known_rows, together
 from pincal.identify.options import Options
@@ -20,11 +20,10 @@ from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, Severity
-from pincal.validate.accuracy import error_table, pose_errors
-from pincal.validate.agreement import is_anothers, mix_up, nominal_displacements
+from pincal.validate.accuracy import error_summary, pose_errors
+from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
-from pincal.validate.misfit import Misfit, has_moved, misfit
-from pincal.validate.verdict import Beside, Verdict, judge, tells
+from pincal.validate.misfit import Misfit, NoiseTest, Verdict, has_moved, judge, misfit_at, tells
 
 Placement = Literal["as calibrated", "refitted"]
 # Residuals over what is expected of them from which on that is worth a note; UR10 tables of one series have up to 1.1.
@@ -58,7 +57,7 @@ class Validation:
     model: CalibratedModel
     station: Station
     found: np.ndarray
-    moved: Moved
+    moved: FrameShift
     misfit: Misfit
     doubt: str = ""
     note: str = ""
@@ -72,11 +71,11 @@ class Validation:
             f"{self.table.source}: off by {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
         )
         why = "arms may be beyond the loads of their calibration" if self.misfit.is_far() else "arms may be on another day"
-        rest += f"allow, as {why}; pincal diagnose tells whether something has changed"
+        rest += f"allow, as {why}; run pincal diagnose to test whether something has changed"
         is_noted = self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt
         fitted = (
-            f"{self.table.source}: the model was fitted to {self.fitted_rows} of these {len(self.table)} rows, so they tell "
-            "how well it was fitted, not how well it predicts; validate on rows measured apart"
+            f"{self.table.source}: the model was fitted to {self.fitted_rows} of these {len(self.table)} rows, so they show "
+            "how well it was fitted, not how well it predicts; validate on independent rows"
         )
         told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
         doubts = (Note(Severity.DOUBT, text) for text in filter(None, told))
@@ -86,11 +85,9 @@ class Validation:
     def verdict(self) -> Verdict:
         """Whether the model explains these rows down to their noise."""
         _, lack = self.replicate_statistics()
-        beside = None
-        if lack is not None and tells(lack.degrees.misfit, lack.degrees.pure_error):
-            beside = Beside("the scatter between repeated measurements of a pose", lack.F**0.5, lack.p_value)
-        elif self.model.is_noise_declared or self.table.sigma is not None:
-            beside = Beside("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
+        beside = None if lack is None else lack.beside
+        if beside is None and (self.model.is_noise_declared or self.table.sigma is not None):
+            beside = NoiseTest("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
         distinct = len(np.unique(replicate_groups([self.table], within=SCATTER)[0])) / len(self.table)
         few = not tells(distinct * self.misfit.degrees - self.misfit.found)
         return judge(beside, self.notes, unusable=bool(self.doubt), few=few)
@@ -104,7 +101,7 @@ class Validation:
     @cached_property
     def error(self) -> dict[str, float]:
         """Errors of all rows: their statistics."""
-        return error_table(self.station, self.values)
+        return error_summary(self.station, self.values)
 
     @property
     def values(self) -> np.ndarray:
@@ -140,9 +137,13 @@ class _Stand:
 
     def misfit(self, robust: np.ndarray) -> Misfit:
         """Return what is left at this station."""
-        none = np.zeros(len(self.model.values), bool)
-        known = self.model
-        return misfit(self.station, known.values, covariance=known.covariance, found=none, sigma=self.sigma, robust=robust)
+        at = self.station, self.model.values
+        return misfit_at(*at, covariance=self.model.covariance, sigma=self.sigma, robust=robust)
+
+    def validation(self, name: str, misfit: Misfit, **told: Any) -> Validation:
+        """Return the judgement of rows that are taken to be of this station."""
+        still, none = FrameShift(0.0, 0.0, 0.0), np.zeros(len(self.model.values), bool)
+        return Validation(name, "as calibrated", self.table, self.model, self.station, none, still, misfit, **told)
 
 
 def validate_rows(
@@ -175,7 +176,8 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     if not stands:
         if not refit:
             raise BadInputError(
-                f"{measurements.source}: these rows can't be of the chosen station: sensor, target, points or columns differ"
+                f"{measurements.source}: these rows do not match the chosen station: sensor, target, points or columns "
+                "differ"
             )
         rows = usable_rows(measurements, models[0].setup.over(measurements))
         return _refitted(name, rows, place_station(models[0], rows))
@@ -195,20 +197,9 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     if len(here.table) < len(measurements):
         # Once more, for the warning of what is left out.
         scorable_rows(measurements, here.model.setup)
-    note = f"{name or here.table.source}: these rows fit another place of instrument and target: {placed.moved}"
-    return Validation(
-        name=name,
-        placed="as calibrated",
-        table=here.table,
-        model=here.model,
-        station=here.station,
-        found=np.zeros(len(here.model.values), bool),
-        moved=Moved(0.0, 0.0, 0.0),
-        misfit=before,
-        doubt=doubt_of(here.table, placed),
-        note=note if is_moved else "",
-        of_day=placed.notes,
-    )
+    note = f"{name or here.table.source}: these rows fit another pose of instrument and target: {placed.moved}"
+    doubt = doubt_of(here.table, placed)
+    return here.validation(name, before, doubt=doubt, note=note if is_moved else "", of_day=placed.notes)
 
 
 def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> Iterator[_Stand]:
@@ -232,20 +223,9 @@ def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> It
 
 
 def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
-    found = placed.solution.free
-    doubt = doubt_of(table, placed)
-    return Validation(
-        name,
-        "refitted",
-        table,
-        placed.model,
-        placed.station,
-        found,
-        placed.moved,
-        placed.misfit,
-        doubt=doubt,
-        of_day=placed.notes,
-    )
+    model, found, doubt = placed.model, placed.solution.free, doubt_of(table, placed)
+    at = table, model, placed.station, found, placed.moved, placed.misfit
+    return Validation(name, "refitted", *at, doubt=doubt, of_day=placed.notes)
 
 
 def _where_it_was(name: str, here: _Stand, *, why: str, refit: bool) -> Validation:
@@ -254,9 +234,7 @@ def _where_it_was(name: str, here: _Stand, *, why: str, refit: bool) -> Validati
     errors = next(iter(pose_errors(here.station, here.model.values).values()))
     if refit and before.is_far():
         raise BadInputError(f"{why}; as calibrated, they are off by {errors.mean():.4g} mm")
-    none = np.zeros(len(here.model.values), bool)
-    still = Moved(0.0, 0.0, 0.0)
-    return Validation(name, "as calibrated", here.table, here.model, here.station, none, still, before)
+    return here.validation(name, before)
 
 
 def doubt_of(table: Measurements, placed: Placed) -> str:
@@ -289,7 +267,7 @@ def _as_good(table: Measurements, placed: Placed, *, left: Misfit, rows: np.ndar
     nominal = nominal_displacements(known.model.chain.robot, table, _options(known))[rows]
     size = station.sensor.blocks[0].size
     allowed = left.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
-    if is_anothers(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
+    if belongs_to_other_robot(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
         return float(np.linalg.norm(nominal, axis=1).mean())
     return None
 

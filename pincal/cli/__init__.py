@@ -5,8 +5,11 @@ from __future__ import annotations
 import gc
 import importlib
 import os
+import signal
 import sys
+import threading
 import warnings
+from types import FrameType
 from typing import Any
 
 import click
@@ -17,20 +20,24 @@ from pincal.errors import LONGEST, Exit, PincalError, printable
 # New objects after which garbage is collected.
 _GARBAGE = 200_000
 
+# The interruptions of this process, and how long one may take [s].
+_INTERRUPTS: list[int] = []
+_PATIENCE = 0.8
+
 # An option that takes two names and a number, any number of times.
 _MANY = "--socket-distance"
 
 _COMMANDS = {
     "demo": "pincal.cli.demo",
-    "check": "pincal.cli.check",
-    "calibrate": "pincal.cli.calibrate",
-    "discover": "pincal.cli.discover",
-    "design": "pincal.cli.design",
-    "validate": "pincal.cli.validate",
-    "predict": "pincal.cli.predict",
+    "check": "pincal.cli.planning",
+    "calibrate": "pincal.cli.fitting",
+    "discover": "pincal.cli.fitting",
+    "design": "pincal.cli.planning",
+    "validate": "pincal.cli.new_rows",
+    "predict": "pincal.cli.compensate",
     "compensate": "pincal.cli.compensate",
-    "diagnose": "pincal.cli.diagnose",
-    "update": "pincal.cli.update",
+    "diagnose": "pincal.cli.new_rows",
+    "update": "pincal.cli.new_rows",
     "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.export",
     "view": "pincal.cli.view",
@@ -46,8 +53,10 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in _COMMANDS:
             return None
-        command: click.Command = getattr(importlib.import_module(_COMMANDS[name]), name)
-        return command
+        importlib.import_module(_COMMANDS[name])
+        from pincal.cli.arguments import VERBS
+
+        return VERBS[name]
 
 
 _EPILOG = """\b
@@ -74,16 +83,29 @@ def entry() -> None:
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     results = guard_streams()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout.flush()
     if results.lost:
         click.echo(f"pincal: stdout can't be written ({results.lost}); files that were asked for are whole", err=True)
         code = code or Exit.BAD_INPUT
     sys.stderr.flush()
     os._exit(code)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Interrupt the command, and do it again where that gets lost, as it does while an object is cleared away."""
+    _INTERRUPTS.append(number)
+    sys.unraisablehook = lambda _: None
+    again = threading.Timer(_PATIENCE, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
+    raise KeyboardInterrupt
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -96,6 +118,11 @@ def main(arguments: list[str] | None = None) -> None:
             code = pincal.main(
                 args=_spread(sys.argv[1:] if arguments is None else arguments), prog_name="pincal", standalone_mode=False
             )
+        except Exception:
+            # An import that is interrupted may fail as if the library were not there.
+            if _INTERRUPTS:
+                raise click.exceptions.Abort from None
+            raise
         finally:
             # The line of progress, if a command has shown one.
             if progress := sys.modules.get("pincal.cli.progress"):
@@ -109,6 +136,13 @@ def main(arguments: list[str] | None = None) -> None:
     except PincalError as error:
         click.echo(f"pincal: {error}", err=True)
         sys.exit(error.exit_code)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("pincal") or os.environ.get("PINCAL_TRACEBACK"):
+            raise
+        click.echo(
+            f"pincal: {error.name} is not installed; README.md says where each part of pincal installs, and how", err=True
+        )
+        sys.exit(Exit.BAD_INPUT)
     except Exception as error:
         if os.environ.get("PINCAL_TRACEBACK"):
             raise
@@ -139,7 +173,6 @@ def _spread(arguments: list[str]) -> list[str]:
 
 
 def _is_length(word: str) -> bool:
-    """Return whether a word is a number, with a unit or without."""
     try:
         float(word.rstrip("ucm"))
     except ValueError:
@@ -158,4 +191,4 @@ def show_progress(quiet: bool) -> None:
 
     if quiet:
         warnings.showwarning = lambda *_, **__: None
-    progress.show_progress(quiet)
+    progress.begin_progress(quiet)

@@ -18,11 +18,13 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 import click
 
 from pincal.cli import show_progress
-from pincal.errors import Exit
+from pincal.errors import Exit, OutputError
 from pincal.units import LARGEST, plain_number
 
 A = TypeVar("A")
 _HEADING, _WORDS = "heading", "pincal.words"
+# The verbs of the modules that have been imported, by their names on the command line.
+VERBS: dict[str, Verb] = {}
 
 
 def option(help: str, default: Any = None, *, words: str | None = None, name: str | None = None, **attributes: Any) -> Any:
@@ -55,7 +57,7 @@ def group(heading: str) -> Any:
     return field(metadata={_HEADING: heading})
 
 
-class Number(click.ParamType[float]):
+class NumberType(click.ParamType[float]):
     """A number in SI units that can be meant: finite, of a size that things of a robot cell have, and within a range."""
 
     name = "float"
@@ -85,6 +87,34 @@ class _Place(click.Path):
         if value == "":
             self.fail("'' names nothing; expected a file or a folder (. for the current one)", param, ctx)
         return super().convert(value, param, ctx)
+
+
+# Endings of names that are files: none of them is meant as a folder.
+_OF_FILES = (".csv", ".html", ".json", ".parquet", ".pdf", ".txt", ".urdf", ".xlsx", ".xml", ".yaml")
+
+
+class Output(_Place):
+    """A file to write, whose name ends in one of those that the verb can write; without any, a folder.
+
+    Another name is refused before any work is done.
+    """
+
+    def __init__(self, *endings: str) -> None:
+        super().__init__()
+        self._endings = endings
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        path = super().convert(value, param, ctx)
+        ending, name = path.suffix.lower(), param.opts[0] if param is not None else "output"
+        if self._endings and ending not in self._endings:
+            expected = " or ".join(filter(None, self._endings))
+            raise OutputError(
+                f"{name} {path}: this can't be written as {ending or 'a file without an ending'}; end the name in {expected}"
+            )
+        if not self._endings and ending in _OF_FILES and not path.is_dir():
+            raise OutputError(f"{name} {path}: a folder is written here, not a {ending} file; give the name of a folder")
+        return path
 
 
 class _Argument(click.Argument):
@@ -150,6 +180,8 @@ def verb(
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is the help text.
 
+    The function is called as the verb, perhaps with ``_verb`` at the end, where the library has that name itself.
+
     Args:
         arguments: a frozen dataclass whose fields are options, arguments and groups of them.
         examples: lines to copy, and what else stands at the end of the help text.
@@ -166,8 +198,9 @@ def verb(
             return function(_filled(arguments, given))
 
         parameters = list(_parameters(arguments, defaults or {}, heading="Options"))
-        return Verb(
-            name=function.__name__,
+        name = function.__name__.removesuffix("_verb")
+        VERBS[name] = Verb(
+            name=name,
             callback=run,
             params=[parameter for _, parameter in parameters],
             headings={str(parameter.name): heading for heading, parameter in parameters},
@@ -175,6 +208,7 @@ def verb(
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
         )
+        return VERBS[name]
 
     return decorate
 
@@ -238,4 +272,4 @@ def _reader(kind: Any) -> dict[str, Any]:
     if kind is Path:
         return {"type": _Place(), "metavar": "FILE.csv"}
     # Whole numbers are counts and seeds.
-    return {"type": {float: Number(), int: click.IntRange(min=0)}.get(kind, kind)}
+    return {"type": {float: NumberType(), int: click.IntRange(min=0)}.get(kind, kind)}

@@ -9,17 +9,17 @@ from typing import Any, Literal
 
 import click
 
-from pincal.cli.arguments import argument, group, option
-from pincal.measure.options import TableOptions
-from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity, plain_number
+from pincal.cli.arguments import Output, argument, group, option
+from pincal.measure.fields import TABLE_ENDINGS, TableOptions
+from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity, plain_number, unit_sizes
 
-Vector = tuple[float, float, float]
+Triple = tuple[float, float, float]
 
-_LENGTHS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-ANGLES = {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "deg": 0.017453292519943295}
+_LENGTHS = unit_sizes("um", "mm", "cm", "m")
+ANGLES = unit_sizes("urad", "mrad", "rad", "deg")
 
 
-class Quantity(click.ParamType[float]):
+class QuantityType(click.ParamType[float]):
     """A positive number with its unit, such as ``0.05mm``; or, where zero makes sense, 0 with or without one.
 
     A number without a unit counts ``bare`` of the SI unit, where that is given.
@@ -56,7 +56,7 @@ class Quantity(click.ParamType[float]):
         self.fail(f"{text!r}; expected a number with a unit, such as {self.name} ({', '.join(self._units)})", param, ctx)
 
 
-class Noise(click.ParamType[tuple[float, str]]):
+class NoiseType(click.ParamType[tuple[float, str]]):
     """The noise of a reading: a length in metres, or pixels; with the unit, "m" or "px"."""
 
     name = "0.05mm"
@@ -68,7 +68,7 @@ class Noise(click.ParamType[tuple[float, str]]):
         """Return the value in SI units, or in pixels, and its unit."""
         is_image = str(value).strip().endswith("px")
         units, example = ({"px": 1.0}, "0.1px") if is_image else (_LENGTHS, "0.05mm")
-        number = Quantity(units, example, zero=self._zero).convert(str(value), param, ctx)
+        number = QuantityType(units, example, zero=self._zero).convert(str(value), param, ctx)
         return number, "px" if is_image else "m"
 
 
@@ -90,39 +90,32 @@ class Masses(click.ParamType[tuple[float, ...]]):
         return loads
 
 
-class XacroArgument(click.ParamType[tuple[str, str]]):
-    """An argument of a xacro file, as xacro itself takes it."""
-
-    name = "argument"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
-        """Return name and value."""
-        name, sign, text = str(value).partition(":=")
-        if not sign or not name:
-            self.fail(f"{value!r}; expected NAME:=VALUE, such as ur_type:=ur5e", param, ctx)
-        return name, text
+def xacro_argument(text: str) -> tuple[str, str]:
+    """Return name and value of an argument of a xacro file, as xacro itself takes it."""
+    name, sign, value = text.partition(":=")
+    if not sign or not name:
+        raise click.BadParameter(f"{text!r}; expected NAME:=VALUE, such as ur_type:=ur5e")
+    return name, value
 
 
-class Columns(click.ParamType[dict[str, str]]):
-    """Columns and what they hold, ``NAME=MEANING`` separated by commas."""
-
-    name = "'J1=joint_a1 [deg],...'"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, str]:
-        """Return the meanings by name."""
-        found: dict[str, str] = {}
-        for part in str(value).split(","):
-            name, sign, meaning = (word.strip() for word in part.partition("="))
-            if not (sign and name and meaning) or name in found:
-                self.fail(f"{part.strip()!r}; expected NAME=MEANING, each name once, such as {self.name}", param, ctx)
-            found[name] = meaning
-        return found
+_COLUMNS = "'J1=joint_a1 [deg],...'"
 
 
-LENGTH = Quantity(_LENGTHS, "0.05mm")
-ANGLE = Quantity(ANGLES, "0.1mrad")
+def columns(text: str) -> dict[str, str]:
+    """Return columns and what they hold, ``NAME=MEANING`` separated by commas, as meanings by name."""
+    found: dict[str, str] = {}
+    for part in text.split(","):
+        name, sign, meaning = (word.strip() for word in part.partition("="))
+        if not (sign and name and meaning) or name in found:
+            raise click.BadParameter(f"{part.strip()!r}; expected NAME=MEANING, each name once, such as {_COLUMNS}")
+        found[name] = meaning
+    return found
 
-verbose_option = partial(option, "Print all tables and notes, not only what they come to.", False)
+
+LENGTH = QuantityType(_LENGTHS, "0.05mm")
+ANGLE = QuantityType(ANGLES, "0.1mrad")
+
+verbose_option = partial(option, "Print all tables and notes, not just the summary.", False)
 max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH)
 tip_option = partial(option, "Last link of the arm.", metavar="LINK")
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
@@ -130,11 +123,11 @@ robot_argument = partial(
     argument, "ROBOT.urdf", "URDF or xacro file, or the name of a robot that comes with example-robot-data."
 )
 xacro_option = partial(
-    option, "Argument of a xacro file.", (), metavar="NAME:=VALUE", name="--xacro-arg", type=XacroArgument()
+    option, "Argument of a xacro file.", (), metavar="NAME:=VALUE", name="--xacro-arg", type=xacro_argument
 )
 
 
-def _check_gravity(context: click.Context, parameter: click.Parameter, given: Vector | None) -> Vector | None:
+def _check_gravity(context: click.Context, parameter: click.Parameter, given: Triple | None) -> Triple | None:
     if given is not None and not is_gravity(given):
         raise click.BadParameter(f"{' '.join(f'{number:g}' for number in given)}; expected {GRAVITIES}", context, parameter)
     return given
@@ -152,6 +145,15 @@ mass_option = partial(
     metavar="KG",
     words="those of the URDF, if it has any",
 )
+coupling_option = partial(
+    option,
+    "Joint whose controller reports its position less that of another: it is what it reports plus (+) or minus (-) that "
+    "one, or a part such as -1/3*joint_4.",
+    (),
+    metavar="joint_3=+joint_2",
+    name="--coupling",
+)
+sign_option = partial(option, "Joint that counts the other way than the URDF has it.", (), metavar="JOINT", name="--sign")
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
 station_option = partial(option, "Take the place of instrument and targets at this station of the model.", metavar="NAME")
 
@@ -186,12 +188,16 @@ class GeneralOptions:
     quiet: bool = option("Print neither progress nor notes.", False)
 
 
+TABLE = Output(*TABLE_ENDINGS)
+"""A table to write."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TableArguments:
     """How tables are to be read."""
 
     columns: dict[str, str] | None = option(
-        "What columns hold whose names do not say it.", type=Columns(), metavar=Columns.name, words="as they are named"
+        "Map columns to the quantities that they hold.", type=columns, metavar=_COLUMNS, words="as they are named"
     )
     orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
         "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
@@ -203,9 +209,12 @@ class TableArguments:
         metavar="LOG",
     )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
+    sheet: str | None = option(
+        "Worksheet of an Excel workbook.", metavar="NAME", words="the first that has columns of joints"
+    )
     rows_in_order: bool = option(
-        "Rows stand in the order of measurement, or of their times: a joint without a column approach_<joint> arrived from "
-        "where it stood in the row before.",
+        "Rows are in the order of measurement, or of their times: a joint without a column approach_<joint> arrived from "
+        "its position in the row before.",
         False,
     )
 
@@ -217,6 +226,7 @@ class TableArguments:
             columns=self.columns or {},
             orientation=self.orientation,
             joints=self.joints,
+            sheet=self.sheet,
             rows_in_order=self.rows_in_order,
         )
 
@@ -235,6 +245,8 @@ class InputOptions:
     base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
+    couplings: tuple[str, ...] = coupling_option()
+    signs: tuple[str, ...] = sign_option()
     table: TableArguments = group("Tables")
 
 
@@ -242,9 +254,7 @@ class InputOptions:
 class PlaceOptions:
     """Where instrument and target stand, if that is not where they were calibrated."""
 
-    placement: Path | None = option(
-        "Find where instrument and target stand now from these few measured rows.", metavar="FEW.csv"
-    )
+    placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
     station: str | None = station_option(words="the only one")
 
 
@@ -258,8 +268,8 @@ class ModelOptions:
         "paper: torque before, compliance after; auto: the one that fits best.",
         "auto",
     )
-    payload_com: Vector = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
-    gravity: Vector | None = gravity_option()
+    payload_com: Triple = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
+    gravity: Triple | None = gravity_option()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,31 +277,32 @@ class SetupOptions:
     """The noise of the instrument, and what is known of the measurement setup."""
 
     noise: tuple[float, str] | None = option(
-        "Standard deviation of one position or image coordinate.", type=Noise(), metavar="0.05mm|0.1px", words="estimated"
+        "Standard deviation of one position or image coordinate.",
+        type=NoiseType(),
+        metavar="0.05mm|0.1px",
+        words="estimated",
     )
     noise_angle: float | None = option("Standard deviation of one orientation component.", type=ANGLE, words="estimated")
     instrument: str | None = option(
-        "Noise of positions by range and direction: an instrument (leica_at500), or what its data sheet permits at most "
-        "along and across the line of sight (10um+0.3um/m,15um+6um/m), of which half is the standard deviation. Positions "
-        "are in the instrument's own frame.",
+        "Noise of positions by range and direction: an instrument (leica_at500), or its maximum permissible errors along "
+        "and across the line of sight (10um+0.3um/m,15um+6um/m), half of which is the standard deviation. Positions are "
+        "in the instrument's own frame.",
         metavar="NAME|MPE",
         words="the same everywhere",
     )
-    tool: Vector | None = option("Target position in the tip frame [m], if known.", words="identified")
-    anchor: Vector | None = option(
+    tool: Triple | None = option("Target position in the tip frame [m], if known.", words="identified")
+    anchor: Triple | None = option(
         "Distances: the instrument's fixed point in the robot's base frame [m], if known.", words="identified"
     )
     points: Path | None = option(
         "Known positions of sockets, anchors or points of a calibration object: columns point, x, y, z."
     )
-    points_in: Literal["own", "base"] = option(
-        "Frame of --points: one of their own, to be identified, or the robot's base.", "own"
-    )
+    points_in: Literal["own", "base"] = option("Frame of --points: their own, to be identified, or the robot's base.", "own")
     gaps: tuple[tuple[str, str, float], ...] = option(
         "Known distance between two sockets, anchors or points; a number without a unit is in metres.",
         (),
         metavar="A B LENGTH",
-        type=(str, str, Quantity(_LENGTHS, "50mm", bare=1.0)),
+        type=(str, str, QuantityType(_LENGTHS, "50mm", bare=1.0)),
         name="--socket-distance",
     )
     distances: Path | None = option("Known distances as a table: columns first, second, distance and optionally sigma.")
@@ -312,10 +323,38 @@ class FitOptions:
         (),
         metavar="EFFECT",
     )
+    fix: tuple[str, ...] = option(
+        "Hold this parameter at nominal: a name such as joint_2.s_x, or a pattern such as '*.s_x'.", (), metavar="NAME"
+    )
+    free: tuple[str, ...] = option("Fit this parameter, or those of a pattern, without a prior.", (), metavar="NAME")
+    prior: tuple[str, ...] = option(
+        "Standard deviation from nominal that is expected of this parameter, or of those of a pattern: '*.theta=2mrad', "
+        "'joint_3.k_drive=0.2urad/Nm'.",
+        (),
+        metavar="NAME=SIZE",
+    )
     equilibrium: bool = option("Compute moments in the deflected configuration, not the undeflected one.", False)
     stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
     loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")
+    zeros: str | None = option(
+        "Zeros of joints of which nothing is known: unknown for all of them, or unknown:joint_3,joint_5.",
+        metavar="unknown[:JOINT,...]",
+        words="within some mrad of the URDF's, unless the data show otherwise",
+    )
     length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm")
+
+    @property
+    def priors(self) -> dict[str, float | str]:
+        """Priors by name or pattern: those that are told, then what is free, then what is held.
+
+        Raises:
+            click.UsageError: for one without a size.
+        """
+        told = [text.partition("=") for text in self.prior]
+        if missing := [name for name, _, size in told if not size]:
+            raise click.UsageError(f"--prior {missing[0]}: no size; expected NAME=SIZE, such as '*.theta=2mrad'")
+        sizes: dict[str, float | str] = {name.strip(): size.strip() for name, _, size in told}
+        return sizes | dict.fromkeys(self.free, float("inf")) | dict.fromkeys(self.fix, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""``pincal compensate``: from wanted poses or a nominal program to the joint positions that the real robot needs."""
+"""``pincal predict`` and ``pincal compensate``: from joint positions to poses of the real robot, and back."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import ANGLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
-from pincal.cli.outputs import extrapolation, pose_columns, print_json, print_notes
+from pincal.cli.common import ANGLE, TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.controller_programs import Allowed, ProgramOptions, correct_file, summary_of_program
+from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.errors import Exit
+from pincal.recorded import RECORDABLE
 from pincal.units import plain_number
 
 if TYPE_CHECKING:
@@ -21,18 +23,29 @@ if TYPE_CHECKING:
 
     from pincal.calibration.calibrated import CalibratedModel
     from pincal.compensate.targets import CompensatedTable, Targets
+    from pincal.programs.language import ControllerLanguage
     from pincal.robot.robot import Robot
 
 # Rows that are listed one by one.
 _SHOWN = 5
-_CONDITIONS = ("payload", "temperature", "time")
+_CONDITIONS = [name for name, variable in RECORDABLE.items() if not variable.of_joints]
 
+_PREDICT_EXAMPLES = """
+Examples:
+  pincal predict results/model.json poses.csv --out predicted.csv
+  pincal predict results/model.json poses.csv --out predicted.csv --placement ten_rows_of_today.csv
+"""
 _EXAMPLES = """
 Examples:
   pincal compensate results/model.json program.csv --out corrected.csv
   pincal compensate results/model.json program.csv --out corrected.csv --false-targets tip
   pincal compensate results/model.json program.csv --out corrected.csv --placement ten_rows_of_today.csv
   pincal compensate results/model.json poses.csv --out joints.csv --seed-joints "0 -90 90 0 90 0 deg"
+  pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
+
+TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
+Robots .script, Yaskawa .jbi. Nothing but its numbers changes; points that are not understood are named
+and stay as they were. What follows is of tables.
 
 TARGETS.csv has the wanted target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
@@ -56,12 +69,69 @@ is 4 if no row is ok or, with --strict, if any row is not.
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompensateArguments:
-    """Arguments of compensate."""
+class _AtPlace:
+    """What both take."""
 
     model: Path = model_argument()
-    targets: Path = argument("TARGETS.csv", "Wanted poses with seeds or without, or a nominal program.")
-    out: Path = option("Table to write.", MISSING)
+    place: PlaceOptions = group("Place of instrument and target")
+    table: TableArguments = group("Tables")
+    general: GeneralOptions = group("General")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictArguments(_AtPlace):
+    """Arguments of predict."""
+
+    poses: Path = argument("POSES.csv", "Joint positions and conditions; other columns are ignored.")
+    out: Path = option("Table to write.", MISSING, type=TABLE)
+
+
+@verb(PredictArguments, examples=_PREDICT_EXAMPLES, exits=(Exit.CHANGED,))
+def predict(arguments: PredictArguments) -> Exit:
+    """Predict target positions at given joint positions.
+
+    They are given in the instrument's frame, with their uncertainty.
+    """
+    from pincal.cli.inputs import load_table
+    from pincal.cli.placement import find_place, print_doubt
+    from pincal.cli.progress import end_progress, log_step
+    from pincal.measure.table import write_table
+
+    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    if place.doubt:
+        print_doubt(place.doubt, arguments.model)
+        return Exit.CHANGED
+    chain = place.model.model.chain
+    table = load_table(chain.robot, arguments.poses, options=arguments.table.options, joints_only=True)
+    place = place.over(table)
+    calibrated = place.model
+    conditions = calibrated.conditions(table)
+    log_step(f"predicting {len(table)} poses and their uncertainty")
+    found = calibrated.predict(conditions)
+    columns: dict[str, np.ndarray] = dict(zip(table.joint_names, table.q.T, strict=True))
+    if len(chain.targets) > 1:
+        columns["target"] = table.target
+    columns |= columns_of_poses(found, with_orientation=calibrated.model.has_tool_orientation)
+    columns |= zip(("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True)
+    write_table(arguments.out, columns)
+    beyond, notes = extrapolation(calibrated, conditions, table.rows)
+    end_progress()
+    if arguments.general.as_json:
+        print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
+    else:
+        click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
+    echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
+    return Exit.DONE
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompensateArguments(_AtPlace):
+    """Arguments of compensate."""
+
+    targets: Path = argument(
+        "TARGETS.csv", "Wanted poses with or without seeds, a nominal program, or a controller's program."
+    )
+    out: Path = option("Table or program to write.", MISSING)
     frame: Literal["instrument", "base"] = option(
         "Frame of x y z in both tables: the instrument's or the robot's base.", "instrument"
     )
@@ -83,9 +153,7 @@ class CompensateArguments:
     )
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
     strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
-    place: PlaceOptions = group("Place of instrument and target")
-    table: TableArguments = group("Tables")
-    general: GeneralOptions = group("General")
+    program: ProgramOptions = group("Programs of controllers")
 
 
 @verb(CompensateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
@@ -94,15 +162,18 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all that bring the real robot there, the closest to those given are chosen.
     """
-    from pincal.cli.places import find_place, tell_doubt
+    from pincal.cli.placement import find_place, print_doubt
     from pincal.cli.progress import end_progress
-    from pincal.compensate.targets import read_targets, run_compensation
+    from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
     from pincal.measure.table import write_table
+    from pincal.programs.language import language_of
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
     if place.doubt:
-        tell_doubt(place.doubt, arguments.model)
+        print_doubt(place.doubt, arguments.model)
         return Exit.CHANGED
+    if language := language_of(arguments.targets):
+        return _program(place.model, arguments, language)
     robot = place.model.model.chain.robot
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
@@ -118,21 +189,44 @@ def compensate(arguments: CompensateArguments) -> Exit:
     write_table(arguments.out, _columns(calibrated, done, arguments))
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
     result = _result(robot, done, beyond, max_change=arguments.max_change) | place.contents | {"out": str(arguments.out)}
+    result["turn"]["unreached"] = unreached_turns(calibrated, done)
     end_progress()
     if arguments.general.as_json:
         print_json(result)
     else:
         click.echo("\n".join(_summary(result)))
-    print_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
+    echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
 
 
-def _seed(robot: Robot, table: Targets, text: str | None) -> np.ndarray | None:
+def _program(calibrated: CalibratedModel, arguments: CompensateArguments, language: ControllerLanguage) -> Exit:
+    """Correct a controller's program."""
+    from pincal.cli.progress import end_progress
+
+    seed = _seed(calibrated.model.chain.robot, None, arguments.seed_joints)
+    limits = Allowed(seed, not arguments.ignore_limits, arguments.max_change)
+    result, changes = correct_file(calibrated, arguments.targets, arguments.out, language, arguments.program, limits)
+    notes: list[str] = []
+    if changes:
+        at = calibrated.conditions_at(np.array([change.commanded for change in changes]), payload=arguments.program.payload)
+        beyond, notes = extrapolation(calibrated, at, np.array([change.point.line for change in changes]))
+        result |= beyond
+    end_progress()
+    if arguments.general.as_json:
+        print_json(result)
+    else:
+        click.echo("\n".join(summary_of_program(result, language.name)))
+    echo_notes(notes, quiet=arguments.general.quiet)
+    is_lost = result["left"] and (arguments.strict or not result["points"])
+    return Exit.UNDECIDED if is_lost else Exit.DONE
+
+
+def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray | None:
     """Return the joint positions to start from where the table has none, shape (n,)."""
     if text is None:
         return None
-    if table.has_joints:
+    if table is not None and table.has_joints:
         raise click.UsageError("--seed-joints is for tables without joint columns; this table has them: leave it out")
     words = re.split(r"[\s,;]+", text.strip())
     in_degrees = words[-1] == "deg"
@@ -147,8 +241,7 @@ def _seed(robot: Robot, table: Targets, text: str | None) -> np.ndarray | None:
 
 
 def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: CompensateArguments) -> dict[str, np.ndarray]:
-    """Return the table to write."""
-    from pincal.compensate.frames import false_targets as poses_to_give
+    from pincal.compensate.robot_frames import false_targets as poses_to_give
 
     rows, found = done.targets.rows, done.found
     columns: dict[str, np.ndarray] = dict(zip(rows.joint_names, found.q.T, strict=True))
@@ -157,18 +250,20 @@ def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: Com
     columns |= {name: column for name in _CONDITIONS if (column := getattr(rows, name)) is not None}
     if rows.approach is not None:
         columns |= {f"approach_{name}": rows.approach[:, j] for j, name in enumerate(rows.joint_names)}
-    columns |= pose_columns(found.wanted, with_orientation=done.orientation == "keep")
+    columns |= columns_of_poses(found.wanted, with_orientation=done.orientation == "keep")
     columns["error_mm"] = 1e3 * found.error
     if done.orientation == "keep":
         columns["error_mrad"] = 1e3 * found.turn
     columns["sigma_mm"] = 1e3 * done.sigma
     if done.targets.has_joints:
-        columns["change_max"] = np.abs(found.q - done.seeds.q).max(axis=1)
+        columns["change_max"] = np.abs(done.change).max(axis=1)
         large = columns["change_max"] > arguments.max_change
         columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
     if arguments.false_targets:
-        poses = pose_columns(poses_to_give(calibrated, done.commanded, of=arguments.false_targets), with_orientation=True)
+        poses = columns_of_poses(
+            poses_to_give(calibrated, done.commanded, of=arguments.false_targets), with_orientation=True
+        )
         columns |= {f"false_{name}": column for name, column in poses.items()}
     return columns
 
@@ -190,7 +285,7 @@ def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max
     errors, change, large = {"commanded": _statistics(found.error)}, None, list[int]()
     if done.targets.has_joints:
         errors = {"seeds": _statistics(found.seed_error)} | errors
-        moved = np.abs(found.q - done.seeds.q)
+        moved = np.abs(done.change)
         large = [int(line) for line in lines[moved.max(axis=1) > max_change]]
         row, joint = np.unravel_index(np.argmax(moved), moved.shape)
         name, unit = robot.joint_names[joint], robot.joint_units[joint]
@@ -205,6 +300,7 @@ def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max
         "max_change": max_change,
         "large_changes": large,
         "not_ok": left,
+        "turn": {"max_mrad": 1e3 * float(found.turn.max()), "line": int(lines[found.turn.argmax()])},
     } | beyond
 
 
@@ -213,7 +309,6 @@ def _statistics(errors: np.ndarray) -> dict[str, float]:
 
 
 def _summary(result: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of the summary."""
     counts = ", ".join(f"{count} {name}" for name, count in result["status"].items() if count)
     yield f"{result['rows']} rows: {counts}"
     for name, words in (("seeds", "joints as given"), ("commanded", "joints to command")):
@@ -236,7 +331,13 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
         rows = "1 row" if len(large) == 1 else f"{len(large)} rows"
         yield (
             f"{rows} (line {named}): a joint moves more than {np.rad2deg(result['max_change']):.3g} deg from its start; "
-            "marked in the column large_change, look at them before the robot moves (--max-change)"
+            "marked in the column large_change, check them before the robot moves (--max-change)"
+        )
+    turn = result["turn"]
+    if turn["unreached"]:
+        yield (
+            f"this arm has too few joints to turn the target {turn['unreached']} where it stands: positions are reached, "
+            f"orientations stay off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
         )
     for row in result["not_ok"][:_SHOWN]:
         left = f"remaining error {row['error_mm']:.4f} mm and {row['error_mrad']:.4f} mrad"

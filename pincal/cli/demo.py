@@ -12,15 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.cli.arguments import group, option, verb
+from pincal.cli.arguments import Output, group, option, verb
 from pincal.cli.common import GeneralOptions
 from pincal.cli.outputs import print_json, provenance
 from pincal.errors import Exit
 from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
-    from pincal.calibration.run import Calibration
-    from pincal.diagnosis.run import Diagnosis
+    from rich.console import Console
+
+    from pincal.calibration.calibration import Calibration
+    from pincal.diagnosis.robot_diagnosis import Diagnosis
     from pincal.discover.run import Discovery
     from pincal.measure.measurements import Measurements
     from pincal.robot.robot import Robot
@@ -48,18 +50,19 @@ _HIT_FOLDER = "hit"
 class DemoArguments:
     """Arguments of demo."""
 
-    out: Path = option("Folder to write to.", Path("pincal-demo"), metavar="DIR")
+    out: Path = option("Folder to write to.", Path("pincal-demo"), metavar="DIR", type=Output())
     seed: int = option("Random seed of poses and noise.", 1)
     general: GeneralOptions = group("General")
 
 
 @verb(DemoArguments, examples="Example:\n  pincal demo --out kuka")
 def demo(arguments: DemoArguments) -> Exit:
-    """Tell the whole story on the KUKA KR 125/2: nothing to prepare."""
+    """Run the complete example on a KUKA KR 125/2; no data needed."""
     from pincal.builtin import kuka_urdf_path
-    from pincal.calibration.run import run_calibration
-    from pincal.cli.diagnose import write_diagnosis
+    from pincal.calibration.calibration import run_calibration
     from pincal.cli.fitting import write_results
+    from pincal.cli.new_rows import write_diagnosis
+    from pincal.cli.progress import console
     from pincal.discover.run import run_discovery
     from pincal.identify.options import Options
     from pincal.io.strict_json import write_json
@@ -94,11 +97,12 @@ def demo(arguments: DemoArguments) -> Exit:
         results = {name: run.result.to_dict() for name, run in runs.items()}
         print_json(results | {"discovery": found.report, "program_error_mm": missed, "diagnosis": diagnosis.report})
     else:
-        _tell(runs)
-        _tell_hidden(found)
-        _tell_program(missed)
-        _tell_hit(diagnosis)
-        _tell_files(out)
+        screen = console()
+        _tell(runs, screen)
+        _tell_hidden(found, screen, folder=out / _HIDDEN_FOLDER)
+        _tell_program(missed, screen)
+        _tell_hit(diagnosis, screen)
+        _tell_files(out, screen)
     return Exit.DONE
 
 
@@ -128,7 +132,7 @@ def _compensate(
     folder: Path, found: Discovery, q: np.ndarray, *, machine: PaperMachine, tracker: Instrument
 ) -> dict[str, dict[str, float]]:
     """Correct a program made with the nominal robot, run both on the machine, and return by how far they miss [mm]."""
-    from pincal.calibration.calibrated import load_model
+    from pincal.calibration.calibrated_robot import load_model
     from pincal.compensate.compensation import compensate_poses
     from pincal.measure.table import write_table
     from pincal.model.effects import Conditions
@@ -152,8 +156,8 @@ def _compensate(
 
 def _hit(model: Path, folder: Path, robot: Robot, *, machine: PaperMachine, rng: np.random.Generator) -> Diagnosis:
     """Measure a few poses of a machine that was hit, with the tracker set up afresh, and ask what has changed."""
-    from pincal.calibration.calibrated import load_model
-    from pincal.diagnosis.run import diagnose
+    from pincal.calibration.calibrated_robot import load_model
+    from pincal.diagnosis.robot_diagnosis import diagnose
 
     table, _ = _measure(folder / "measurements.csv", machine, robot, rng=rng, rows=_HIT_ROWS, hit=_HIT)
     return diagnose(load_model(model), table)
@@ -167,86 +171,81 @@ def _deviations(runs: dict[str, Calibration]) -> dict[str, np.ndarray]:
     return {name: np.linalg.norm(problem.residuals(values), axis=0) for name, problem, values in problems if problem}
 
 
-def _tell(runs: dict[str, Calibration]) -> None:
-    from pincal.calibration.tables import parameter_table
-    from pincal.cli.progress import console
+def _tell(runs: dict[str, Calibration], screen: Console) -> None:
+    from pincal.report.words import rank_words
+    from pincal.result_table import one_line
 
-    screen, result = console(), runs["DH,s,e"].result
+    result = runs["DH,s,e"].result
     screen.print(
         f"The KUKA KR 125/2 of the paper (Table I), {_ROWS} poses measured by a simulated tracker,\n"
         f"{_NOISE * 1e3:g} mm of noise per coordinate, {result.rows['test']} poses held out of every fit:\n"
     )
     for name, deviations in _deviations(runs).items():
         screen.print(f"  {name:12s} mean {deviations.mean() * 1e3:8.4f} mm   max {deviations.max() * 1e3:8.4f} mm")
-    screen.print("\n(standard DH: base and tool fitted; DH,s: geometry and axis distortions; DH,s,e: with elasticity)\n")
-    screen.print(parameter_table(result.parameters))
+    screen.print("\n(standard DH: base and tool fitted; DH,s: geometry and axis distortions; DH,s,e: with elasticity)")
+    statuses = (parameter.status for parameter in result.parameters)
+    words = rank_words(statuses, rank=result.rank, condition=result.condition, why="each with its reason in report.html")
+    screen.print(one_line(words), markup=False)
     for note in result.warnings:
         screen.print(f"{note.severity}: {note}")
 
 
-def _tell_hidden(found: Discovery) -> None:
-    from pincal.cli.progress import console
-    from pincal.cli.tables import print_discovery
+def _tell_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
+    from pincal.cli.screen import print_brief
 
-    screen, size = console(), f"{_SIZE * 1e3:g} mrad"
+    size = f"{_SIZE * 1e3:g} mrad"
     screen.rule("A hidden effect")
     screen.print(
-        f"\nThe same robot, but a gear wheel of {_JOINT} is elliptical: the joint errs by {size}, twice a turn.\n"
-        f"{_ROWS} poses are measured again and calibrated with all of the above. Nobody tells the calibration\n"
-        "of the wheel, and the held-out error stays above the noise. What is missing, and where?\n"
+        f"\nThe same robot, but a gear wheel of {_JOINT} is elliptical: the joint has an error of {size}, twice per "
+        f"revolution.\n{_ROWS} poses are measured again and calibrated with all of the above. The calibration knows "
+        "nothing\nof the wheel, and the held-out error stays above the noise. What is missing, and where?\n"
     )
-    print_discovery(found, screen)
+    print_brief(found.calibration, found, screen, more=str(folder / "report.html"))
     for entry in found.report["effects"]:
         if (entry["effect"], entry["joint"]) == ("gear_eccentricity", _JOINT):
             amplitude = 1e3 * np.hypot(*(parameter["value"] for parameter in entry["parameters"].values()))
-            screen.print(f"\nPut in: {size} at {_JOINT}, twice a turn. Found: {amplitude:.4f} mrad.")
+            screen.print(f"\nPut in: {size} at {_JOINT}, twice per revolution. Found: {amplitude:.4f} mrad.")
 
 
-def _tell_program(missed: dict[str, dict[str, float]]) -> None:
-    from pincal.cli.progress import console
-
-    screen = console()
-    screen.rule("Go where it was meant")
-    screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, runs on this machine:\n")
-    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by what was found")):
+def _tell_program(missed: dict[str, dict[str, float]], screen: Console) -> None:
+    screen.rule("Compensation")
+    screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, is run on this machine:\n")
+    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by the model found")):
         mean, largest = missed[name]["mean"], missed[name]["max"]
-        screen.print(f"  {words:28s} misses by {mean:8.4f} mm in the mean, {largest:8.4f} mm at most")
+        screen.print(f"  {words:28s} error: mean {mean:8.4f} mm, max {largest:8.4f} mm")
     if short := int(missed["corrected"]["out_of_reach"]):
-        screen.print(f"\n{short} of the poses lie at a singularity or beyond the robot's reach, and are only approached.")
+        screen.print(f"\n{short} of the poses are singular or out of reach, and are only approached.")
 
 
-def _tell_hit(diagnosis: Diagnosis) -> None:
-    from pincal.cli.progress import console
+def _tell_hit(diagnosis: Diagnosis, screen: Console) -> None:
     from pincal.report.diagnosis import lines
 
-    screen = console()
-    screen.rule("The robot is hit")
+    screen.rule("A collision")
     screen.print(
-        f"\nA collision shifts the zero of {_HIT_JOINT} by {_HIT * 1e3:g} mrad, and the tracker has been elsewhere since.\n"
+        f"\nA collision shifts the zero of {_HIT_JOINT} by {_HIT * 1e3:g} mrad, and the tracker has been moved.\n"
         f"{_HIT_ROWS} poses are measured. Has the robot changed, and what?\n"
     )
     for line in lines(diagnosis.found):
         screen.print(line)
 
 
-def _tell_files(out: Path) -> None:
+def _tell_files(out: Path, screen: Console) -> None:
     from pincal.cli.fitting import VIEW
-    from pincal.cli.progress import console
 
-    screen, folder, hit, urdf = console(), out / _HIDDEN_FOLDER, out / _HIT_FOLDER, out / "kuka_kr125_2.urdf"
+    folder, hit, urdf = out / _HIDDEN_FOLDER, out / _HIT_FOLDER, out / "kuka_kr125_2.urdf"
     screen.print("\nOpen", style="bold")
     for path, words in (
-        (out / "report.html", "how good, where errors are, every parameter with its uncertainty"),
+        (out / "report.html", "accuracy, where errors are, every parameter with its uncertainty"),
         (out / VIEW, "the robot, its errors and the measured poses in 3D"),
-        (out / "deviations.png", "Fig. 6 of the paper: the error at poses the fit never saw"),
+        (out / "deviations.png", "Fig. 6 of the paper: the error at held-out poses"),
         (folder / "report.html", "what was missing, and how the error shrank to the noise"),
-        (folder / "discovery.json", "what was found, for programs"),
+        (folder / "discovery.json", "the findings, machine-readable"),
         (folder / "corrected.csv", "the program corrected: the joints to command"),
-        (hit / "report.html", "what the collision did, and what it did not"),
-        (hit / "model.json", "the mended model: only what changed was found anew"),
+        (hit / "report.html", "what the collision changed, and what not"),
+        (hit / "model.json", "the re-identified model: only what changed was estimated again"),
     ):
         screen.print(f"  {path!s:40s} {words}", soft_wrap=True)
-    screen.print("\nThen try your own robot, or one that you make up:", style="bold")
+    screen.print("\nThen try your own robot, or a simulated one:", style="bold")
     for line in (
         f"pincal compensate {folder / 'model.json'} {folder / 'program.csv'} --out again.csv",
         f"pincal diagnose   {folder / 'model.json'} {hit / 'measurements.csv'} --out again",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
 import click
 
-from pincal.cli.arguments import group, option, verb
+from pincal.cli.arguments import Output, group, option, verb
 from pincal.cli.common import GeneralOptions, PlaceOptions, TableArguments, model_argument
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
@@ -18,12 +18,16 @@ Examples:
   pincal export results/model.json --urdf calibrated.urdf
   pincal export results/model.json --c controller/ --frame base
   pincal export results/model.json --python arm.py --mjcf arm.xml --dh arm.csv
+  pincal export results/model.json --page corrector.html
   pincal export results/model.json --frames kuka
 
-Each file is read back and compared with the model before it is written (of --c its formulas: C would need a
-compiler), and says in its first lines what it can't carry. --c and --python carry every effect of the model
+Each file is read back and compared with the model before it is written (of --c and --page their formulas: C
+would need a compiler), and says what it can't carry. --c, --python and --page carry every effect of the model
 and compensate, too; the others carry the geometry, --mjcf springs, too. --urdf, --mjcf, --dh and
 --ur-kinematics are of the robot alone and need no --station.
+
+--page is for a browser without a network: drop a table or a URScript program, save it corrected. The file of
+--python is a program as well: python arm.py program.csv corrected.csv
 """
 
 
@@ -32,16 +36,31 @@ class ExportArguments:
     """Arguments of export."""
 
     model: Path = model_argument()
-    urdf: Path | None = option("Write the calibrated URDF.", metavar="FILE.urdf")
-    c: Path | None = option("Write C99 for a controller: one header, one source, no dependencies.", metavar="DIR")
-    python: Path | None = option("Write a Python file that needs NumPy alone.", metavar="FILE.py")
-    mjcf: Path | None = option("Write a MuJoCo model: geometry, masses, and compliances as springs.", metavar="FILE.xml")
-    ur_kinematics: Path | None = option("Write the kinematics yaml of ur_description (UR robots).", metavar="FILE.yaml")
-    dh: Path | None = option("Write Denavit-Hartenberg parameters, standard and modified.", metavar="FILE.csv")
+    urdf: Path | None = option("Write the calibrated URDF.", metavar="FILE.urdf", type=Output(".urdf", ".xml"))
+    c: Path | None = option(
+        "Write C99 for a controller: one header, one source, no dependencies.", metavar="DIR", type=Output()
+    )
+    python: Path | None = option("Write a Python file that needs NumPy alone.", metavar="FILE.py", type=Output(".py"))
+    page: Path | None = option(
+        "Write a page that corrects programs in any browser, offline.", metavar="FILE.html", type=Output(".html", ".htm")
+    )
+    mjcf: Path | None = option(
+        "Write a MuJoCo model: geometry, masses, and compliances as springs.",
+        metavar="FILE.xml",
+        type=Output(".xml", ".mjcf"),
+    )
+    ur_kinematics: Path | None = option(
+        "Write the kinematics yaml of ur_description (UR robots).", metavar="FILE.yaml", type=Output(".yaml", ".yml")
+    )
+    dh: Path | None = option(
+        "Write Denavit-Hartenberg parameters, standard and modified.", metavar="FILE.csv", type=Output(".csv")
+    )
     frames: Literal["kuka", "fanuc", "abb", "ur"] | None = option("Print base and tool as a controller has them.")
-    camera: Path | None = option("Write the camera, parameters and mount, as calibrate reads it.", metavar="FILE.json")
+    camera: Path | None = option(
+        "Write the camera, parameters and mount, as calibrate reads it.", metavar="FILE.json", type=Output(".json")
+    )
     frame: Literal["instrument", "base"] = option(
-        "Frame of the poses in --c and --python: the instrument's or the robot's base.", "instrument"
+        "Frame of the poses in --c, --python and --page: the instrument's or the robot's base.", "instrument"
     )
     place: PlaceOptions = group("Place of instrument and target")
     table: TableArguments = group("Table of --placement")
@@ -51,23 +70,26 @@ class ExportArguments:
 @verb(ExportArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
 def export(arguments: ExportArguments) -> Exit:
     """Write the calibrated robot in other formats."""
-    from pincal.calibration.stations import load_stations
-    from pincal.cli.places import find_place, tell_doubt
+    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.cli.placement import find_place, print_doubt
     from pincal.export import FORMATS, export_model
 
-    # A plugin's format has no option here: it is written from Python.
-    known = {name: cls for name, cls in FORMATS.registered().items() if hasattr(arguments, name.replace("-", "_"))}
+    # In the order of --help, whatever the order in which formats were registered. A plugin's format has no option here: it
+    # is written from Python.
+    registered = FORMATS.registered()
+    options = (field.name.replace("_", "-") for field in fields(arguments))
+    known = {name: registered[name] for name in options if name in registered}
     places = {name: getattr(arguments, name.replace("-", "_")) for name in known}
     places = {name: place for name, place in places.items() if place is not None}
     if not places:
-        options = ", ".join(f"--{name} ({cls.meaning})" for name, cls in known.items())
-        raise click.UsageError(f"nothing to export; give at least one of {options}")
+        choices = ", ".join(f"--{name} ({cls.meaning})" for name, cls in known.items())
+        raise click.UsageError(f"nothing to export; give at least one of {choices}")
     if all(known[name].of_robot for name in places) and not arguments.place.placement:
         calibrated = load_stations(arguments.model).robot_model()
     else:
         found = find_place(arguments.model, arguments.place, arguments.table.options)
         if found.doubt:
-            tell_doubt(found.doubt, arguments.model)
+            print_doubt(found.doubt, arguments.model)
             return Exit.CHANGED
         calibrated = found.model
     told: dict[str, Any] = {}
@@ -97,4 +119,4 @@ def _options(name: str, arguments: ExportArguments) -> dict[str, str]:
     """Return the options of a format that the command line has."""
     if name == "frames":
         return {"controller": str(arguments.frames)}
-    return {"frame": arguments.frame} if name in ("c", "python") else {}
+    return {"frame": arguments.frame} if name in ("c", "python", "page") else {}

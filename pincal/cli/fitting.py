@@ -1,16 +1,18 @@
-"""What calibrate and discover share: load, run a pipeline, write the folder of results, print, exit code."""
+"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and to what it misses."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from pincal.cli.arguments import group, option
+from pincal.cli.arguments import Output, group, option, verb
 from pincal.cli.common import (
     CalibrationOptions,
     GeneralOptions,
@@ -20,20 +22,42 @@ from pincal.cli.common import (
     verbose_option,
 )
 from pincal.cli.outputs import print_json, provenance, require_accuracy
-from pincal.cli.workers import dask_option
-from pincal.errors import Exit, IdentificationError
+from pincal.errors import BadInputError, Exit, IdentificationError
 from pincal.io.result_folder import output_folder
+from pincal.spread import own_processes
 
 if TYPE_CHECKING:
-    from pincal.calibration.run import Calibration
+    from concurrent.futures import Executor
+
+    from pincal.calibration.calibration import Calibration
     from pincal.discover.run import Discovery
 
 # The view in three dimensions, beside the report.
 VIEW = "view3d.html"
 # Stations that have a view of their own: a page is about a megabyte.
 _MOST_VIEWS = 12
-FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
-EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
+# How long a cluster may take to answer, and then to have a worker [s].
+_ANSWER, _WORKER = 5.0, 10.0
+_FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
+_EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
+_CALIBRATE_EXAMPLES = f"""
+Examples:
+  pincal calibrate robot.urdf tracker.csv --out results --noise 0.05mm
+  pincal calibrate ur10 series.csv --out results --max-error 0.2mm
+  pincal calibrate robot.urdf monday.csv tuesday.csv --split station --out results
+
+{_FILES}.
+"""
+_DISCOVER_EXAMPLES = f"""
+Examples:
+  pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
+  pincal discover robot.urdf tracker.csv --out results --try gear_ripple:joint_2:order=101
+  pincal discover robot.urdf monday.csv tuesday.csv --split station --out results
+  pincal discover robot.urdf tracker.csv --out results --dask tcp://10.0.0.5:8786
+
+{_FILES},
+all for the model with the effects that were found, and discovery.json.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +65,7 @@ class FitArguments:
     """Arguments of calibrate and discover."""
 
     source: InputOptions = group("Input")
-    out: Path = option("Folder for the results.", MISSING, metavar="DIR")
+    out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
     max_error: float | None = max_error_option()
     verbose: bool = verbose_option()
     view: bool = option(f"Also write {VIEW}: the robot and its errors in 3D.", False)
@@ -50,11 +74,68 @@ class FitArguments:
     accept_shift: bool = option(
         "Exit with 0 though readings shift from some row on, as if instrument or target had been touched.", False
     )
-    dask: str | None = dask_option()
+    dask: str | None = option(
+        "Run repeated fits, such as those of half of the poses or of all stations but one, on this Dask cluster.",
+        metavar="ADDRESS",
+        words="this machine",
+    )
     general: GeneralOptions = group("General")
 
 
-def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
+@dataclass(frozen=True, kw_only=True)
+class DiscoverArguments(FitArguments):
+    """Arguments of discover."""
+
+    tried: tuple[str, ...] = option(
+        "Also try this effect, named as for --add: for a gear of known ratio or an encoder of known line count the cycles "
+        "per revolution, e.g. gear_ripple:joint_2:order=101. A known order shows when it is smaller than one that is "
+        "searched for.",
+        (),
+        metavar="EFFECT",
+        name="--try",
+    )
+    stability: int = option(
+        "Number of subsamples, half of the poses each, on which the search is repeated to see how often each name comes up; "
+        "0 for none.",
+        20,
+        type=click.IntRange(min=0),
+        metavar="N",
+    )
+
+
+@verb(FitArguments, examples=_CALIBRATE_EXAMPLES, exits=_EXITS)
+def calibrate_verb(arguments: FitArguments) -> Exit:
+    """Calibrate a robot from a table of measured poses.
+
+    The calibrated model is validated on held-out rows.
+    """
+    from pincal.calibration.calibration import run_calibration
+
+    with _workers(arguments.dask, repeats=arguments.split.split == "station", processes=False) as executor:
+        return _run_fit(arguments, partial(run_calibration, executor=executor))
+
+
+@verb(DiscoverArguments, examples=_DISCOVER_EXAMPLES, exits=_EXITS, defaults={"model": "geometric", "test_fraction": 0.2})
+def discover(arguments: DiscoverArguments) -> Exit:
+    """Identify the effects that the model misses.
+
+    Reports where model and data disagree, which effects explain it, and how the error on held-out rows shrinks.
+    """
+    from pincal.cli.inputs import named_effects
+    from pincal.discover.run import run_discovery
+
+    repeats = arguments.stability > 0 or arguments.split.split == "station"
+    with _workers(arguments.dask, repeats=repeats) as executor:
+
+        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
+            extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
+            choice |= {"extra": extra, "stability": arguments.stability, "executor": executor}
+            return run_discovery(robot, tables, options, **choice)
+
+        return _run_fit(arguments, run)
+
+
+def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
     """Run a calibration or a discovery on the files of the command line, write what it returns and print it.
 
     Raises:
@@ -62,20 +143,21 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
             are written all the same.
         AccuracyGateError: if the error exceeds the limit; likewise.
     """
-    from pincal.calibration.run import Calibration
-    from pincal.cli.inputs import load_stations, prepare
-    from pincal.cli.progress import tell_step
+    from pincal.calibration.calibration import Calibration
+    from pincal.cli.inputs import load_tables, prepare
+    from pincal.cli.progress import log_step
+    from pincal.report import plots  # noqa: F401  Refused here, not after the fit, where matplotlib is missing.
 
     split, source = arguments.split, arguments.source
     with output_folder(arguments.out) as draft:
         prepared = prepare(source, arguments.chosen)
         held = split.holdout
         shared = replace(source.table.options, shares_log=True)
-        holdout = None if held is None else load_stations(prepared.robot, [held], options=shared)
+        holdout = None if held is None else load_tables(prepared.robot, [held], options=shared)
         choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
         found = run(prepared.robot, prepared.tables, prepared.options, **choice)
         calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)
-        tell_step("writing the model")
+        log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
         notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
@@ -83,12 +165,12 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     if arguments.general.as_json:
         print_json(result.to_dict() if discovery is None else discovery.report)
     else:
-        from pincal.cli.brief import print_brief
         from pincal.cli.progress import console
-        from pincal.cli.tables import print_discovery, print_notes, print_result
+        from pincal.cli.screen import print_brief, print_discovery, print_notes, print_result
 
         if not arguments.verbose:
-            print_brief(calibration, discovery, console(), folder=arguments.out, notes=notes)
+            more = f"--verbose, or {arguments.out / 'report.html'}"
+            print_brief(calibration, discovery, console(), more=more, notes=notes)
         elif discovery is None:
             print_result(result, console())
         else:
@@ -100,7 +182,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     if not result.converged:
         raise IdentificationError("the fit did not converge; the files hold its last state")
     if result.doubt:
-        raise IdentificationError(f"not to be used: {result.doubt}")
+        raise IdentificationError(f"do not use: {result.doubt}")
     if result.shift and not arguments.accept_shift:
         raise IdentificationError(f"{result.shift}. The files are written; --accept-shift takes them as they are")
     part = "test" if "test" in result.error["calibrated"] else "train"
@@ -152,7 +234,7 @@ def _write_views(folder: Path, calibration: Calibration) -> None:
         others = ", ".join(other for other in names if other != name)
         notes = [f"station {rows.name}; the others are in {others}"] if others else []
         model = calibration.fit.at(rows.name) if others else calibration.fit.robot_model()
-        write_html(folder / name.replace("/", "_"), build_scene(model, table, held_out=held, notes=notes))
+        write_html(folder / name.replace("/", "_"), build_scene(model, table, held_out=held).opening(notes=notes))
 
 
 def _write_residuals(path: Path, calibration: Calibration) -> None:
@@ -183,3 +265,74 @@ def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarra
             names = [f"{component} [{block.unit}]" for block in problem.sensor.blocks for component in block.components]
             found |= {f"{model}_{name}": row for name, row in zip(names, residuals, strict=True)}
         yield found
+
+
+@contextmanager
+def _workers(dask: str | None, *, repeats: bool, processes: bool = True) -> Iterator[Executor | None]:
+    """Yield what does the work that a command repeats, None for the command itself; what is not begun ends with the context.
+
+    Args:
+        dask: address of a Dask scheduler; default: this machine.
+        repeats: whether the command repeats any.
+        processes: whether this machine does it by a process for each core, which take seconds to start.
+
+    Raises:
+        BadInputError: if the cluster can't be used.
+    """
+    if dask is not None and not repeats:
+        raise click.UsageError(
+            "--dask: there are no repeated fits to distribute; calibrate has them with --split station, discover unless "
+            "--stability is 0"
+        )
+    with ExitStack() as stack:
+        executor: Executor | None = None
+        if dask is not None:
+            executor = _connected(dask, stack).get_executor()
+        elif repeats and processes:
+            executor = stack.enter_context(own_processes())
+        yield executor
+
+
+def _connected(address: str, stack: ExitStack) -> Any:
+    """Return a client of a cluster whose workers have the same pincal."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise BadInputError("--dask needs Dask: run pip install 'pincal[cluster]', here and on the workers") from error
+    import asyncio
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        found = asyncio.run(asyncio.wait_for(_identity(address), _ANSWER))
+        if found["type"] != "Scheduler":
+            raise ValueError(f"it is a {found['type'].lower()}'s")
+    except (OSError, ValueError) as error:
+        why = str(error) or f"no answer within {_ANSWER:g} s"
+        raise BadInputError(
+            f"--dask {address}: {why}; expected the address of a running Dask scheduler, such as tcp://10.0.0.5:8786"
+        ) from error
+    client = stack.enter_context(Client(address, timeout=_ANSWER, set_as_default=False))
+    try:
+        client.wait_for_workers(1, timeout=_WORKER)
+    except TimeoutError as error:
+        raise BadInputError(f"--dask {address}: the cluster has no workers; start some: dask worker {address}") from error
+    try:
+        there = client.run(version, "pincal")
+    except PackageNotFoundError as error:
+        raise BadInputError(
+            f"--dask {address}: its workers lack pincal; install version {version('pincal')} there"
+        ) from error
+    if others := {found for found in there.values()} - {version("pincal")}:
+        raise BadInputError(
+            f"--dask {address}: its workers have pincal {', '.join(sorted(others))}; expected {version('pincal')}, as here"
+        )
+    return client
+
+
+async def _identity(address: str) -> dict[str, Any]:
+    """Ask who listens. A client would wait for ever for the answer of what is no scheduler, such as its own dashboard."""
+    from distributed.core import rpc
+    from distributed.security import Security
+
+    async with rpc(address, connection_args=Security().get_connection_args("client")) as there:
+        return dict(await there.identity())

@@ -10,28 +10,27 @@ from typing import Literal
 import numpy as np
 
 from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
-from pincal.cli.progress import tell_step
+from pincal.cli.progress import log_step
 from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
-from pincal.io.camera_file import read_lens, read_mount
+from pincal.io.camera_file import read_camera
+from pincal.measure.fields import TableOptions
 from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.measurements import Measurements
-from pincal.measure.named_points import KnownDistance
-from pincal.measure.options import TableOptions
-from pincal.measure.setup import Setup, read_distances, read_points
-from pincal.measure.stations import stations_of
-from pincal.measure.table import joint_columns, read_measurements
+from pincal.measure.setup import KnownDistance, Setup, read_distances, read_points
+from pincal.measure.table import joint_columns, read_measurements, stations_of
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
-from pincal.robot.robot import Robot, find_file
-from pincal.robot.urdf import read_urdf
+from pincal.robot.mastering import remastered
+from pincal.robot.robot import Robot
+from pincal.robot.urdf_file import find_file, read_urdf
 from pincal.units import readable_unit
 
-EFFECTS = {"geometric": GEOMETRIC, "elastic": ELASTIC}
+EFFECTS_OF = {"geometric": GEOMETRIC, "elastic": ELASTIC}
 
 
 @dataclass(frozen=True)
@@ -68,23 +67,15 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     Raises:
         BadInputError: for a file or an option that is invalid.
     """
-    tell_step("reading robot and tables")
+    log_step("reading robot and tables")
     robot = load_robot(source)
-    tables = load_stations(robot, source.data, options=source.table.options)
+    tables = load_tables(robot, source.data, options=source.table.options)
     setup = chosen.setup
     given = [path for path in (source.table.joints, setup.points, setup.distances, setup.camera) if path is not None]
-    options = with_effects(options_of(chosen, tables), chosen.fit.add, robot=robot, tables=tables)
+    options = options_of(chosen, tables)
+    effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
+    options = replace(options, effects=(*options.effects, *effects))
     return Prepared(robot, tables, options, (*source.data, *given, Path(robot.source)))
-
-
-def with_effects(options: Options, added: tuple[str, ...], *, robot: Robot, tables: Mapping[str, Measurements]) -> Options:
-    """Return the options with the effects that the command line adds.
-
-    Raises:
-        BadInputError: for an effect that is unknown or that these poses can't show.
-    """
-    effects = named_effects(added, options, robot=robot, tables=tables)
-    return replace(options, effects=(*options.effects, *effects)) if effects else options
 
 
 def named_effects(
@@ -106,6 +97,17 @@ def named_effects(
 
 def load_robot(source: InputOptions) -> Robot:
     """Return the arm whose joints are columns of the (first) table."""
+    return as_stated(_described(source), signs=source.signs, couplings=source.couplings)
+
+
+def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -> Robot:
+    """Return the robot with what its controller reports, as the command line states it."""
+    robot = remastered(robot, turned=signs) if signs else robot
+    return robot.with_couplings(*couplings) if couplings else robot
+
+
+def _described(source: InputOptions) -> Robot:
+    """Return the arm as its URDF has it."""
     tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
     if source.tip is not None:
         return Robot.from_tree(tree, tip=source.tip, base=source.base, mass=source.mass)
@@ -114,7 +116,7 @@ def load_robot(source: InputOptions) -> Robot:
     return Robot.from_tree(tree, base=source.base, joints=joints or None, mass=source.mass)
 
 
-def load_stations(robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None) -> dict[str, Measurements]:
+def load_tables(robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None) -> dict[str, Measurements]:
     """Return the measurements of each station, named by its file or by a column ``station``.
 
     Raises:
@@ -145,7 +147,7 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
     listed = () if setup.distances is None else read_distances(setup.distances)
     _refuse_unused(setup, tables)
     return Options(
-        effects=EFFECTS[model.model],
+        effects=EFFECTS_OF[model.model],
         sigma_orientation=setup.noise_angle,
         moment_frame=model.moment_frame,
         equilibrium=fit.equilibrium,
@@ -154,28 +156,37 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
         stages=fit.stages,
         loss=fit.loss,
         length_bound=fit.length_bound,
+        priors=fit.priors,
+        zeros=_unknown_zeros(fit.zeros),
         setup=Setup(
             points={} if setup.points is None else read_points(setup.points),
             distances=(*(KnownDistance(*gap) for gap in setup.gaps), *listed),
-            lens=None if setup.camera is None else read_lens(setup.camera),
+            lens=None if setup.camera is None else read_camera(setup.camera).lens(),
             fit_lens=setup.fit_camera,
         ),
         stations={name: _known_of(setup, table, alone=len(tables) == 1) for name, table in tables.items()},
     )
 
 
+def _unknown_zeros(text: str | None) -> tuple[str, ...]:
+    """Return the joints whose zeros are unknown, by names or patterns."""
+    word, _, names = ("unknown", "", "-") if text is None else text.partition(":")
+    if word.strip() != "unknown":
+        raise BadInputError(f"--zeros {text}; expected unknown, or unknown:JOINT,JOINT")
+    return () if text is None else tuple(filter(None, (name.strip() for name in names.split(",")))) or ("*",)
+
+
 def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> StationOptions:
-    """Return what the command line says of one station."""
     base = np.eye(4) if setup.points_in == "base" and (alone or table.point_names is not None) else None
     if setup.anchor and (alone or table.distance is not None):
         base = np.eye(4)
         base[:3, 3] = -np.array(setup.anchor)
-    mount = read_mount(setup.camera) if setup.camera and _has_camera(table) else None
+    mount = read_camera(setup.camera).T_tip_camera if setup.camera and _has_camera(table) else None
     if mount is not None and not (table.sensor and table.sensor.is_on_tool):
-        raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is of a camera that stands still; remove it")
+        raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is of a fixed camera; remove it")
     known: tuple[float, float, float] | np.ndarray | None = setup.tool if mount is None else mount
     tools = None if known is None else {str(table.target[0]): known}
-    sigma = setup.noise[0] if setup.noise and setup.noise[1] == _unit_of(table) else None
+    sigma = setup.noise[0] if setup.noise and table.sensor and setup.noise[1] == table.sensor.blocks[0].unit else None
     is_by_range = setup.instrument is not None and table.position is not None
     instrument = InstrumentNoise.of(str(setup.instrument)) if is_by_range else None
     return StationOptions(sigma=sigma, base=base, tools=tools, instrument=instrument)
@@ -185,20 +196,13 @@ def _has_camera(table: Measurements) -> bool:
     return bool(table.sensor and table.sensor.has_camera)
 
 
-def _unit_of(table: Measurements) -> str | None:
-    """Return the unit of what a table holds first; None where nothing was measured."""
-    return None if table.sensor is None else table.sensor.blocks[0].unit
-
-
 def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> None:
     """Refuse a camera or an instrument that is used at no station, and noise in a unit that no station's readings have."""
     held = " and ".join(f"{table.source} holds {table.kind}" for table in tables.values())
     if setup.camera and not any(map(_has_camera, tables.values())):
         raise BadInputError(f"--camera is for camera readings, but {held}; leave it out")
     if setup.instrument and setup.noise and setup.noise[1] == "m":
-        raise BadInputError(
-            "--instrument and --noise: both say how large the noise of positions is; expected one of the two"
-        )
+        raise BadInputError("--instrument and --noise: both declare the noise of positions; expected one of the two")
     if setup.instrument and all(table.position is None for table in tables.values()):
         raise BadInputError(
             f"--instrument is for positions in the instrument's frame, but {held}; leave it out, give --noise"

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 # Rows outside the calibrated range that are listed one by one.
 _SHOWN = 5
-_UNITS = {"time": "s", "temperature": "deg C", "payload": "kg"}
 
 
 def print_json(contents: Mapping[str, Any]) -> None:
@@ -29,15 +28,7 @@ def print_json(contents: Mapping[str, Any]) -> None:
     click.echo(json.dumps(contents, indent=2, allow_nan=False))
 
 
-def print_doubts(notes: Iterable[Note]) -> None:
-    """Print what makes a result doubtful, before anything else of it and whatever else is wanted."""
-    from pincal.cli.progress import console
-    from pincal.cli.tables import print_doubts as print_on
-
-    print_on(notes, console())
-
-
-def print_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
+def echo_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
     """Print notes on stderr unless they are not wanted; doubts stand before the result."""
     from pincal.notes import doubts_first
 
@@ -69,7 +60,7 @@ def require_accuracy(mean_mm: float, max_error: float | None, *, rows: str) -> N
         raise AccuracyGateError(f"mean error of {mean_mm:.4f} mm on {rows} rows exceeds --max-error {max_error * 1e3:g} mm")
 
 
-def pose_columns(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.ndarray]:
+def columns_of_poses(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.ndarray]:
     """Return poses, shape (N, 3, 4), as the columns x y z and, if wanted, qx qy qz qw of a table."""
     from pincal.robot.se3 import quaternions
 
@@ -92,9 +83,12 @@ def extrapolation(
     Returns:
         Entries for programs, and notes for the user.
     """
+    from pincal.recorded import RECORDABLE
+
     values, curves = calibrated.outside(conditions), calibrated.outside_curves(conditions)
     robot = calibrated.model.chain.robot
-    units = dict(zip(robot.joint_names, robot.joint_units, strict=True)) | _UNITS
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
+    units |= {name: variable.unit for name, variable in RECORDABLE.items()}
     rows = len({value.row for value in values})
     notes = [f"rows outside the range of the calibration data: {rows}"] if rows else []
     for row, name, value, low, high in values[:_SHOWN]:
@@ -108,8 +102,8 @@ def extrapolation(
     turned = calibrated.turned_curves(conditions)
     for found in turned:
         notes.append(
-            f"{found.rows} rows have {found.variable} a turn away from where the {found.effect} of {found.joint} was "
-            "identified; it is taken to repeat after a turn"
+            f"{found.rows} rows have {found.variable} a revolution away from where the {found.effect} of {found.joint} was "
+            "identified; it is assumed to repeat after a revolution"
         )
     contents = {"outside": rows, "curves": [curve._asdict() for curve in curves]}
     return contents | ({"turned": [found._asdict() for found in turned]} if turned else {}), notes

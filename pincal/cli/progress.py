@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 _handler: logging.Handler | None = None
 
 
-def show_progress(quiet: bool) -> None:
+def begin_progress(quiet: bool) -> None:
     """Show the library's log on stderr, unless it is to be quiet."""
     global _handler
     end_progress()
@@ -47,7 +47,7 @@ def show_progress(quiet: bool) -> None:
     logger.setLevel(logging.INFO)
 
 
-def tell_step(step: str) -> None:
+def log_step(step: str) -> None:
     """Show what a command does now, on the line that is overwritten; elsewhere nothing."""
     log.info(step)
 
@@ -132,7 +132,7 @@ def _stage(record: logging.LogRecord) -> object:
     return record.args[0] if isinstance(record.args, tuple) and record.args else record.msg
 
 
-class _Left(ProgressColumn):
+class _RemainingColumn(ProgressColumn):
     """The remaining time, if the number of steps is known."""
 
     def render(self, task: Task) -> Text:
@@ -146,7 +146,7 @@ class _Overwritten(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.INFO)
         screen = Console(stderr=True, highlight=False)
-        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(), _Left())
+        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(), _RemainingColumn())
         self._progress = Progress(*columns, console=screen, transient=True, redirect_stdout=False, redirect_stderr=False)
         self._task = self._progress.add_task("", total=None)
 

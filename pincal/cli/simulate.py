@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +17,12 @@ from pincal.atomic import replacing
 from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance
 from pincal.cli.simulate_options import SimulateArguments
-from pincal.errors import BadInputError, Exit, OutputError
+from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
     from pincal.simulate.campaign import Campaign
+    from pincal.simulate.effect import HiddenEffect
     from pincal.simulate.machine import TrueMachine
     from pincal.simulate.setup import SensorSetup
 
@@ -43,8 +46,6 @@ Then:
 
 def _catalogue() -> str:
     """Return the end of the help text, for which the effects are imported."""
-    from pincal.cli.effect_option import effect_help
-
     heading = "Effects, the joint on which they act, and their keys (default: a random joint and typical values):"
     return f"{heading}\n{effect_help()}"
 
@@ -52,7 +53,7 @@ def _catalogue() -> str:
 @verb(SimulateArguments, examples=_EXAMPLES, ending=_catalogue)
 def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
-    from pincal.cli.progress import end_progress, tell_step
+    from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
     from pincal.simulate.request import Stream
@@ -61,9 +62,9 @@ def simulate(arguments: SimulateArguments) -> Exit:
     given = arguments.machine
     robot = Robot.from_urdf(arguments.robot, tip=given.tip, base=given.base, xacro_args=dict(given.xacro_args))
     machine = _machine(robot, arguments)
-    tell_step("planning poses")
+    log_step("planning poses")
     campaign = _campaign(robot, machine, arguments)
-    tell_step("measuring them")
+    log_step("measuring them")
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
@@ -85,9 +86,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
 
 
 def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
-    """Return the machine that is measured."""
-    from pincal.cli.effect_option import parse_effect
-    from pincal.robot.urdf import arm_text
+    from pincal.robot.urdf_file import arm_text
     from pincal.simulate.machine import TrueMachine
     from pincal.simulate.request import draw_machine
 
@@ -118,10 +117,9 @@ def _weights(robot: Robot, machine: TrueMachine) -> dict[str, Any]:
 
 
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
-    """Return poses, conditions and set-up."""
     from pincal.cli.inputs import load_table
     from pincal.simulate.campaign import Campaign
-    from pincal.simulate.request import Stream, poses_of_table, repeat_poses
+    from pincal.simulate.request import Repetition, Stream, poses_of_table, repeat_poses
     from pincal.simulate.sensors import draw_setup
 
     given = arguments.campaign
@@ -138,17 +136,14 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
             raise BadInputError(
                 f"{error}; a lower --floor, or --no-floor, gives the arm more room, another --seed another place"
             ) from None
-    q, all_conditions = repeat_poses(
-        machine,
-        q,
-        given=conditions,
-        seed=arguments.pose_seed,
+    wanted = Repetition(
         cycles=given.cycles,
         recorded=given.recorded,
         payload=given.payload,
         payload_order=given.payload_order,
         payload_com=given.payload_com,
     )
+    q, all_conditions = repeat_poses(machine, q, wanted, given=conditions, seed=arguments.pose_seed)
     return Campaign(q=q, conditions=all_conditions, setup=setup, hidden=given.hide)
 
 
@@ -227,5 +222,90 @@ def _check_places(paths: dict[str, Path]) -> None:
 
 
 def _write_json(path: Path, *, contents: dict[str, Any]) -> None:
-    """Write contents as JSON."""
     path.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def effect_help() -> str:
+    """Return the effects with their keys and units as lines of help."""
+    from pincal.simulate.effect import Scope
+    from pincal.simulate.hidden import HIDDEN_EFFECTS
+
+    lines = []
+    for name, kind in HIDDEN_EFFECTS.items():
+        keys = ", ".join([f"size [{kind.unit}]", *_keys(kind)[1:]])
+        lines.append(f"  {name}{'' if kind.scope is Scope.ARM else ':JOINT'}: {keys}")
+    return "\n".join(lines)
+
+
+def _keys(kind: type[HiddenEffect]) -> list[str]:
+    """Return the keys of an effect, size first."""
+    return ["size", *(field.name for field in fields(kind) if field.name not in ("joint", "size"))]
+
+
+def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+    """Return name and given fields of a hidden effect of an arm with these joints.
+
+    ``text`` is as on the command line, e.g. ``gear_eccentricity:joint_3:size=1e-4,order=1``; components of a vector are
+    separated by a slash, as commas separate keys.
+
+    Raises:
+        BadInputError: For a name, joint, key or value that can't be, with those that can.
+
+    Example:
+        >>> parse_effect("axis_wobble:j2:size=1e-4,order=1,frame=after", ("j1", "j2"))
+        ('axis_wobble', {'joint': 'j2', 'size': 0.0001, 'order': 1, 'frame': 'after'})
+    """
+    from pincal.model.catalogue.candidates import effect_parts
+    from pincal.simulate.hidden import HIDDEN_EFFECTS
+
+    name, pairs = effect_parts(text)
+    if name not in HIDDEN_EFFECTS:
+        raise BadInputError(f"effect {name!r}: unknown; expected one of {', '.join(nearest_first([name], HIDDEN_EFFECTS))}")
+    kind, values = HIDDEN_EFFECTS[name], dict[str, Any]()
+    for key, word in pairs:
+        if key not in ("joint", *_keys(kind)):
+            raise BadInputError(f"effect {text!r}: no key {key!r}; {name} has {', '.join(_keys(kind))}, as key=value")
+        if key in ("joint", "source") and word not in joints:
+            near = ", ".join(nearest_first([word], joints))
+            raise BadInputError(f"effect {text!r}: no joint {word!r}; expected one of {near}")
+        if key in values:
+            raise BadInputError(f"effect {text!r}: {key} is given twice")
+        values[key] = _read(text, kind, key, word)
+    return name, values
+
+
+def _read(text: str, kind: type[HiddenEffect], key: str, word: str) -> Any:
+    """Return the value of a key of an effect."""
+    from pincal.simulate.elastic import MOMENT_FRAMES
+
+    choices = {"frame": ("before", "after"), "moment_frame": MOMENT_FRAMES}
+    if key in choices and word not in choices[key]:
+        raise BadInputError(f"effect {text!r}: {key}={word}; expected one of {', '.join(choices[key])}")
+    types = {field.name: str(field.type).removesuffix(" | None") for field in fields(kind)}
+    read, words = _READERS[types.get(key, "str")]
+    try:
+        return read(word)
+    except (KeyError, ValueError):
+        raise BadInputError(f"effect {text!r}: {key}={word}; expected {words}") from None
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
+
+
+def _vector(text: str) -> tuple[float, ...]:
+    x, y, z = map(_number, text.split("/"))
+    return x, y, z
+
+
+# How the value of a field of a type is read, and what is expected.
+_READERS: dict[str, tuple[Callable[[str], Any], str]] = {
+    "float": (_number, "a number"),
+    "int": (int, "a whole number"),
+    "str": (str, "a name"),
+    "bool": ({"true": True, "false": False}.__getitem__, "true or false"),
+    "tuple[float, float, float]": (_vector, "three numbers, as 1/0/0"),
+}

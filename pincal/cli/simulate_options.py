@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from pincal.cli.arguments import Number, group, option
+from pincal.cli.arguments import NumberType, group, option
 from pincal.cli.common import (
     ANGLES,
     LENGTH,
+    TABLE,
     GeneralOptions,
     Masses,
-    Noise,
-    Quantity,
-    Vector,
+    NoiseType,
+    QuantityType,
+    Triple,
     base_option,
     gravity_option,
     robot_argument,
@@ -53,32 +54,36 @@ _MOST_POSES = 10_000_000
 _PAPER_POSES = 12
 
 
-class _Lens(click.ParamType[dict[str, float]]):
+class _LensType(click.ParamType[dict[str, float]]):
     """Intrinsics of a camera, such as ``fx=1200,k1=-0.1``."""
 
     name = "lens"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
-        """Return values by name; a key or value that is invalid is bad input."""
-        from pincal.simulate.lens import Lens
-
-        known, found = tuple(Lens().intrinsics), dict[str, float]()
-        for pair in str(value).split(","):
-            key, _, text = (word.strip() for word in pair.partition("="))
-            if key not in known:
-                raise BadInputError(f"lens {value!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
-            positive = key in ("fx", "fy", "width", "height")
-            try:
-                found[key] = float(text)
-            except ValueError:
-                raise BadInputError(f"lens {value!r}: {key}={text}; expected a number") from None
-            if not math.isfinite(found[key]) or (positive and found[key] < 1.0):
-                wanted = "number of at least 1" if positive else "finite number"
-                raise BadInputError(f"lens {value!r}: {key}={text}; expected a {wanted}")
-        return found
+        """Return values by name; a key or value that is invalid is bad input, which a plain function's would not be."""
+        return _lens(str(value))
 
 
-_SCALE, _COUNT = Number(0.0), click.IntRange(1, 100)
+def _lens(text: str) -> dict[str, float]:
+    from pincal.simulate.lens import Lens
+
+    known, found = tuple(Lens().intrinsics), dict[str, float]()
+    for pair in text.split(","):
+        key, _, word = (part.strip() for part in pair.partition("="))
+        if key not in known:
+            raise BadInputError(f"lens {text!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
+        least = 1.0 if key in ("fx", "fy", "width", "height") else -math.inf
+        try:
+            found[key] = float(word)
+        except ValueError:
+            raise BadInputError(f"lens {text!r}: {key}={word}; expected a number") from None
+        if not math.isfinite(found[key]) or found[key] < least:
+            wanted = "finite number" if least < 1.0 else "number of at least 1"
+            raise BadInputError(f"lens {text!r}: {key}={word}; expected a {wanted}")
+    return found
+
+
+_SCALE, _COUNT = NumberType(0.0), click.IntRange(1, 100)
 _Recorded = Literal["temperature", "time", "approach"]
 
 
@@ -97,15 +102,15 @@ class MachineArguments:
         type=_SCALE,
     )
     moment_frame: Literal["paper", "before", "after"] = option(
-        "Frame convention of the bearings' compliance, in the URDF's own joint frames; discover finds out which.", "after"
+        "Frame convention of the bearings' compliance, in the URDF's own joint frames; discover identifies it.", "after"
     )
     masses_off: float = option(
         "Error of the URDF's masses and centres of mass (standard deviation).",
         0.0,
         metavar="PERCENT",
-        type=Number(0.0, 30.0),
+        type=NumberType(0.0, 30.0),
     )
-    gravity: Vector | None = gravity_option()
+    gravity: Triple | None = gravity_option()
     effects: tuple[str, ...] = option(
         "Hidden effect, see below.", (), metavar="NAME[:JOINT][:KEY=VALUE,...]", name="--effect"
     )
@@ -118,7 +123,7 @@ class CampaignArguments:
     poses: int | None = option("Number of random poses.", metavar="N", type=click.IntRange(1, _MOST_POSES))
     at: Path | None = option("Take joint positions (and payload, temperature, ...) from this table instead.")
     cycles: int = option(
-        "Measure every pose so many times, one round after the other; ISO 9283 asks for 30.",
+        "Number of measurements of each pose, in rounds; ISO 9283 requires 30.",
         1,
         metavar="N",
         type=click.IntRange(1, 1000),
@@ -129,7 +134,7 @@ class CampaignArguments:
     payload_order: Literal["blocks", "alternating"] = option(
         "Several payloads: one block of poses after the other, or in turn.", "blocks"
     )
-    payload_com: Vector = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
+    payload_com: Triple = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
     recorded: tuple[_Recorded, ...] = option("Record this column even if no effect needs it.", (), name="--with")
     hide: tuple[Literal["temperature", "time", "approach", "payload", "read"], ...] = option(
         "Do not record this column; it has its effect nevertheless.", ()
@@ -154,19 +159,19 @@ class SensorArguments:
     noise: tuple[float, str] | None = option(
         "Standard deviation of a coordinate, a distance, the point in its socket, or image coordinates; 0mm: exact.",
         metavar="LEVEL",
-        type=Noise(zero=True),
+        type=NoiseType(zero=True),
         words="0.05mm, 0.1px",
     )
     noise_angle: float | None = option(
         "Standard deviation of one orientation component (pose).",
         metavar="LEVEL",
-        type=Quantity(ANGLES, "0.1mrad", zero=True),
+        type=QuantityType(ANGLES, "0.1mrad", zero=True),
         words="0.1mrad",
     )
     targets: int | None = option(
         "Number of targets on the tool, each measured in every pose.", metavar="K", type=click.IntRange(1, 20), words="1"
     )
-    tool: Vector | None = option("Target, tool point or camera position in the tip frame [m].", words="random")
+    tool: Triple | None = option("Target, tool point or camera position in the tip frame [m].", words="random")
     instrument: Literal["drawn", "base"] | None = option(
         "Place of the instrument: random, or the robot's base frame.", words="drawn"
     )
@@ -192,7 +197,7 @@ class SensorArguments:
     lens: dict[str, float] | None = option(
         "Camera parameters: fx, fy, u0, v0 [px], k1, k2, k3, p1, p2, width, height [px].",
         metavar="KEY=VALUE,...",
-        type=_Lens(),
+        type=_LensType(),
         words="random",
     )
     points_out: Path | None = option(
@@ -206,7 +211,7 @@ class SimulateArguments:
     """Arguments of simulate."""
 
     robot: str = robot_argument()
-    out: Path = option("Table to write.", MISSING)
+    out: Path = option("Table to write.", MISSING, type=TABLE)
     truth: Path | None = option("Write what was put in: errors, effects, noise, seeds.", metavar="FILE.json")
     campaign: CampaignArguments = group("Poses and conditions")
     sensor: SensorArguments = group("Sensor")

@@ -13,7 +13,7 @@ from pincal.errors import printable
 _ALLOWED = re.compile(r"(\x1b\[[0-9;]*[mABGKlh]|\x1b\[\?25[lh]|\r)")
 
 
-class Guarded(io.FileIO):
+class GuardedStream(io.FileIO):
     """A stream of the process that takes all that is written, wherever it can't go.
 
     Attributes:
@@ -46,7 +46,7 @@ class _Printable(io.TextIOWrapper):
         return len(text)
 
 
-def guard_streams() -> Guarded:
+def guard_streams() -> GuardedStream:
     """Replace stdout and stderr by streams that never fail; return that of the results.
 
     A stream that is closed leads nowhere: a file that is opened later must not take its number, or prints would go there.
@@ -60,7 +60,7 @@ def guard_streams() -> Guarded:
     for name, number in (("stdout", 1), ("stderr", 2)):
         if (stream := getattr(sys, name)) is not None:
             stream.flush()
-        raw = Guarded(number, "w", closefd=False)
+        raw = GuardedStream(number, "w", closefd=False)
         encoding = getattr(stream, "encoding", None) or "utf-8"
         text = _Printable(io.BufferedWriter(raw), encoding=encoding, errors="backslashreplace", line_buffering=True)
         setattr(sys, name, text)

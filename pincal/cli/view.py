@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from pincal.cli.arguments import argument, group, option, verb
+from pincal.cli.arguments import Output, argument, group, option, verb
 from pincal.cli.common import GeneralOptions, TableArguments, model_argument, station_option
 from pincal.cli.outputs import print_json
 from pincal.errors import BadInputError, Exit
@@ -27,7 +27,7 @@ Examples:
   pincal view results/model.json --pose "0, -1.2, 1.5, 0, 0.3, 0" --grid 3000
 
 The page opens offline in any browser with WebGL. Without --html it is served to this computer only,
-until Ctrl-C. Layers are switched on and off by name in the panel or in the control tree.
+until Ctrl-C. Layers are switched on and off by name in the panel.
 """
 
 
@@ -37,7 +37,9 @@ class ViewArguments:
 
     model: Path = model_argument()
     data: Path | None = argument("[DATA.csv]", "Measurements to show.", required=False)
-    html_file: Path | None = option("Write one self-contained page instead.", metavar="FILE.html", name="--html")
+    html_file: Path | None = option(
+        "Write one self-contained page instead.", metavar="FILE.html", name="--html", type=Output(".html", ".htm")
+    )
     pose: str | None = option(
         "Initial pose: a row of DATA, counted from 1, or joint positions [rad or m].", metavar='ROW|"q1,q2,.."'
     )
@@ -82,7 +84,7 @@ def view(arguments: ViewArguments) -> Exit:
 
 
 def _scene(arguments: ViewArguments) -> Scene:
-    from pincal.calibration.stations import load_stations
+    from pincal.calibration.calibrated_robot import load_stations
     from pincal.cli.inputs import load_table
     from pincal.measure.table import concatenate
     from pincal.viewer import build_scene, held_out_rows
@@ -103,17 +105,19 @@ def _scene(arguments: ViewArguments) -> Scene:
         more = load_table(robot, holdout, options=arguments.table.options)
         held = np.repeat([False, True], [len(table), len(more)])
         table = concatenate([table, more])
-    return build_scene(
+    q = _pose(arguments.pose, table)
+    if q is not None and len(q) == robot.n_joints:
+        q = robot.from_reported(q[None])[0]
+    scene = build_scene(
         calibrated,
         table,
         held_out=held,
-        q=_pose(arguments.pose, table),
         grid=arguments.grid,
         scale=arguments.scale,
         axis_scale=arguments.axis_scale,
         mesh_folders=arguments.meshes,
-        notes=notes,
     )
+    return scene.opening(q, notes=notes)
 
 
 def _pose(text: str | None, table: Measurements | None) -> np.ndarray | None:

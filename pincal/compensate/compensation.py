@@ -13,8 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.compensate.frames import Frame, base_in_instrument, in_base_frame, program_poses
 from pincal.compensate.ik_problem import Bounds, IkProblem
+from pincal.compensate.robot_frames import PoseFrame, base_in_instrument, in_base_frame, program_poses
 from pincal.compensate.solve_ik import solve_ik
 from pincal.errors import BadInputError
 from pincal.model.effects import Conditions
@@ -23,7 +23,7 @@ from pincal.robot.se3 import compose
 
 log = logging.getLogger(__name__)
 
-Orientation = Literal["keep", "free"]
+KeptOrientation = Literal["keep", "free"]
 # Rows worked on at once: some 100 MB, and enough for the few rows that need more steps to share their cost.
 _PIECE = 32768
 # How far a rotation matrix may be from one: what is left of six decimals.
@@ -53,7 +53,7 @@ class Compensation:
     turn: np.ndarray
     seed_error: np.ndarray
     wanted: np.ndarray
-    frame: Frame
+    frame: PoseFrame
 
     def __repr__(self) -> str:
         return f"Compensation({int(self.is_ok.sum())} of {len(self.q)} rows reached, in the frame {self.frame!r})"
@@ -69,8 +69,8 @@ def compensate_poses(
     wanted: np.ndarray,
     conditions: Conditions,
     *,
-    frame: Frame = "instrument",
-    orientation: Orientation = "keep",
+    frame: PoseFrame = "instrument",
+    orientation: KeptOrientation = "keep",
     limits: bool = True,
 ) -> Compensation:
     """Return the joint positions that bring the target to wanted poses by the calibrated model.
@@ -100,7 +100,7 @@ def compensate_poses(
         >>> from pincal.model.chain import Chain
         >>> from pincal.model.effects import JointOffset
         >>> from pincal.model.model import Model
-        >>> from pincal.calibration.calibrated import estimate_of
+        >>> from pincal.parameters import estimate_of
         >>> from pincal.calibration.covered import Covered
         >>> from pincal.robot.robot import Robot
         >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), (JointOffset(),))
@@ -112,7 +112,10 @@ def compensate_poses(
         >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))
         (['ok'], -0.002)
     """
-    for name, value, known in (("frame", frame, get_args(Frame)), ("orientation", orientation, get_args(Orientation))):
+    for name, value, known in (
+        ("frame", frame, get_args(PoseFrame)),
+        ("orientation", orientation, get_args(KeptOrientation)),
+    ):
         if value not in known:
             raise BadInputError(f"{name} {value!r}; expected one of {', '.join(known)}")
     n = calibrated.model.chain.robot.n_joints
@@ -144,11 +147,11 @@ def compensate_poses(
         q[rows], status[rows] = solve_ik(problem.select(rows), seeds[rows], limits=bounds)
     error, turn = problem.distances(problem.residuals(q))
     seed_error, _ = problem.distances(problem.residuals(seeds))
-    return Compensation(robot.spread(q), status, error, turn, seed_error, poses, frame)
+    return Compensation(robot.as_reported(robot.spread(q)), status, error, turn, seed_error, poses, frame)
 
 
 def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True) -> Compensation:
-    """Return the joint positions at which the real robot does what a nominal program meant.
+    """Return the joint positions at which the real robot reaches the poses of a nominal program.
 
     The wanted pose is that of the target on the nominal robot, with the identified tool, at the program's joint positions.
 

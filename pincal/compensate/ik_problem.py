@@ -15,6 +15,8 @@ from pincal.robot.se3 import rotation_vectors
 REACHED = 1e-10
 # Typical lever arm of a rotation, as a fraction of the robot's reach.
 _LEVER = 1.0 / 3.0
+# A turn smaller than this part of the others is none.
+_LOST_TURN = 1e-6
 # Rounding error of a joint limit [rad or m].
 _ON_LIMIT = 1e-12
 
@@ -140,6 +142,20 @@ class IkProblem:
             return np.asarray(translation)
         turn = rotation_vectors(self.wanted[:, :, :3] @ poses[:, :, :3].swapaxes(1, 2))
         return np.hstack([translation, turn])
+
+    def turns_in_place(self, q: np.ndarray) -> np.ndarray:
+        """Return how freely the joints turn the target about each axis of the frame while its position stays.
+
+        Returns:
+            Shape (N, 3): 1 freely, 0 not at all; an arm of six joints does all three, but for singular poses.
+        """
+        _, J = self.linearise(q)
+        still = np.eye(J.shape[2]) - np.linalg.pinv(J[:, :3], rcond=_LOST_TURN) @ J[:, :3]
+        turns = J[:, 3:] @ still
+        reached = turns @ np.linalg.pinv(turns, rcond=_LOST_TURN)
+        # What rounding leaves of no turn at all is none.
+        is_turned = np.linalg.norm(turns, axis=(1, 2)) > _LOST_TURN
+        return np.where(is_turned[:, None], np.diagonal(reached, axis1=1, axis2=2), 0.0)
 
     def distances(self, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances [m] and the angles [rad] of residuals, each of shape (N,)."""

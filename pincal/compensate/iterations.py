@@ -21,7 +21,8 @@ from pincal.compensate.ik_problem import Bounds, IkProblem
 _NEWTON_STEPS = 12
 # The longest step of a joint [rad or m]: an arm's poses are nearly linear within it.
 _LONGEST = 0.3
-# A redundant arm moves on to the solution closest to its seed until its steps are smaller than this [rad or m].
+# A step smaller than this [rad or m] adds no error of its own; a redundant arm moves on to the solution closest to its seed
+# until its steps are.
 _SETTLED = 1e-8
 # Keep exactly singular poses from a division by zero: relative to the square of the Jacobian, and for joints that do not
 # move the target at all.
@@ -52,14 +53,16 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
         residuals, J = part.linearise(q[rows])
         is_redundant = problem.n_spare > 0
         step = _step_near(seed[rows] - q[rows] if is_redundant else None, residuals, J=J)
-        done = part.is_reached(residuals) & (np.abs(step).max(axis=1) < (_SETTLED if is_redundant else np.inf))
+        is_short = np.abs(step).max(axis=1) < _SETTLED
+        done = part.is_reached(residuals) & (is_short | (not is_redundant))
         reached[rows[done]] = True
+        # The last step of a row leads from what counts as reached to rounding, so that any order of operations ends there.
+        q[rows] += np.where((done & ~is_short)[:, None], 0.0, step)
         if done.any():
-            rows, step = rows[~done], step[~done]
+            rows = rows[~done]
             part = problem.select(rows)
         if not len(rows):
             break
-        q[rows] += step
     return q, reached
 
 

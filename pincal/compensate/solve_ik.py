@@ -15,8 +15,8 @@ import numpy as np
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.iterations import bounded_search, newton
 
-Status = Literal["ok", "singular", "joint_limit", "unreachable"]
-STATUSES: tuple[Status, ...] = get_args(Status)
+IkStatus = Literal["ok", "singular", "joint_limit", "unreachable"]
+STATUSES: tuple[IkStatus, ...] = get_args(IkStatus)
 
 # A seed this close to the wanted pose [m, rad] asks for a correction, not a motion; errors of real arms are a fifth of it.
 _NEAR, _NEAR_ANGLE = 0.05, 0.1

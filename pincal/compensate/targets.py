@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.compensate.compensation import Compensation, Orientation, compensate_poses, middle_of_range
-from pincal.compensate.frames import Frame, base_in_instrument, in_base_frame, program_poses
+from pincal.compensate.compensation import Compensation, KeptOrientation, compensate_poses, middle_of_range
+from pincal.compensate.ik_problem import IkProblem
+from pincal.compensate.robot_frames import PoseFrame, base_in_instrument, in_base_frame, program_poses
 from pincal.errors import MeasurementError
-from pincal.measure.checks import check_joint_values
-from pincal.measure.fields import CONDITIONS
+from pincal.measure.admit import check_joint_values
+from pincal.measure.fields import CONDITIONS, Schema, TableOptions
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.options import TableOptions
 from pincal.measure.reader import read_table
 from pincal.measure.registry import known_fields
-from pincal.measure.schema import Schema
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose, inverse, rotation_matrices
@@ -35,6 +34,8 @@ _WRITTEN = (
     *(f"false_{name}" for name in POSE_COLUMNS),
 )
 _FIELDS = tuple(known_fields()[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point")
+# A part of a turn below which an axis is not turned about.
+_HARDLY = 0.1
 # A wanted position farther from the base than this many times the reach is in another unit.
 _OTHER_UNIT = 50.0
 
@@ -65,14 +66,21 @@ class CompensatedTable:
         orientation: "keep" if the rows want an orientation, "free" if any will do.
         sigma: shape (N,), standard deviation of the predicted position, all three coordinates combined [m]: the uncertainty
             of the calibration.
+        robot: the arm.
     """
 
     targets: Targets
     seeds: Conditions
     commanded: Conditions
     found: Compensation
-    orientation: Orientation
+    orientation: KeptOrientation
     sigma: np.ndarray
+    robot: Robot
+
+    @property
+    def change(self) -> np.ndarray:
+        """How far what to command is from where the search started, as the controller reports it, shape (N, n)."""
+        return np.asarray(self.found.q - self.robot.as_reported(self.seeds.q))
 
 
 def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOptions | None = None) -> Targets:
@@ -108,7 +116,7 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOp
     arrays = {"q": np.zeros((len(cells.rows), robot.n_joints))} | cells.arrays
     rows = measurements_from_arrays(robot.joint_names, **arrays, rows=cells.rows, source=path.name, units=cells.units)
     if has_joints:
-        check_joint_values(rows, robot.lower, robot.upper, robot.joint_types)
+        check_joint_values(rows.of_joints(robot), robot.lower, robot.upper, robot.joint_types)
     return Targets(rows, has_joints)
 
 
@@ -116,7 +124,7 @@ def run_compensation(
     calibrated: CalibratedModel,
     targets: Targets,
     *,
-    frame: Frame = "instrument",
+    frame: PoseFrame = "instrument",
     seed: np.ndarray | None = None,
     any_orientation: bool = False,
     limits: bool = True,
@@ -138,10 +146,10 @@ def run_compensation(
     """
     robot, seeds = calibrated.model.chain.robot, calibrated.conditions(targets.rows)
     if not targets.has_joints:
-        start = middle_of_range(robot) if seed is None else seed
+        start = middle_of_range(robot) if seed is None else robot.from_reported(seed[None])[0]
         seeds = replace(seeds, q=np.tile(start, (len(targets.rows), 1)))
     has_orientation = targets.rows.quaternion is not None or targets.has_joints or seed is not None
-    orientation: Orientation = "keep" if has_orientation and not any_orientation else "free"
+    orientation: KeptOrientation = "keep" if has_orientation and not any_orientation else "free"
     if targets.rows.kind == "none":
         poses = program_poses(calibrated, seeds)
         wanted = poses if orientation == "keep" else poses[:, :, 3]
@@ -153,10 +161,25 @@ def run_compensation(
         wanted = _wanted(targets, with_orientation=orientation == "keep")
         _check_unit(calibrated, targets, seeds=seeds, frame=frame)
         found = compensate_poses(calibrated, wanted, seeds, frame=frame, orientation=orientation, limits=limits)
-    commanded = replace(seeds, q=found.q)
+    commanded = replace(seeds, q=robot.from_reported(found.q))
     predictor = in_base_frame(calibrated) if frame == "base" else calibrated
     sigma = np.linalg.norm(predictor.position_sigma(commanded), axis=1)
-    return CompensatedTable(targets, seeds, commanded, found, orientation, sigma)
+    return CompensatedTable(targets, seeds, commanded, found, orientation, sigma, robot)
+
+
+def unreached_turns(calibrated: CalibratedModel, done: CompensatedTable) -> str:
+    """Return in words which turns of the target an arm with too few joints can't make where it stands; empty if none."""
+    robot = calibrated.model.chain.robot
+    if done.orientation != "keep" or len(robot.own_joints) >= 6:
+        return ""
+    placed, conditions = in_base_frame(calibrated), calibrated.of_its_day(done.commanded)
+    wanted = done.found.wanted
+    problem = IkProblem.of(placed.model, placed.model_values, conditions=conditions, wanted=wanted, with_orientation=True)
+    free = problem.turns_in_place(done.found.q[:, robot.own_joints]).mean(axis=0)
+    lost, axes = 3 - round(float(free.sum())), [axis for axis, part in zip("xyz", free, strict=True) if part < _HARDLY]
+    if len(axes) == lost:
+        return f"about {' and '.join(axes)} of its base frame" if axes else ""
+    return f"about {lost} of three axes, which differ from pose to pose"
 
 
 def _wanted(targets: Targets, *, with_orientation: bool) -> np.ndarray:
@@ -168,7 +191,7 @@ def _wanted(targets: Targets, *, with_orientation: bool) -> np.ndarray:
     return np.concatenate([rotation_matrices(quaternion), position[:, :, None]], axis=2)
 
 
-def _check_unit(calibrated: CalibratedModel, targets: Targets, *, seeds: Conditions, frame: Frame) -> None:
+def _check_unit(calibrated: CalibratedModel, targets: Targets, *, seeds: Conditions, frame: PoseFrame) -> None:
     """Reject a table most of whose positions are far beyond the robot's reach, if its header does not give their unit."""
     places, reach = _wanted(targets, with_orientation=False), calibrated.model.chain.robot.reach
     if frame == "instrument":

@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
-from pincal.robot.urdf import arm_text, parse_xml
+from pincal.robot.urdf_file import arm_text, parse_xml
 
 if TYPE_CHECKING:
     import pinocchio as pin

@@ -16,12 +16,13 @@ import numpy as np
 
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError
-from pincal.identify.beliefs import noise_of, priors_of
+from pincal.identify.beliefs import declared_noise, priors_of
 from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior, posterior
 from pincal.identify.problem import Problem
+from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
-from pincal.measure.registry import foreseeable
+from pincal.measure.registry import simulatable
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
@@ -88,13 +89,13 @@ class DesignModel:
         check_rig(rig)
         gravity = None if options.gravity is None else np.array(options.gravity)
         chain = Chain.of(robot, moment_frame=options.first_frame, gravity=gravity, targets=targets)
-        model = Model(chain, (*frames_of(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
+        model = Model(chain, (*frame_effects(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
         n_core = model.n_parameters
         for rival in rivals:
             if any(parameter.name not in model.names for parameter in rival.parameters(chain)):
                 model = model.with_effects([*model.effects, rival])
         values = nominal_values(model, rig, rig.target(robot))
-        problem = foreseen_station(model, values, rig, conditions)
+        problem = predicted_station(model, values, rig, conditions)
         free = np.append(largest_basis(model, conditions)[1], ~problem.sensor.fixed)
         sizes = priors_of(Problem((problem,)), options).sizes[free]
         places = _places(model, free, rivals)
@@ -116,7 +117,7 @@ class DesignModel:
     @property
     def quantity(self) -> str:
         """What :meth:`errors` are errors of: "position" or "distance"."""
-        return foreseeable()[self.rig.sensor].blocks[0].name
+        return simulatable()[self.rig.sensor].blocks[0].name
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,7 +126,7 @@ class DesignModel:
 
     def readings(self, conditions: Conditions) -> np.ndarray:
         """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
-        problem = foreseen_station(self.model, self.values, self.rig, conditions)
+        problem = predicted_station(self.model, self.values, self.rig, conditions)
         noise = np.repeat(self.sigma, [block.size for block in problem.sensor.blocks])
         return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
 
@@ -134,28 +135,27 @@ class DesignModel:
 
         It is what the error on rows held out is taken of: the first readings that are lengths, in the instrument's frame.
         """
-        problem = foreseen_station(self.model, self.values, self.rig, conditions)
+        problem = predicted_station(self.model, self.values, self.rig, conditions)
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
 
     def posterior(self, H: np.ndarray) -> Posterior:
         """Return what information in units of noise and priors tells, shape (F, F), with the priors left out of it."""
-        G = H / np.outer(self.units, self.units)
-        return posterior(G, np.zeros(self.n_free), self.sizes, np.zeros(self.n_free))
+        return posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes)
 
     def _jacobian(self, problem: Station) -> np.ndarray:
         parts = [jacobian for _, _, jacobian in problem.linearise(self.values, self.free)]
         return np.concatenate(parts, axis=2).transpose(2, 1, 0)
 
 
-def foreseen_station(model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions) -> Station:
+def predicted_station(model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions) -> Station:
     """Return the station that reads what a model predicts; of the values, shape (P,), the model's come first."""
     poses = model.predict(model.own(values), conditions)
-    return Station(model, conditions, foreseeable()[rig.sensor].foreseen(poses, rig.places), np.ones(len(conditions)))
+    return Station(model, conditions, simulatable()[rig.sensor].foreseen(poses, rig.places), np.ones(len(conditions)))
 
 
-def frames_of(chain: Chain, rig: SensorSetup, conditions: Conditions) -> tuple[Effect, ...]:
+def frame_effects(chain: Chain, rig: SensorSetup, conditions: Conditions) -> tuple[Effect, ...]:
     """Return the frames of base and tool that readings of a kind depend on."""
-    bare = foreseen_station(Model(chain, ()), np.zeros(0), rig, conditions).sensor
+    bare = predicted_station(Model(chain, ()), np.zeros(0), rig, conditions).sensor
     return BaseFrame(bare.base_symbols), ToolFrame(bare.tool_symbols)
 
 
@@ -174,7 +174,7 @@ def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.nda
 
 
 def _sigma(problem: Station, options: Options) -> np.ndarray:
-    declared = noise_of(Problem((problem,)), options).declared
+    declared = declared_noise(Problem((problem,)), options).declared
     blocks = problem.sensor.blocks
     sigma = np.array([block.noise if s is None else s for block, s in zip(blocks, declared, strict=True)])
     if np.any(sigma < _LEAST_NOISE):
@@ -189,7 +189,7 @@ def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[n
     for rival in rivals:
         columns = [model.index(parameter.name) for parameter in rival.parameters(model.chain)]
         if not free[columns].any():
-            raise BadInputError(f"effect {rival.name}: it does nothing in poses like these; choose another one")
+            raise BadInputError(f"effect {rival.name}: it has no effect in such poses; choose another one")
         found.append(place[[column for column in columns if free[column]]])
     return tuple(found)
 
@@ -200,20 +200,18 @@ def check_rig(rig: SensorSetup) -> None:
     Raises:
         BadInputError: for a sensor that is not known or lacks the place of its instrument, or where the target is held.
     """
-    known = foreseeable()
+    known = simulatable()
     if rig.sensor not in known:
-        raise BadInputError(f"sensor {rig.sensor!r}: not one to design for; expected one of {', '.join(known)}")
+        raise BadInputError(f"sensor {rig.sensor!r}: no design is available for it; expected one of {', '.join(known)}")
     if known[rig.sensor].needs_instrument and rig.instrument is None:
-        raise BadInputError(
-            f"what a {rig.sensor} tells depends on where it is measured from; give the place of the instrument"
-        )
+        raise BadInputError(f"the information of a {rig.sensor} depends on the position of the instrument; give it")
     if known[rig.sensor].needs_places and not rig.held_at:
         raise BadInputError(
-            f"sensor {rig.sensor}: no place where the target is held; expected one or, better, two in reach: "
+            f"sensor {rig.sensor}: no socket for the target; expected one or, better, two within reach: "
             f"--{rig.sensor} X Y Z for each"
         )
     if rig.held_at and not known[rig.sensor].needs_places:
-        raise BadInputError(f"sensor {rig.sensor}: it holds the target at no place, but {len(rig.held_at)} are given")
+        raise BadInputError(f"sensor {rig.sensor}: it does not hold the target in sockets, but {len(rig.held_at)} are given")
 
 
 def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 # Passes over a design after which an exchange ends even if it still finds something.
-PASSES = 10
+_PASSES = 10
 # Part of a pose's own information that the others must leave, below which taking it out is worked out from scratch.
 _ALONE = 1e-5
 # Relative gain below which a swap is rounding.
@@ -65,7 +65,7 @@ def _traces_of_three(P: np.ndarray, L: np.ndarray) -> np.ndarray:
     return np.asarray(trace / (p[0, 0] * xx + p[0, 1] * xy + p[0, 2] * xz))
 
 
-def weigh(A: np.ndarray, C: np.ndarray, W: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+def spread_of(A: np.ndarray, C: np.ndarray, W: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
     """Return K and L, shape (M, m, m), of candidates A, shape (M, m, F); no L without a W."""
     AC = A @ C
     K = AC @ A.transpose(0, 2, 1)
@@ -73,7 +73,7 @@ def weigh(A: np.ndarray, C: np.ndarray, W: np.ndarray | None) -> tuple[np.ndarra
 
 
 @dataclass(frozen=True)
-class State:
+class DesignState:
     """A design, and what each candidate would change in it.
 
     Attributes:
@@ -91,10 +91,10 @@ class State:
     L: np.ndarray | None
 
     @classmethod
-    def of(cls, A: np.ndarray, W: np.ndarray | None, H: np.ndarray) -> State:
+    def of(cls, A: np.ndarray, W: np.ndarray | None, H: np.ndarray) -> DesignState:
         """Return the state at information H, shape (F, F)."""
         C = covariance(H)
-        return cls(A, W, C, *weigh(A, C, W))
+        return cls(A, W, C, *spread_of(A, C, W))
 
     def gains(self) -> np.ndarray:
         """Return by how much each candidate would lower the criterion, shape (M,)."""
@@ -104,7 +104,7 @@ class State:
         """Return the part of candidate j's own information that the rest of the design does not have, at worst."""
         return float(np.linalg.eigvalsh(np.eye(self.K.shape[1]) - self.K[j])[0])
 
-    def moved(self, j: int, sign: float) -> State:
+    def moved(self, j: int, sign: float) -> DesignState:
         """Return the state with candidate j taken in (sign 1) or out (sign -1), by updates of rank m."""
         inner = np.linalg.cholesky(np.linalg.inv(np.eye(self.K.shape[1]) + sign * self.K[j]))
         B = self.C @ self.A[j].T @ inner
@@ -148,7 +148,7 @@ def choose_greedily(
         The n candidates, and the criterion with the first 1, 2, ... of those that were added.
     """
     chosen, course = list(start), []
-    state = State.of(A, W, H + information(A, chosen))
+    state = DesignState.of(A, W, H + information(A, chosen))
     free = np.ones(len(A), bool)
     free[chosen] = False
     while len(chosen) < n:
@@ -161,7 +161,7 @@ def choose_greedily(
 
 
 def exchange(
-    A: np.ndarray, W: np.ndarray | None, H: np.ndarray, chosen: Sequence[int], *, passes: int = PASSES
+    A: np.ndarray, W: np.ndarray | None, H: np.ndarray, chosen: Sequence[int], *, passes: int = _PASSES
 ) -> list[int]:
     """Swap candidates of a design for better ones, one at a time, until no swap is left that helps.
 
@@ -177,10 +177,10 @@ def exchange(
     """
     design = list(chosen)
     for _ in range(passes):
-        state, n_swaps = State.of(A, W, H + information(A, design)), 0
+        state, n_swaps = DesignState.of(A, W, H + information(A, design)), 0
         for place, old in enumerate(design):
             rest = design[:place] + design[place + 1 :]
-            without = state.moved(old, -1.0) if state.spare(old) > _ALONE else State.of(A, W, H + information(A, rest))
+            without = state.moved(old, -1.0) if state.spare(old) > _ALONE else DesignState.of(A, W, H + information(A, rest))
             gain = without.gains()
             gain[rest] = -np.inf
             new = int(np.argmax(gain))

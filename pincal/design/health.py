@@ -10,26 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_of
+from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.design.design_model import DesignModel
+from pincal.design.detection import DetectableChange, DetectionDesign, guarded_changes, lineup_over, watch_of
 from pincal.design.exchange import covariance
-from pincal.design.guarded import Guarded, guarded_changes, lineup_over, watch_of
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
+from pincal.design.request import pose_columns
 from pincal.design.route import order_by_load
 from pincal.design.study import total
-from pincal.design.watch import Watch
-from pincal.diagnosis.changes import Change
-from pincal.diagnosis.evidence import spread
-from pincal.diagnosis.lineup import Lineup
-from pincal.diagnosis.run import ALPHA, known_degrees
-from pincal.diagnosis.search import raises_alarm
+from pincal.diagnosis.change_search import raises_alarm
+from pincal.diagnosis.changes import PossibleChange
+from pincal.diagnosis.lineup import ChangeHypotheses
+from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, known_degrees
+from pincal.diagnosis.row_evidence import prior_root
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.point_sensor import PointSensor
 from pincal.model.conditions import Conditions
-from pincal.parameters import FRAME_SYMBOLS
+from pincal.parameters import FRAME_SYMBOLS, estimate_of
+from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -55,7 +56,7 @@ class NoticedChange:
         step: shape (P,), it, in the parameters of the lineup.
     """
 
-    change: Change
+    change: PossibleChange
     noncentrality: float
     needed: float
     step: np.ndarray
@@ -63,7 +64,7 @@ class NoticedChange:
 
 @dataclass(frozen=True, repr=False)
 class HealthCheck:
-    """Poses of a health check, and what it notices.
+    """Poses of a health check, and what it detects.
 
     Attributes:
         robot: the arm.
@@ -71,16 +72,16 @@ class HealthCheck:
         has_payloads: whether the payload was part of the design.
         sensor: kind of the sensor.
         held_at: column that names where the target is held -> shape (N,), its contents; empty where it is held nowhere.
-        notice: motion of the target that is to be noticed [m].
+        notice: motion of the target that is to be detected [m].
         power: chance with which.
         alpha: chance of a false alarm.
-        changes: every change that was looked at, the hardest to notice first.
-        absorbed: changes that base and target take up once they are placed anew, or that move nothing by so much.
+        changes: every change considered, the hardest to detect first.
+        absorbed: changes absorbed by new poses of base and target, or that never cause so large a motion.
         alarms: part of simulated checks of an unchanged robot with an alarm.
-        noticed: part of simulated checks with an alarm, the first of ``changes`` having happened.
+        noticed: fraction of simulated checks with an alarm, given the first of ``changes``.
         draws: number of simulated checks, of each.
         drawn: the candidates, and what the constraints removed.
-        notes: what the user should know, in words.
+        notes: messages to the user.
         seconds: that it took.
     """
 
@@ -93,7 +94,7 @@ class HealthCheck:
     power: float
     alpha: float
     changes: tuple[NoticedChange, ...]
-    absorbed: tuple[Change, ...]
+    absorbed: tuple[PossibleChange, ...]
     alarms: float
     noticed: float
     draws: int
@@ -102,11 +103,11 @@ class HealthCheck:
     seconds: float
 
     def __repr__(self) -> str:
-        return f"HealthCheck({self.robot.name!r}: {len(self.conditions)} poses to notice {1e3 * self.notice:.3g} mm)"
+        return f"HealthCheck({self.robot.name!r}: {len(self.conditions)} poses to detect {1e3 * self.notice:.3g} mm)"
 
     @property
     def is_met(self) -> bool:
-        """Whether every change is noticed with the power asked for."""
+        """Whether every change is detected with the required power."""
         return self.changes[0].noncentrality >= self.changes[0].needed
 
     @property
@@ -116,26 +117,20 @@ class HealthCheck:
 
     @property
     def noticeable(self) -> float:
-        """Motion of the target from which on even the change that is hardest to notice is noticed [m]."""
+        """Motion of the target from which even the hardest change is detected [m]."""
         hardest = self.changes[0]
         return self.notice * float(np.sqrt(hardest.needed / max(hardest.noncentrality, 1e-300)))
 
     def summary(self) -> str:
-        """Return in a sentence what the check takes and what it notices."""
+        """Return in a sentence the effort of the check and what it detects."""
         what = "any change of the robot that moves some point by more than"
-        rates = f"is noticed with {100 * self.power:g} % at {100 * self.alpha:g} % false alarms"
+        rates = f"is detected with {100 * self.power:g} % at {100 * self.alpha:g} % false alarms"
         size = self.notice if self.is_met else self.noticeable
         return f"{len(self.conditions)} poses, {self.minutes:.0f} minutes: {what} {1e3 * size:.3g} mm {rates}"
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the table to be filled in: joints, and what else the model asks for of a pose."""
-        found: dict[str, np.ndarray] = dict(zip(self.robot.joint_names, self.conditions.q.T, strict=True))
-        if self.has_payloads:
-            found["payload"] = self.conditions.payload
-        if self.conditions.approach is not None:
-            for name, column in zip(self.robot.joint_names, self.conditions.approach.T, strict=True):
-                found[f"approach_{name}"] = column.astype(int)
-        return found | self.held_at
+        return pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads) | self.held_at
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, without the poses."""
@@ -162,16 +157,16 @@ class HealthCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckRequest:
-    """What a health check is to notice.
+    """What a health check must detect.
 
     Attributes:
-        notice: motion of the target anywhere in the working volume that is to be noticed [m].
+        notice: motion of the target anywhere in the working volume that is to be detected [m].
         power: chance with which.
         alpha: chance of an alarm on a robot that has not changed.
         max_poses: number of poses beyond which no more are added.
         payloads: masses at the tip [kg], taken in turn; default: none.
         candidates: number of random poses to choose from; default: 300.
-        draws: simulated checks of an unchanged robot, and of one with the change that is hardest to notice.
+        draws: simulated checks of an unchanged robot, and of one with the change that is hardest to detect.
         seed: of all random numbers.
 
     Raises:
@@ -180,7 +175,7 @@ class CheckRequest:
 
     notice: float = 1e-4
     power: float = 0.95
-    alpha: float = ALPHA
+    alpha: float = FALSE_ALARM
     max_poses: int = 40
     payloads: Sequence[float] = ()
     candidates: int | None = None
@@ -192,10 +187,10 @@ class CheckRequest:
             raise BadInputError(f"notice is {self.notice:g} m; expected a length above 0, such as 1e-4")
         if not 0.0 < self.alpha < 0.5:
             raise BadInputError(
-                f"alpha is {self.alpha:g}; expected a chance of a false alarm between 0 and 0.5, such as 0.01"
+                f"alpha is {self.alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01"
             )
         if not self.alpha < self.power < 1.0:
-            raise BadInputError(f"power is {self.power:g}; expected a chance between alpha and 1, such as 0.95")
+            raise BadInputError(f"power is {self.power:g}; expected a probability between alpha and 1, such as 0.95")
         if not _FEWEST <= self.max_poses <= self.n_candidates:
             raise BadInputError(
                 f"at most {self.max_poses} poses of {self.n_candidates} candidates; expected {_FEWEST} to that many poses"
@@ -217,11 +212,11 @@ def design_check(
     rig: SensorSetup | None = None,
     limits: Limits | None = None,
 ) -> HealthCheck:
-    """Choose the fewest poses by which a diagnosis notices any change of a robot that moves the target by so much.
+    """Choose the fewest poses by which a diagnosis detects any change of a robot that moves the target by a given distance.
 
     Args:
-        known: the calibrated robot; of a robot alone, what a calibration from 100 random poses would know.
-        request: what is to be noticed, and how surely.
+        known: the calibrated robot; for a robot alone, a calibration from 100 random poses is assumed.
+        request: what is to be detected, and with which power.
         options: of the calibration of a robot alone: effects, noise, moment frame.
         rig: with what it is measured, and from where.
         limits: where the arm may go.
@@ -311,9 +306,8 @@ def _conditions(model: CalibratedModel, q: np.ndarray, request: CheckRequest, *,
         np.array(model.payload_centre, float),
         temperature=np.full(n, _TEMPERATURE) if "temperature" in needs else None,
         time=np.zeros(n) if "time" in needs else None,
-        approach=rng.choice([-1.0, 1.0], q.shape) if "approach" in needs else None,
-        droop=np.zeros_like(q) if "droop" in needs else None,
-        move=np.zeros_like(q) if "move" in needs else None,
+        **{name: np.zeros_like(q) for name in needs if RECORDABLE[name].of_joints}
+        | ({"approach": rng.choice([-1.0, 1.0], q.shape)} if "approach" in needs else {}),
     )
 
 
@@ -334,7 +328,9 @@ def _held_at(station: Station) -> dict[str, np.ndarray]:
     return {sensor.names_points: np.array(sensor.points.names)[sensor.index]}
 
 
-def _noticed(watch: Watch, final: Lineup, guarded: list[Guarded], chosen: list[int]) -> tuple[NoticedChange, ...]:
+def _noticed(
+    watch: DetectionDesign, final: ChangeHypotheses, guarded: list[DetectableChange], chosen: list[int]
+) -> tuple[NoticedChange, ...]:
     """Return how surely each change is noticed at the chosen poses, the hardest first and in its hardest direction."""
     found, needed = watch.noncentralities(chosen), watch.needed(len(chosen))
     order = np.argsort(found / needed)
@@ -345,10 +341,12 @@ def _noticed(watch: Watch, final: Lineup, guarded: list[Guarded], chosen: list[i
     return tuple(hardest.values())
 
 
-def _alarms(lineup: Lineup, degrees: float, request: CheckRequest, *, step: np.ndarray, rng: np.random.Generator) -> float:
+def _alarms(
+    lineup: ChangeHypotheses, degrees: float, request: CheckRequest, *, step: np.ndarray, rng: np.random.Generator
+) -> float:
     """Return the part of simulated checks that end in an alarm: noise and what the calibration left open are drawn."""
     station, start = lineup.station, lineup.start
-    root = spread(station, lineup.known, lineup.beside)
+    root = prior_root(station, lineup.known, lineup.beside)
     noise = np.repeat(lineup.robot.sigma, [block.size for block in station.sensor.blocks])[:, None] / station.weights
     alarms = 0
     for _ in range(request.draws):

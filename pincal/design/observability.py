@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.design.design_model import DesignModel
-from pincal.identify.posterior import NULL
+from pincal.identify.quadratic import NULL
 
 SOURCES = {
     "O1": "Borm and Menq 1989",

@@ -30,7 +30,7 @@ _OFF_AXIS, _ALONG = 0.05, 0.05
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """With what and from where poses are measured.
+    """Sensor and position from which poses are measured.
 
     Attributes:
         sensor: "position", "pose", "distance" or "socket".
@@ -54,7 +54,7 @@ class SensorSetup:
             if place is not None and not np.isfinite(place).all():
                 raise BadInputError(f"{what} {' '.join(f'{v:g}' for v in place)}; expected three finite numbers")
         if self.normal is not None and self.instrument is None:
-            raise BadInputError("the target has a normal, but the place of the instrument that it faces is not given")
+            raise BadInputError("the target has a normal, but the position of the instrument that it faces is not given")
         if self.normal is not None and not np.any(self.normal):
             raise BadInputError(f"normal of the target {self.normal}; expected a direction")
         if not 0.0 < self.cone <= np.pi:
@@ -83,7 +83,7 @@ def default_target(robot: Robot) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Limits:
-    """Where the arm may go.
+    """Limits of the workspace.
 
     Attributes:
         span: part of the joint range that is used, about its middle.

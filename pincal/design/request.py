@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -22,10 +23,24 @@ _CANDIDATES = 1500
 
 @dataclass(frozen=True, kw_only=True)
 class DesignRequest:
-    """What is to be designed: arguments of :func:`pincal.design.design.design_poses`, checked.
+    """Specification of a pose design.
+
+    Attributes:
+        poses: number of poses; default: as many as ``accuracy`` needs.
+        accuracy: predicted error over the task to reach [m].
+        criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the priors of the fit),
+            "determinant" for the smallest volume of the parameters' uncertainty (D-optimal, with priors).
+        tell_apart: two rival effects, as in :func:`pincal.design.study.find_rival`, to be distinguished instead.
+        task: joint positions that the user cares for, with payloads where they matter; default: the whole reach.
+        measured: poses measured already, with their payloads; their information counts.
+        payloads: masses at the tip [kg] to choose from, pose by pose; default: no payload.
+        candidates: number of random poses to choose from; default: 1500, or twice ``poses`` if that is more.
+        refine: whether to refine the chosen poses joint by joint.
+        curve: whether to design for other numbers of poses, too, and to bound what any choice can reach.
+        seed: seed of all random numbers.
 
     Raises:
-        BadInputError: If a value is invalid or two of them exclude each other.
+        BadInputError: if a value is invalid or two of them exclude each other.
     """
 
     poses: int | None = None
@@ -34,12 +49,16 @@ class DesignRequest:
     tell_apart: tuple[str, str] | None = None
     task: Measurements | None = None
     measured: Measurements | None = None
-    payloads: tuple[float, ...] | None = None
+    payloads: Sequence[float] | None = None
     candidates: int | None = None
+    refine: bool = True
+    curve: bool = True
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Refuse what can't be designed."""
+        if self.payloads is not None:
+            object.__setattr__(self, "payloads", tuple(float(load) for load in self.payloads))
         self._check_numbers()
         self._check_criterion()
         self._check_tables()
@@ -119,13 +138,20 @@ class PoseBuilder:
         if approach is None and self.request.has_approach(self.robot):
             approach = np.zeros(table.q.shape)
         centre = np.array(self.options.payload_centre, float)
-        return Conditions(table.q, index, payload, centre, table.temperature, table.time, approach)
+        q = table.of_joints(self.robot).q
+        return Conditions(q, index, payload, centre, temperature=table.temperature, time=table.time, approach=approach)
 
 
-def joined(one: Conditions, other: Conditions) -> Conditions:
-    """Return the poses of both, one after the other; a column that only one of them has is left out."""
-    pairs = {f.name: (getattr(one, f.name), getattr(other, f.name)) for f in fields(Conditions)}
-    columns: dict[str, Any] = {
-        name: None if a is None or b is None else np.concatenate([a, b]) for name, (a, b) in pairs.items()
-    }
-    return Conditions(**columns | {"payload_centre": one.payload_centre})
+def pose_columns(
+    robot: Robot, conditions: Conditions, *, has_payloads: bool, targets: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
+    """Return a table to fill in: joints as commanded, and target, payload and approach where they belong to the poses."""
+    columns: dict[str, np.ndarray] = dict(zip(robot.joint_names, robot.as_reported(conditions.q).T, strict=True))
+    if len(targets) > 1:
+        columns["target"] = np.array(targets)[conditions.target]
+    if has_payloads:
+        columns["payload"] = conditions.payload
+    if conditions.approach is not None:
+        for name, column in zip(robot.joint_names, conditions.approach.T, strict=True):
+            columns[f"approach_{name}"] = column.astype(int)
+    return columns

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from pincal.design.design_model import DesignModel, noncentrality, weights
-from pincal.design.exchange import choose_greedily, covariance, exchange, information, lower_bound, value
+from pincal.design.exchange import choose_greedily, covariance, exchange, gains, information, lower_bound, spread_of, value
 from pincal.design.reach import Draw, Reach
-from pincal.design.request import DesignRequest, PoseBuilder, joined
-from pincal.errors import BadInputError, PincalWarning
+from pincal.design.request import DesignRequest, PoseBuilder
+from pincal.errors import BadInputError, warn
 from pincal.identify.options import Options
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Effect, Reducible
 
 log = logging.getLogger(__name__)
@@ -33,6 +33,15 @@ _LADDER = (10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)
 _BEYOND, _AT_LEAST = 2.0, 100
 # Passes of an exchange that begins at a design which is nearly right.
 _FEW_PASSES = 2
+# Positions tried of each joint, and the part of its range that they are spread over, sweep by sweep.
+_STEPS = 11
+_WINDOWS = (1.0, 0.4, 0.15)
+# Part of its range by which a joint's positions differ from pose to pose, and that of a pose's share of the range.
+_APART, _OF_SHARE = 2e-3, 0.25
+# Steps of one pose lie between those of the next, by this part of a step.
+_SHIFT = 0.5 * (5.0**0.5 - 1.0)
+# Relative gain below which a pose stays where it is.
+_WORTH = 1e-6
 
 
 @dataclass(frozen=True)
@@ -107,7 +116,7 @@ class Study:
         candidates = poses.at(drawn.q, rng[1])
         rivals = _rivals(reach, options, request, candidates=candidates)
         known = None if request.measured is None else poses.of(request.measured)
-        rows = candidates if known is None else joined(candidates, known)
+        rows = candidates if known is None else _together(candidates, known)
         design_model = DesignModel.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
         H = np.eye(design_model.n_free)
         if known is not None:
@@ -146,6 +155,31 @@ class Study:
         log.info("exchanging %d poses among %d candidates", n, len(self.A))
         return exchange(self.A, self.W, self.H, chosen)
 
+    def refine(self, design: Conditions, reach: Reach) -> Conditions:
+        """Improve a design by coordinate exchange within the constraints (Meyer and Nachtsheim, Technometrics 37, 1995).
+
+        Each pose in turn is taken out, and the best neighbour that differs in one joint is taken in; what else belongs to a
+        pose, its payload say, stays as it is. No position is taken that another pose has already: what a drive does there
+        would be seen twice, and what it does elsewhere not at all.
+        """
+        q, A = design.q.copy(), self.design_model.readings(design)
+        for sweep, window in enumerate(_WINDOWS):
+            log.info("refining the poses, sweep %d", sweep + 1, extra={"done": sweep, "of": len(_WINDOWS)})
+            for place in range(len(q)):
+                rest = np.delete(A, place, axis=0).reshape(-1, A.shape[2])
+                C = covariance(self.H + rest.T @ rest)
+                trial = _neighbours(q, place, reach, window)
+                if not len(trial):
+                    continue
+                readings = self.design_model.readings(replace(design.select(np.full(len(trial), place)), q=trial))
+                gain = gains(*spread_of(readings, C, self.W))
+                least = float(gains(*spread_of(A[place][None], C, self.W))[0])
+                better = np.argsort(-gain)[: np.sum(gain > least + _WORTH * abs(least))]
+                k = next((k for k in better if not reach.collides(trial[k : k + 1])[0]), None)
+                if k is not None:
+                    q[place], A[place] = trial[k], readings[k]
+        return replace(design, q=q)
+
     def random(self, n: int) -> list[np.ndarray]:
         """Return the information of random designs of n poses, those measured before included."""
         draws = (self.rng.choice(len(self.A), n, replace=False) for _ in range(RANDOM_DESIGNS))
@@ -180,7 +214,7 @@ class Study:
         enough = np.flatnonzero(np.sqrt(course) <= accuracy)
         if not len(enough):
             raise BadInputError(
-                f"accuracy {1e3 * accuracy:g} mm: {most} poses come to {1e3 * np.sqrt(course[-1]):.4g} mm over the task; "
+                f"accuracy {1e3 * accuracy:g} mm: {most} poses reach {1e3 * np.sqrt(course[-1]):.4g} mm over the task; "
                 "expected more than that, or less noise, another sensor, fewer constraints"
             )
         low, high = 0, int(enough[0]) + 1
@@ -192,6 +226,23 @@ class Study:
         return high
 
 
+def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.ndarray:
+    """Return the poses allowed, but for self-collision, that differ from one of q, shape (N, n), in one joint."""
+    lower, upper = reach.range
+    half = 0.5 * window * (upper - lower)
+    low, high = np.maximum(lower, q[place] - half), np.minimum(upper, q[place] + half)
+    steps = low + (np.arange(_STEPS)[:, None] + place * _SHIFT % 1.0) / _STEPS * (high - low)
+    taken = np.delete(q, place, axis=0)
+    apart = min(_APART, _OF_SHARE / len(q)) * (upper - lower)
+    trial = np.tile(q[place], (q.shape[1], _STEPS, 1))
+    for joint in range(q.shape[1]):
+        trial[joint, :, joint] = steps[:, joint]
+    is_new = np.all(np.abs(steps[:, None] - taken) > apart, axis=1).T
+    own = reach.robot.own_joints
+    trial = reach.robot.following(trial[own][is_new[own]])
+    return np.asarray(trial[reach.allows_apart(trial)])
+
+
 def total(A: np.ndarray) -> np.ndarray:
     """Return the sum of A_j^T A_j over all of A, shape (N, m, F); shape (F, F)."""
     return information(A, np.arange(len(A)))
@@ -200,7 +251,7 @@ def total(A: np.ndarray) -> np.ndarray:
 def find_rival(text: str, chain: Chain, conditions: Conditions) -> Effect:
     """Return the effect of a name, as :func:`find_effect`, in the fewest parameters: a drive curve with few pieces."""
     effect = find_effect(text, chain, conditions)
-    return effect.reduced(Situation(chain, conditions)) if isinstance(effect, Reducible) else effect
+    return effect.reduced(PoseSet(chain, conditions)) if isinstance(effect, Reducible) else effect
 
 
 def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions) -> list[Effect]:
@@ -222,4 +273,13 @@ def _check_draw(drawn: Draw, request: DesignRequest) -> None:
         )
     if found < request.n_candidates:
         text = f"the constraints leave {found} candidates, {request.n_candidates} were asked for"
-        warnings.warn(text, PincalWarning, stacklevel=4)
+        warn(text)
+
+
+def _together(one: Conditions, other: Conditions) -> Conditions:
+    """Return the poses of both, one after the other; a column that only one of them has is left out."""
+    pairs = {f.name: (getattr(one, f.name), getattr(other, f.name)) for f in fields(Conditions)}
+    columns: dict[str, Any] = {
+        name: None if a is None or b is None else np.concatenate([a, b]) for name, (a, b) in pairs.items()
+    }
+    return Conditions(**columns | {"payload_centre": one.payload_centre})

@@ -1,1 +1,1 @@
-"""What has changed on a calibrated robot, told from a few new poses; and new rows taken into a calibration."""
+"""What has changed on a calibrated robot, from a few new poses; and new rows added to a calibration."""

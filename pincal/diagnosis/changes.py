@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pincal.model.catalogue.candidates import elasticity, testable
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Curve, Effect, Family
 from pincal.model.effects import Compliance
 from pincal.model.model import Model
@@ -19,7 +19,7 @@ _ROWS_PER_PARAMETER = 4
 
 
 @dataclass(frozen=True)
-class Change:
+class PossibleChange:
     """One thing that may have happened.
 
     Attributes:
@@ -53,7 +53,7 @@ class Change:
         return {"effect": self.name, "joint": self.joint} | ({} if self.source is None else {"source": self.source})
 
 
-def changes_of(model: Model, situation: Situation) -> tuple[Change, ...]:
+def changes_of(model: Model, situation: PoseSet) -> tuple[PossibleChange, ...]:
     """Return all that may have happened to a calibrated robot, as far as these poses could show it; the usual first.
 
     Args:
@@ -64,7 +64,7 @@ def changes_of(model: Model, situation: Situation) -> tuple[Change, ...]:
     return tuple(_of_parameters(model)) + tuple(_of_effect(effect, model) for effect in added)
 
 
-def beside_changes(model: Model, situation: Situation) -> tuple[Effect, ...]:
+def additional_changes(model: Model, situation: PoseSet) -> tuple[Effect, ...]:
     """Return what new rows may show without any change of the robot: what follows instrument and weather."""
     return tuple(effect for effect in _catalogue(model, situation) if _is_beside(effect))
 
@@ -75,12 +75,12 @@ def _is_beside(effect: Effect) -> bool:
     return effect.scope == "station" or (at.joint is None and at.follows in ("temperature", "time"))
 
 
-def _of_effect(effect: Effect, model: Model) -> Change:
+def _of_effect(effect: Effect, model: Model) -> PossibleChange:
     name, joint, source = effect.heading
-    return Change(name, joint, tuple(parameter.name for parameter in effect.parameters(model.chain)), effect, source)
+    return PossibleChange(name, joint, tuple(parameter.name for parameter in effect.parameters(model.chain)), effect, source)
 
 
-def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
+def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
     """Yield the effects that these poses could show, and the compliances of single joints that the model does not have."""
     known, present = {parameter.name for parameter in model.parameters}, {effect.identity for effect in model.effects}
     kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
@@ -96,7 +96,7 @@ def _catalogue(model: Model, situation: Situation) -> Iterator[Effect]:
                 yield form
 
 
-def _of_parameters(model: Model) -> Iterator[Change]:
+def _of_parameters(model: Model) -> Iterator[PossibleChange]:
     """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
     for effect in model.effects:
         # Links don't lose weight, and bearings stay in their places.
@@ -105,16 +105,18 @@ def _of_parameters(model: Model) -> Iterator[Change]:
         single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
         by_element: dict[str, list[Parameter]] = {}
         for parameter in effect.parameters(model.chain):
-            by_element.setdefault(parameter.name.rpartition(".")[0], []).append(parameter)
+            by_element.setdefault(parameter.element, []).append(parameter)
         for element, members in by_element.items():
             joint = element if element in model.chain.robot.joint_names else effect.locus.joint
             source = effect.heading[2]
             names = tuple(parameter.name for parameter in members)
             if single:
                 usual = effect.locus.acts_on == "drive"
-                yield from (Change(effect.name, joint, (name,), source=source, is_usual=usual) for name in names)
+                yield from (PossibleChange(effect.name, joint, (name,), source=source, is_usual=usual) for name in names)
             if len(names) > 1 or not single:
-                yield Change(effect.name, joint, names, source=source, parts=single, belief=belief_of(effect, members))
+                yield PossibleChange(
+                    effect.name, joint, names, source=source, parts=single, belief=belief_of(effect, members)
+                )
     yield from _bent_links(model)
 
 
@@ -126,7 +128,7 @@ def belief_of(effect: Effect, members: Sequence[Parameter]) -> np.ndarray | None
     return smooth + np.diag([parameter.size**-2.0 for parameter in members])
 
 
-def _bent_links(model: Model) -> Iterator[Change]:
+def _bent_links(model: Model) -> Iterator[PossibleChange]:
     """Yield, for each link between two joints, all constants of the geometry between the motion of the one and the other."""
     chain, geometry = model.chain, [e for e in model.effects if e.family is Family.GEOMETRY]
     if not geometry:
@@ -143,4 +145,4 @@ def _bent_links(model: Model) -> Iterator[Change]:
         here = {chain.joint(i, symbol) for symbol in ("theta", "d", "a", "alpha")}
         there = {chain.joint(i + 1, symbol) for symbol in ("s_x", "s_y", "theta", "d")}
         members = tuple(name for name, coordinate in places if coordinate in here | there)
-        yield Change(name, joint, members, parts=True)
+        yield PossibleChange(name, joint, members, parts=True)

@@ -9,14 +9,14 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
-from pincal.diagnosis.changes import Change
-from pincal.diagnosis.evidence import Evidence
-from pincal.diagnosis.search import Step, Verdict, limit_of
+from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
+from pincal.diagnosis.changes import PossibleChange
+from pincal.identify.quadratic import Quadratic
 from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ExcludedEntry
 
 # Chance with which a change of the size that is given would have been noticed.
-POWER = 0.9
+DETECTED = 0.9
 # Non-centrality at which two changes are told apart: 5.5 standard deviations of one parameter.
 _TOLD_APART = 30.0
 # Numbers of further poses that may tell changes apart, random poses among which they are chosen, and those shown.
@@ -28,9 +28,14 @@ _TELLABLE = 1e-6
 _SEEN = 1e-6
 
 
-def excluded(verdict: Verdict) -> Iterator[ExcludedEntry]:
-    """Yield what would have been noticed beside what was found: each parameter, each effect, from which size on."""
-    lineup, found = verdict.lineup, verdict.evidence
+def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[ExcludedEntry]:
+    """Yield what would have been noticed beside what was found: each parameter, each effect, from which size on.
+
+    Args:
+        verdict: what was found, perhaps nothing as the rows can't tell.
+        searched: what the search came to.
+    """
+    lineup, found = verdict.lineup, searched.evidence.form
     taken = {lineup.changes[i].heading for i in verdict.happened}
     listed: set[tuple[object, ...]] = set()
     motion = lineup.motion(verdict.values)
@@ -43,7 +48,7 @@ def excluded(verdict: Verdict) -> Iterator[ExcludedEntry]:
         if worst is None:
             continue
         rank, strength, direction = worst
-        smallest = float(np.sqrt(noticed_noncentrality(rank, verdict.degrees + found.degrees, limit_of(verdict)) / strength))
+        smallest = float(np.sqrt(detected_noncentrality(rank, verdict.degrees + found.degrees, searched.limit) / strength))
         listed.add(key)
         shift = np.linalg.norm(motion[:, :, places] @ direction, axis=1).max()
         yield ExcludedEntry(
@@ -57,17 +62,17 @@ def excluded(verdict: Verdict) -> Iterator[ExcludedEntry]:
         )
 
 
-def _weakest(found: Evidence, places: np.ndarray) -> tuple[int, float, np.ndarray] | None:
+def _weakest(found: Quadratic, places: np.ndarray) -> tuple[int, float, np.ndarray] | None:
     """Return rank, non-centrality of a change of size 1 in the direction that shows least, and this direction."""
     rank = found.gain(places)[1]
-    strengths, directions = np.linalg.eigh(found.P[np.ix_(places, places)])
+    strengths, directions = np.linalg.eigh(found.H[np.ix_(places, places)])
     if rank < len(places) or strengths[0] <= _SEEN * strengths[-1]:
         return None
     return rank, float(strengths[0]), directions[:, 0]
 
 
 @lru_cache(maxsize=256)
-def noticed_noncentrality(rank: int, degrees: float, limit: float, power: float = POWER) -> float:
+def detected_noncentrality(rank: int, degrees: float, limit: float, power: float = DETECTED) -> float:
     """Return the non-centrality at which a change of some rank is noticed with the chance ``power``."""
     from scipy.optimize import brentq
 
@@ -79,13 +84,13 @@ def noticed_noncentrality(rank: int, degrees: float, limit: float, power: float 
     return float(brentq(lambda value: ncfdtr(rank, rest, value, F) - (1.0 - power), 1e-6, upper))
 
 
-def tell_apart(verdict: Verdict, step: Step) -> str:
+def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
     """Return, in words, which further poses would tell a change from the likeliest of the others, and how many."""
     rival = next((score.change for score in step.equivalent), None)
     if rival is None:
         return ""
     change = step.score.change
-    there, apart = farthest_apart(verdict, change, rival)
+    there, apart = most_different_poses(verdict, change, rival)
     most = f"{1e3 * apart[0]:.2g} mm"
     for n in _MORE if apart[0] > _TELLABLE else ():
         if separation(verdict, there.select(np.arange(n)), change, rival) > _TOLD_APART:
@@ -93,10 +98,10 @@ def tell_apart(verdict: Verdict, step: Step) -> str:
             like = " and poses like these" if n > _SHOWN else ""
             return f"measure {n} more poses in which the two differ most, by {most} at the target: {shown}{like}"
     few = f"{_MORE[-1]} more poses" if apart[0] > _TELLABLE else "any instrument"
-    return f"the two differ by at most {most}, too little for {few}; mend either, or look at the joints themselves"
+    return f"the two differ by at most {most}, too little for {few}; re-identify either, or inspect the joints themselves"
 
 
-def farthest_apart(verdict: Verdict, change: int, rival: int) -> tuple[Station, np.ndarray]:
+def most_different_poses(verdict: ChangeVerdict, change: int, rival: int) -> tuple[Station, np.ndarray]:
     """Return a station with random poses, those first in which two changes differ most, and by how much [m].
 
     Each is taken with the size that explains the rows best, instrument and target placed again: what differs is what new
@@ -115,7 +120,7 @@ def farthest_apart(verdict: Verdict, change: int, rival: int) -> tuple[Station, 
     return there.select(order), apart[order]
 
 
-def separation(verdict: Verdict, more: Station, change: int, rival: int) -> float:
+def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -> float:
     """Return the signal of a change that another can't take over if rows are added, squared, in units of the noise."""
     lineup = verdict.lineup
     n = len(lineup.station)
@@ -129,11 +134,11 @@ def separation(verdict: Verdict, more: Station, change: int, rival: int) -> floa
     size = (verdict.values - lineup.start)[c]
     if not len(g):
         return 0.0
-    left = found.given(g).P[np.ix_(c, c)]
+    left = found.form.released(g).H[np.ix_(c, c)]
     return float(max(size @ left @ size, 0.0))
 
 
-def _pose_words(verdict: Verdict, there: Station, i: int) -> str:
+def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:
     """Return a pose in words: joint positions, and the load if there is any."""
     robot, q = there.model.chain.robot, there.conditions.q[i]
     kinds = zip(robot.joint_types, q, strict=True)
@@ -142,7 +147,7 @@ def _pose_words(verdict: Verdict, there: Station, i: int) -> str:
     return f"joints at {numbers} deg" + (f" with {load:g} kg" if verdict.lineup.robot.covered.payload.any() else "")
 
 
-def names_of(changes: tuple[Change, ...], step: Step, most: int = 8) -> list[Change]:
+def rival_names(changes: tuple[PossibleChange, ...], step: NamedChange, most: int = 8) -> list[PossibleChange]:
     """Return the changes that a step can't tell from its own, each heading once."""
     found = {changes[score.change].heading: changes[score.change] for score in reversed(step.equivalent)}
     found.pop(changes[step.score.change].heading, None)

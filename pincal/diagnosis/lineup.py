@@ -8,18 +8,43 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel, estimate_of
-from pincal.diagnosis.changes import Change, beside_changes, changes_of
-from pincal.diagnosis.evidence import Evidence, Known, Redrawn, weigh
-from pincal.diagnosis.mend import Posterior, Prior, most_probable
-from pincal.discover.nuisance import compliances_of
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.diagnosis.changes import PossibleChange, additional_changes, changes_of
+from pincal.diagnosis.row_evidence import Known, ReestimatedCurves, RowEvidence, rows_in_noise, weighted_rows
+from pincal.discover.levers import compliances_of
+from pincal.identify.quadratic import ROUNDING, root_of_inverse
 from pincal.identify.station import Station
-from pincal.model.conditions import Conditions, Situation, varies
+from pincal.model.conditions import Conditions, PoseSet, varies
 from pincal.model.sizes import largest_basis
+from pincal.parameters import estimate_of
+
+# Gauss-Newton steps at most, and halvings of one that made things worse.
+_MOST_STEPS, _HALVINGS = 30, 6
+# A step of this square, in units of the noise, is the last.
+_SHORT = 1e-6
 
 
 @dataclass(frozen=True)
-class Lineup:
+class Refitted:
+    """Values of a robot that has changed: what changed is found anew, the rest moves as far as its uncertainty lets it.
+
+    Attributes:
+        values: shape (P,), most probable ones.
+        places: shape (p,), places of parameters that may have moved.
+        covariance: shape (p, p), of these.
+        changes: shape (F,), of the parameters that are anything.
+        sigma: shape (F,), standard deviations of the changes.
+    """
+
+    values: np.ndarray
+    places: np.ndarray
+    covariance: np.ndarray
+    changes: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class ChangeHypotheses:
     """The rows of a new station, what is known of the robot, and what may have happened to it.
 
     Values here are those of the wide model: the calibrated robot's, masses and all effects that are asked for, and the
@@ -39,20 +64,20 @@ class Lineup:
     robot: CalibratedModel
     known: Known
     station: Station
-    changes: tuple[Change, ...]
+    changes: tuple[PossibleChange, ...]
     places: tuple[np.ndarray, ...]
     own: np.ndarray
     beside: np.ndarray
     start: np.ndarray
 
     @classmethod
-    def of(cls, robot: CalibratedModel, station: Station, known: Known) -> Lineup:
+    def of(cls, robot: CalibratedModel, station: Station, known: Known) -> ChangeHypotheses:
         """Line up all that may have happened to a robot that was placed at the station of new rows."""
         model = station.model
         of_model, of_sensor = station.split(robot.values)
         compliances = tuple(compliances_of(model, of_model).tolist())
-        situation = Situation(model.chain, _loaded_and_not(station.conditions), compliances)
-        changes, others = changes_of(model, situation), beside_changes(model, situation)
+        situation = PoseSet(model.chain, _loaded_and_not(station.conditions), compliances)
+        changes, others = changes_of(model, situation), additional_changes(model, situation)
         added = [change.effect for change in changes if change.effect is not None]
         masses = [] if known.masses is None else [known.masses]
         wide = model.with_effects([*model.effects, *masses, *known.left, *others, *added])
@@ -67,7 +92,7 @@ class Lineup:
         start[[wide.index(name) for name in known.names]] = known.values
         return cls(robot, known, station.with_model(wide), changes, tuple(places), own, beside, start)
 
-    def without(self, row: int | np.ndarray) -> Lineup:
+    def without(self, row: int | np.ndarray) -> ChangeHypotheses:
         """Return the same without a row, or without some."""
         kept = ~np.isin(np.arange(len(self.station)), row)
         return replace(self, station=self.station.select(kept))
@@ -78,11 +103,11 @@ class Lineup:
 
     def release(self, happened: Sequence[int], start: np.ndarray) -> np.ndarray:
         """Return the values with some changes found and everything else of the robot as it was, shape (P,)."""
-        return self._posterior(happened, start, np.zeros(0, int), np.zeros((0, 0))).values
+        return self._refitted(happened, start, np.zeros(0, int), np.zeros((0, 0))).values
 
-    def mend(self, happened: Sequence[int], start: np.ndarray) -> Posterior:
+    def reidentify(self, happened: Sequence[int], start: np.ndarray) -> Refitted:
         """Return the same with the rest of the robot moved as far as its uncertainty lets it."""
-        return self._posterior(happened, start, self._known, self.known.root)
+        return self._refitted(happened, start, self._known, self.known.root)
 
     @cached_property
     def _known(self) -> np.ndarray:
@@ -90,7 +115,7 @@ class Lineup:
         model = self.station.model
         return np.array([model.index(name) for name in self.known.names], int)
 
-    def mended(self, happened: Sequence[int], found: Posterior) -> CalibratedModel:
+    def reidentified(self, happened: Sequence[int], found: Refitted) -> CalibratedModel:
         """Return the robot that was found at the new station, with what changed and nothing else of the wide model."""
         model, n = self.robot.model, len(self.robot.model.effects) + (self.known.masses is not None)
         spans = self.station.model.spans[n : n + len(self.known.left)]
@@ -104,21 +129,57 @@ class Lineup:
         estimate = estimate_of(station.parameters, found.values[places], whole[np.ix_(places, places)])
         return replace(self.robot, model=station.model, estimate=estimate, left=None)
 
-    def _posterior(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Posterior:
-        free, begun = self.free(happened), self.start.copy()
-        begun[free] = start[free]
-        precision = np.diag(self.sizes[free] ** -2.0)
-        for places, belief in self._redrawn(happened):
-            at = np.searchsorted(free, places)
-            precision[np.ix_(at, at)] = belief
-        prior = Prior(known, root, free, precision)
-        return most_probable(self.station, begun, self.start, prior, self.robot.sigma)
+    def _refitted(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Refitted:
+        """Return the most probable values: those that changed anywhere, those known, shape (K,), by a root of covariance.
 
-    def weigh(self, values: np.ndarray, happened: Sequence[int]) -> Evidence:
+        A parameter that is known and free is the sum of what it was and a change. The noise is taken as it is: what is far
+        off pulls as strongly as it does.
+        """
+        free, n = self.free(happened), root.shape[1]
+        places = np.union1d(known, free).astype(int)
+        # From one vector of uncorrelated unknowns to the parameters.
+        W = np.zeros((len(places), n + len(free)))
+        W[np.searchsorted(places, known), :n] = root
+        W[np.searchsorted(places, free), np.arange(n, W.shape[1])] = 1.0
+        precision = np.diag(np.append(np.ones(n), self.sizes[free] ** -2.0))
+        for of_change, belief in self._redrawn(happened):
+            at = n + np.searchsorted(free, of_change)
+            precision[np.ix_(at, at)] = belief
+        unknown = np.append(np.zeros(n), (start - self.start)[free])
+
+        def at_values(unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+            values = self.start.copy()
+            values[places] += W @ unknown
+            A, r = rows_in_noise(self.station, values, self.robot.sigma, places)
+            return values, W.T @ A, r, float(r @ r + unknown @ precision @ unknown)
+
+        values, N, r, cost = at_values(unknown)
+        for _ in range(_MOST_STEPS):
+            H = N @ N.T + precision
+            uncertain = root_of_inverse(H, np.diag(H), ROUNDING)
+            step = uncertain @ (uncertain.T @ (N @ r - precision @ unknown))
+            for _ in range(_HALVINGS):
+                there = at_values(unknown + step)
+                if there[3] <= cost * (1.0 + 1e-9) + _SHORT:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            unknown, (values, N, r, cost) = unknown + step, there
+            if step @ H @ step < _SHORT:
+                break
+        H = N @ N.T + precision
+        uncertain = root_of_inverse(H, np.diag(H), ROUNDING)
+        spread = W @ uncertain
+        return Refitted(values, places, spread @ spread.T, unknown[n:], np.linalg.norm(uncertain[n:], axis=1))
+
+    def weigh(self, values: np.ndarray, happened: Sequence[int]) -> RowEvidence:
         """Return what the rows say of everything else, once some changes have happened."""
-        redrawn = [Redrawn(places, belief, (values - self.start)[places]) for places, belief in self._redrawn(happened)]
+        redrawn = [
+            ReestimatedCurves(places, belief, (values - self.start)[places]) for places, belief in self._redrawn(happened)
+        ]
         others = [i for i in happened if self.changes[i].belief is None]
-        return weigh(
+        return weighted_rows(
             self.station,
             values,
             self.known,
@@ -147,7 +208,7 @@ class Lineup:
         return np.array([parameter.size for parameter in self.station.parameters]) / largest
 
 
-def _places(change: Change, names: tuple[str, ...]) -> np.ndarray:
+def _places(change: PossibleChange, names: tuple[str, ...]) -> np.ndarray:
     return np.array([names.index(name) for name in change.parameters], int)
 
 

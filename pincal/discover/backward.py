@@ -1,48 +1,64 @@
-"""Backward: judge each effect once more beside all the others, and take out again what does not earn its place."""
+"""Names judged again: beside the others, by what the model loses without them, and by what they leave where they act.
+
+What a fit leaves without one of its effects follows from its own Gram matrices: taking the effect out only adds its columns,
+times their values, to the residuals. So all are named from the same tests of all that could take the place of any.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from functools import cache, partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial, reduce
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, addable
-from pincal.discover.decisions import Decision, each_heading_once
-from pincal.discover.elastic_ways import with_features
-from pincal.discover.forward import decided, listed
-from pincal.discover.history import State, Step
-from pincal.discover.named_beside import named_beside
-from pincal.discover.nuisance import score_test_beside_nuisances
-from pincal.discover.policy import Policy
-from pincal.discover.score_tests import WIDER, enough_errors, standard_errors
+from pincal.discover.candidate_tests import Search, addable, explanation, spare_compliances, table_of, unnamed_given
+from pincal.discover.decisions import (
+    CandidateTable,
+    Decision,
+    Question,
+    Row,
+    Unfitted,
+    accepted,
+    each_heading_once,
+    enough_errors,
+    is_own_curve,
+    rivals_of,
+    standard_errors,
+)
+from pincal.discover.drive_curves import curves_over
+from pincal.discover.elastic import with_features
+from pincal.discover.first_order import ScoreTests
+from pincal.discover.levers import missing_from, situation_of
+from pincal.discover.policy import CURVES, TESTING, WAVES, Policy
+from pincal.discover.products import Information
+from pincal.discover.score_tests import BesideNuisances, score_test_given_nuisances
+from pincal.discover.steps import SearchState, SearchStep, decided, worded
 from pincal.identify.calibrate import refit
-from pincal.identify.fit import Fit, without
-from pincal.model.effect import Effect, Tone
-
-# Orders closer than this [waves a turn] are one wave, found once more: stages of a drive differ by more.
-_CLOSE = 1.0
+from pincal.identify.fit import ModelFit, without
+from pincal.model.catalogue.unnamed import nameless_candidates
+from pincal.model.effect import Curve, Effect, ExponentialDrift, Family, Harmonic, Resolvable
+from pincal.model.evaluated import key_of
 
 log = logging.getLogger(__name__)
 
 
-def name_again(state: State, search: Search) -> State:
+def name_again(state: SearchState, search: Search) -> SearchState:
     """Name each effect once more beside all the others, which were not there when it was named."""
     places = [k for k, step in enumerate(state.steps) if not step.is_elastic]
-    beside: Iterator[tuple[Fit, Decision | None]] | None = None
+    beside: Iterator[tuple[ModelFit, Decision | None]] | None = None
     for i, k in enumerate(places if len(places) > 1 else []):
         step = state.steps[k]
         (effect,) = step.effects
         if beside is None:
-            beside = named_beside(state.fit, [state.steps[later].effect for later in places[i:]], search)
+            beside = named_given(state.fit, [state.steps[later].effect for later in places[i:]], search)
         rest, decision = next(beside)
         if decision is None:
             continue
         if decision.effect.identity == effect.identity:
             # A rival that has come in since may go again.
-            rivals = [*decision.equivalent, *(other for other in step.equivalent if _is_in(other, state.fit))]
+            rivals = [*decision.equivalent, *(other for other in step.equivalent if not missing_from(state.fit, [other]))]
             told = each_heading_once(rivals, effect, search.policy)
             state = state.with_replaced(step, replace(step, equivalent=told, together=decision.together))
             continue
@@ -52,7 +68,7 @@ def name_again(state: State, search: Search) -> State:
         if _is_close(effect, new.effect):
             state, beside = state.tuned(step, new), None
             continue
-        log.info("%s is %s beside what was found later", listed([effect]), listed([decision.effect]))
+        log.info("%s is %s given what was found later", worded([effect]), worded([decision.effect]))
         steps = state.with_replaced(step, replace(new, before=step.before, after=step.after)).steps
         state, beside = state.changed(new.after, steps, (decision.effect,), (effect,)), None
     return state
@@ -60,18 +76,18 @@ def name_again(state: State, search: Search) -> State:
 
 def _is_close(effect: Effect, other: Effect) -> bool:
     """Return whether two effects are waves of nearly one order, of one name on one joint."""
-    if not (isinstance(effect, Tone) and isinstance(other, Tone)) or effect.heading != other.heading:
+    if not (isinstance(effect, Harmonic) and isinstance(other, Harmonic)) or effect.heading != other.heading:
         return False
-    return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < _CLOSE
+    return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < WAVES.close
 
 
-def _predicts_better(effect: Effect, other: Effect, fit: Fit, search: Search) -> bool:
+def _predicts_better(effect: Effect, other: Effect, fit: ModelFit, search: Search) -> bool:
     """Return whether an effect predicts blocks of poses left out better than another, by more than chance."""
-    tests = score_test_beside_nuisances(fit, [effect, other], search.groups)
-    return standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > 1.0
+    tests = score_test_given_nuisances(fit, [effect, other], search.groups)
+    return standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > TESTING.predicts
 
 
-def drop_needless(state: State, search: Search) -> State:
+def drop_needless(state: SearchState, search: Search) -> SearchState:
     """Take out again, one by one, what does not predict blocks of poses left out better beside all the others.
 
     What the whole model loses without a step has to be more than its standard error over the blocks, as it had to be when
@@ -85,20 +101,18 @@ def drop_needless(state: State, search: Search) -> State:
         if not failed:
             break
         least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
-        log.info("dropped %s: the others predict blocks left out as well without it", listed(least.effects))
+        log.info("dropped %s: the others predict held-out blocks as well without it", worded(least.effects))
         state = state.changed(without_it(least), state.without_step(least).steps, (), least.effects)
         state = _with_rivals(state, least, [step for step in failed if step is not least], search)
     for step in state.steps:
-        told = tuple(other for other in step.equivalent if not _is_in(other, state.fit))
+        told = tuple(missing_from(state.fit, step.equivalent))
         state = state.with_replaced(step, replace(step, equivalent=told))
     return state
 
 
-def _is_in(effect: Effect, fit: Fit) -> bool:
-    return effect.identity in {other.identity for other in fit.problem.effects}
-
-
-def _fails(state: State, step: Step, worth: float, search: Search, without_it: Callable[[Step], Fit]) -> bool:
+def _fails(
+    state: SearchState, step: SearchStep, worth: float, search: Search, without_it: Callable[[SearchStep], ModelFit]
+) -> bool:
     """Return whether a step would not enter again: suspected to first order, judged on the others fitted again.
 
     The others may lean on it, so that what they leave without it is not what they must; and where it can't be told from
@@ -109,16 +123,18 @@ def _fails(state: State, step: Step, worth: float, search: Search, without_it: C
     is_one_of_many, is_rest = len(state.steps) > 1, _may_be_left_over(state, step)
     if worth > least and not (is_rest or (is_one_of_many and _is_doubtful(fit, step, policy))):
         return False
-    rest, wider = without_it(step), 1.0 if step.is_elastic else WIDER
-    tests = score_test_beside_nuisances(rest, own, search.groups, wider=wider)
-    if standard_errors(tests.gains_by_block(range(len(own)))) <= least:
-        return True
-    limit = policy.elastic if step.is_elastic else policy.drop * policy.false_name
+    rest = without_it(step)
+    question: Question = "elastic" if step.is_elastic else "stay"
+    wider = 1.0 if step.is_elastic else TESTING.wider
+    tests = score_test_given_nuisances(rest, own, search.groups, wider=wider)
+    every = range(len(own))
+    said = Unfitted(standard_errors(tests.gains_by_block(every)))
+    score = replace(tests.score(every, 1), p_value=tests.p_value_of_any(every) if is_one_of_many else 0.0)
     looks = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
-    return is_one_of_many and tests.p_value_of_any(range(len(own))) > limit / looks
+    return not accepted(Row(step.effect, score, score.ebic, question, looks, left_out=lambda: said, enough=least), policy)
 
 
-def _may_be_left_over(state: State, step: Step) -> bool:
+def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
     """Return whether a name may be what something stronger without one leaves, which is known in outline only."""
     if step.is_elastic or step.effect.is_nameless:
         return False
@@ -126,7 +142,7 @@ def _may_be_left_over(state: State, step: Step) -> bool:
     return any(effect.is_nameless for other in others for effect in (*other.effects, *other.equivalent))
 
 
-def _is_doubtful(fit: Fit, step: Step, policy: Policy) -> bool:
+def _is_doubtful(fit: ModelFit, step: SearchStep, policy: Policy) -> bool:
     """Return whether Wald's test leaves any doubt in a step."""
     found = fit.estimate.take(fit.names_of(step.effects))
     values = found.values[found.free]
@@ -134,15 +150,15 @@ def _is_doubtful(fit: Fit, step: Step, policy: Policy) -> bool:
     return bool(wald <= policy.sure * len(values))
 
 
-def _worths(state: State, search: Search) -> dict[Step, float]:
+def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
     """Return what the model loses on blocks of poses left out without each step, in standard errors of it."""
     # The model is what predicts, with the priors that it was fitted with.
-    tests, found = score_test_beside_nuisances(state.fit, (), search.groups, wider=1.0), {}
+    tests, found = score_test_given_nuisances(state.fit, (), search.groups, wider=1.0), {}
     # Masses bend the arm only by way of its compliances, and can't take their place.
     heavy = [effect for effect in state.fit.problem.effects if effect.bodies(state.fit.problem.chain)]
     for step in state.steps:
         own = with_features(state.fit, step.effects)
-        # Nor does the place of a bearing that does not give way matter.
+        # Nor does the place of a bearing that is not compliant matter.
         places = [e for e in own if e.locus.acts_on == "place"]
         still = state.fit.names_of([*heavy, *places]) if step.is_elastic else ()
         losses = tests.losses_by_block(set(state.fit.names_of(own)) - set(still), still)
@@ -150,18 +166,202 @@ def _worths(state: State, search: Search) -> dict[Step, float]:
     return found
 
 
-def _with_rivals(state: State, gone: Step, failed: list[Step], search: Search) -> State:
+def _with_rivals(state: SearchState, gone: SearchStep, failed: list[SearchStep], search: Search) -> SearchState:
     """Return the state in which those are told to be perhaps what has left that are needed since it left."""
     worth = _worths(state, search) if failed else {}
     for step in failed:
-        if worth[step] > 1.0:
+        if worth[step] > TESTING.predicts:
             rivals = each_heading_once([*gone.effects[:1], *step.equivalent], step.effect, search.policy)
             state = state.with_replaced(step, replace(step, equivalent=rivals))
     return state
 
 
-def _refitted_without(fit: Fit, step: Step) -> Fit:
-    rest = fit
-    for effect in with_features(fit, step.effects):
-        rest = without(rest, effect)
-    return refit(fit, rest.options.effects)
+def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
+    return refit(fit, reduce(without, with_features(fit, step.effects), fit).options.effects)
+
+
+def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[ModelFit, Decision | None]]:
+    """Yield, for each of some effects of a fit, the fit without it and the best explanation of what this leaves.
+
+    Args:
+        fit: the fit.
+        effects: those of its effects that are to be named.
+        search: what is looked for.
+    """
+    shared = _Shared(BesideNuisances(fit))
+    rests = [without(fit, effect) for effect in effects]
+    tests = [partial(shared.without, effect) for effect in effects]
+    # Others have the time constants of the catalogue, this one its own.
+    own = ([effect] if isinstance(effect, ExponentialDrift) else [] for effect in effects)
+    tried = [[*addable(rest, search), *mine] for rest, mine in zip(rests, own, strict=True)]
+    pairs = zip(rests, tried, strict=True)
+    spare = [effect for rest, some in pairs for effect in spare_compliances(rest, some, search.policy)]
+    shared.test([*(effect for some in tried for effect in some), *spare])
+    tables, others = list[CandidateTable](), list[Effect]()
+    for effect, rest, test, some in zip(effects, rests, tests, tried, strict=True):
+        # Whether an effect predicts is asked before it goes, not when it is named.
+        names = table_of(rest, search, test, some, predicting=effect)
+        tables.append(names)
+        close = [names.rows[i].effect for i in names.cheapest()[: search.policy.close]]
+        others += [*close, *unnamed_given(rest, [effect, *close], search)]
+    shared.test([*others, *spare])
+    for effect, rest, test, names in zip(effects, rests, tests, tables, strict=True):
+        yield rest, explanation(rest, search, test, names, predicting=effect)
+
+
+@dataclass
+class _Shared:
+    """Tests against a fit, for tests against the fit without one of its effects.
+
+    Attributes:
+        beside: tests against the fit.
+        passes: what was tested at once, with blocks of rows or without, each candidate with its number.
+        known: what the rows say of the model without one of its effects, by what they say of all of it, and by the effect.
+    """
+
+    beside: BesideNuisances
+    passes: list[tuple[bool, dict[object, int], ScoreTests]] = field(default_factory=list)
+    known: dict[tuple[int, int], Information] = field(default_factory=dict)
+
+    def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> None:
+        """Test candidates at once, equal ones once."""
+        once = {key_of(effect): effect for effect in effects}
+        number = {key: i for i, key in enumerate(once)}
+        self.passes.append((groups is not None, number, self.beside(tuple(once.values()), groups)))
+
+    def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
+        """Return the tests of candidates against the fit without one of its effects."""
+        found = self._tested(effects, groups)
+        if found is None:
+            self.test(effects, groups)
+            found = self._tested(effects, groups)
+            assert found is not None
+        which, tests = found
+        key = id(tests.model), id(gone)
+        rest = tests.among(which, self.beside.fit.names_of([gone]), self.known.get(key))
+        self.known[key] = rest.model
+        return rest
+
+    def _tested(self, effects: Sequence[Effect], groups: np.ndarray | None) -> tuple[list[int], ScoreTests] | None:
+        """Return a pass in which all of some candidates were tested, and their numbers there."""
+        for has_blocks, number, tests in self.passes:
+            which = [number.get(key_of(effect), -1) for effect in effects]
+            if has_blocks == (groups is not None) and min(which, default=0) >= 0:
+                return which, tests
+        return None
+
+
+def add_remainders(state: SearchState, search: Search) -> SearchState:
+    """Add, beside each name that follows a joint's position, the wave or curve of this position that it leaves there.
+
+    What a name leaves of its own variable in its own place is one of a few smooth functions, so that far less of it is more
+    than chance than in a search among all dependences. It has to predict blocks left out, too. Where there is but a hint of
+    it, it is told as what the name may be part of.
+    """
+    for step in state.steps:
+        smooth = _smooth_beside(step.effect, state.fit, search) if len(step.effects) == 1 else ()
+        rest = _most_left(smooth, state.fit, search)
+        if rest is None:
+            continue
+        if accepted(rest.row, search.policy):
+            log.info("%s leaves %s", worded(step.effects), worded([rest.effect]))
+            state = state.with_step(decided(state.fit, rest, search))
+        elif rest.row.score.p_value * len(smooth) < search.policy.hint:
+            others = each_heading_once([*step.equivalent, rest.effect, *rest.equivalent], step.effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=others))
+    return state
+
+
+def take_whole_curves(state: SearchState, search: Search) -> SearchState:
+    """Take the whole curve of a joint's drive in the place of a simple one that leaves some of it.
+
+    Where both explain the data the simple one was chosen, and the curve stands beside it as equivalent.
+    """
+    for step in state.steps:
+        curve = next((effect for effect in step.equivalent if isinstance(effect, Curve)), None)
+        if curve is None or len(step.effects) > 1 or not is_own_curve(step.effect):
+            continue
+        sizes = [round(curve.resolution * finer) for finer in CURVES.finer]
+        decision = _most_left(curves_over(state.fit, curve, sizes), state.fit, search)
+        if decision is None or not accepted(decision.row, search.policy):
+            continue
+        rest = without(state.fit, step.effect)
+        score = score_test_given_nuisances(rest, [decision.effect]).score([0], len(sizes))
+        new = decided(rest, replace(decision, row=replace(decision.row, score=score)), search)
+        log.info("%s is part of %s", worded(step.effects), worded(new.effects))
+        others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
+        whole = replace(new, equivalent=others, before=step.before, after=step.after)
+        state = state.changed(new.after, state.with_replaced(step, whole).steps, new.effects, step.effects)
+    return state
+
+
+def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decision | None:
+    """Return what explains most of what a fit leaves, chance or not, and what explains as much; None of nothing."""
+    if not smooth:
+        return None
+
+    def left_out(effect: Effect) -> Unfitted:
+        return Unfitted(standard_errors(score_test_given_nuisances(fit, [effect], search.groups).gains_by_block([0])))
+
+    tests, count = score_test_given_nuisances(fit, smooth), len(smooth)
+    scores = [tests.score([i], count) for i in range(count)]
+    rows = [
+        Row(effect, score, score.ebic, "rest", count, left_out=partial(left_out, effect), enough=0.0)
+        for effect, score in zip(smooth, scores, strict=True)
+    ]
+    best = int(np.argmin([score.p_value for score in scores]))
+
+    def left_given(i: int, given: int) -> float:
+        return tests.score_given([i], [given]).p_value
+
+    others = rivals_of(rows, best, left_given, search.policy)
+    return Decision(rows[best], each_heading_once(others, smooth[best], search.policy))
+
+
+def _smooth_beside(effect: Effect, fit: ModelFit, search: Search) -> Sequence[Effect]:
+    """Return waves and curves without a name of the position that an effect follows, on its joint or on that joint."""
+    at, chain = effect.locus, fit.problem.chain
+    if not _follows_a_position(effect, fit) or isinstance(effect, Harmonic):
+        return ()
+    joints = [name for name in chain.robot.joint_names if name in (at.joint, at.follows)]
+    every = search.taking_part(missing_from(fit, nameless_candidates(chain, fit.problem.conditions, joints)))
+    return [e for e in every if (e.locus.order or e.locus.span) and e.locus.follows == at.follows]
+
+
+def _follows_a_position(effect: Effect, fit: ModelFit) -> bool:
+    """Return whether an effect with a name acts on one joint by the position of a joint."""
+    at = effect.locus
+    return effect.family is Family.CAUSE and at.joint is not None and at.follows in fit.problem.chain.robot.joint_names
+
+
+def merge_parts(state: SearchState, search: Search) -> SearchState:
+    """Take a name and a term without one that follow the same variable in the same place as one effect without a name.
+
+    A name that leaves something of its own variable unexplained where it acts is only the nearest that the catalogue has.
+    """
+    for rest in [step for step in state.steps if step.effect.is_nameless]:
+        part = next((s for s in state.steps if s is not rest and _is_part(s.effect, rest.effect, state.fit)), None)
+        if part is None:
+            continue
+        before, after = sorted((part, rest), key=state.steps.index)
+        equivalent = [*rest.equivalent, part.effect, *part.equivalent]
+        whole = replace(
+            before,
+            effects=(rest.effect, *part.effects),
+            equivalent=each_heading_once(equivalent, rest.effect, search.policy),
+            after=before.after,
+        )
+        state = state.with_replaced(before, whole).without_step(after)
+    return state
+
+
+def _is_part(effect: Effect, nameless: Effect, fit: ModelFit) -> bool:
+    """Return whether a name follows the same variable, on the same joint or a neighbour, as a term without a name."""
+    at, term, names = effect.locus, nameless.locus, fit.problem.chain.robot.joint_names
+    if not _follows_a_position(effect, fit) or isinstance(effect, Harmonic) or at.joint is None or term.joint is None:
+        return False  # Waves many a turn are no part of a smooth function.
+    if isinstance(nameless, Resolvable) and nameless.resolutions(situation_of(fit)):
+        # A map is a function of its own joint's position as well.
+        return {term.joint, term.follows} >= {at.joint, at.follows}
+    apart = abs(names.index(term.joint) - names.index(at.joint))
+    return apart <= 1 and term.follows == at.follows

@@ -1,33 +1,95 @@
-"""Which effect explains what a model leaves, decided from a table of tests: no fit and no data in here."""
+"""Which effect explains what a model leaves, and whether a name is accepted: no fit and no data in here.
+
+Every pass of a search asks :func:`accepted`. The numbers stand in ``policy.py``; the tests behind them are those of
+``first_order.py``. docs/criteria.md derives them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pincal.discover.policy import Policy
-from pincal.discover.score_tests import Score
-from pincal.model.effect import Curve, Effect, Tone
+from pincal.discover.first_order import ScoreResult
+from pincal.discover.policy import TESTING, Policy
+from pincal.model.effect import Curve, Effect, Harmonic
+
+Question = Literal["enter", "elastic", "stay", "rest"]
+"""What is asked of a name: whether it enters, an arm is compliant, it stays, or is the rest of another where that acts."""
+
+
+class Unfitted(NamedTuple):
+    """What blocks of poses left out say of a candidate.
+
+    Attributes:
+        errors: standard errors that they gain by it.
+        p_value: of its test whatever the noise is at each visit of a pose; default: not asked.
+    """
+
+    errors: float
+    p_value: Callable[[], float] | None = None
 
 
 @dataclass(frozen=True)
 class Row:
-    """One candidate and its test.
+    """One candidate, its test, and what else it is judged by.
 
     Attributes:
         effect: the candidate.
         score: its test.
         cost: what it costs to believe it: the extended Bayesian information criterion, and a surcharge without a name;
             negative is better than nothing.
-        limit: what the p-value has to stay below; 0 where the priors on effects speak against it.
+        question: what is asked of it.
+        among: of how many candidates it was chosen, which share the chance of a false name.
+        least: what it has to take off the squares to matter to anybody.
+        evidence: log of how much likelier the data are with it, whatever its parameters; inf where rows are many.
+        left_out: tells what blocks left out say of it; default: nobody asks them.
+        enough: standard errors that they have to gain.
     """
 
     effect: Effect
-    score: Score
+    score: ScoreResult
     cost: float
-    limit: float
+    question: Question = "enter"
+    among: float = 1.0
+    least: float = 0.0
+    evidence: float = np.inf
+    left_out: Callable[[], Unfitted] | None = None
+    enough: float = TESTING.predicts
+
+
+def allowed_chance(question: Question, among: float, policy: Policy) -> float:
+    """Return what the p-value of one of several candidates has to stay below."""
+    chances = {
+        "enter": policy.false_name,
+        "elastic": policy.elastic,
+        "stay": policy.drop * policy.false_name,
+        "rest": policy.remainder,
+    }
+    return chances[question] / among
+
+
+def is_more_than_chance(row: Row, policy: Policy) -> bool:
+    """Return whether neither chance nor priors speak against a candidate, and it matters, on the rows that were fitted."""
+    limit = allowed_chance(row.question, row.among, policy)
+    return row.score.p_value < limit and row.score.gain >= row.least and row.evidence >= -np.log(limit)
+
+
+def accepted(row: Row, policy: Policy) -> bool:
+    """Return whether a name is accepted.
+
+    It is if it is more than chance (F test) and matters, if what is known of its size beforehand does not speak against it
+    (Bayes factor, on few rows), and if by it blocks of poses that are left out are predicted better, by more than chance
+    (cross-validation), whatever the noise is at each pose.
+    """
+    if not is_more_than_chance(row, policy):
+        return False
+    if row.left_out is None:
+        return True
+    said, limit = row.left_out(), allowed_chance(row.question, row.among, policy)
+    return said.errors > row.enough and (said.p_value is None or said.p_value() < limit)
 
 
 @dataclass(frozen=True)
@@ -36,34 +98,29 @@ class CandidateTable:
 
     Attributes:
         rows: the candidates.
-        least: the gain below which an effect matters to nobody.
         left_given: the p-value of what one candidate still explains once another is in the model.
         cost_together: the information criterion of two candidates taken as one.
-        predicts: whether a candidate improves the prediction of rows left out by more than chance.
         left_beside: as ``left_given``, of some candidates taken as one, once some others are in the model.
     """
 
     rows: Sequence[Row]
-    least: float
     left_given: Callable[[int, int], float]
     cost_together: Callable[[int, int], float]
-    predicts: Callable[[int], bool]
     left_beside: Callable[[Sequence[int], Sequence[int]], float]
 
     def cheapest(self) -> list[int]:
         """Return all candidates, the cheapest first."""
         return [int(i) for i in np.argsort([row.cost for row in self.rows])]
 
-    def passed(self) -> list[int]:
-        """Return the candidates that chance does not explain, the cheapest first."""
-        rows = self.rows
-        return [i for i in self.cheapest() if rows[i].score.p_value < rows[i].limit and rows[i].score.gain >= self.least]
+    def passed(self, policy: Policy) -> list[int]:
+        """Return the candidates that are more than chance, the cheapest first."""
+        return [i for i in self.cheapest() if is_more_than_chance(self.rows[i], policy)]
 
     def rivals(self, best: int, policy: Policy) -> list[Effect]:
         """Return the candidates that explain the data as well: little is left for the best once one of them is in."""
         return rivals_of(self.rows, best, self.left_given, policy)
 
-    def curves_beside(self, effect: Effect) -> list[int]:
+    def competing_curves(self, effect: Effect) -> list[int]:
         """Return the drive curves of the joint on which a simple curve of its position acts; none of another effect."""
         if not is_own_curve(effect):
             return []
@@ -100,7 +157,7 @@ def rivals_of(rows: Sequence[Row], best: int, left_given: Callable[[int, int], f
 
 @dataclass(frozen=True)
 class Decision:
-    """The candidate that explains most for what it costs, and effects that the data can't tell from it.
+    """The candidate that explains most for what it costs, and effects that the data can't distinguish from it.
 
     Attributes:
         row: the candidate.
@@ -127,13 +184,13 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
             name.
         policy: what to go by.
     """
-    best = next((i for i in names.passed() if names.predicts(i)), None)
-    best = best if best is None else _taken_apart(names, best, policy)
+    best = next((i for i in names.cheapest() if accepted(names.rows[i], policy)), None)
+    best = best if best is None else _without_equivalents(names, best, policy)
     close = [] if best is None else [best, *(i for i in names.cheapest()[: policy.close] if i != best)]
     contest = contest_of([names.rows[i] for i in close])
-    nameless = _better_without_name(contest, None if best is None else names.rows[best].effect)
+    nameless = _better_without_name(contest, None if best is None else names.rows[best].effect, policy)
     if nameless is not None:
-        whole = [names.rows[i].effect for i in names.curves_beside(contest.rows[nameless].effect)[:1]]
+        whole = [names.rows[i].effect for i in names.competing_curves(contest.rows[nameless].effect)[:1]]
         more = [] if best is None else _larger_curves(names, best, policy)
         return _decision(contest, nameless, [*whole, *more], policy)
     if best is None:
@@ -148,27 +205,27 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
     return replace(decision, together=together)
 
 
-def _taken_apart(names: CandidateTable, best: int, policy: Policy) -> int:
+def _without_equivalents(names: CandidateTable, best: int, policy: Policy) -> int:
     """Return the likeliest of plainer effects that together explain more than the best does; the best if they don't."""
     parts = names.parts(best, policy)
     if not parts or names.left_beside(parts, [best]) > policy.adds_nothing:
         return best
-    return next((i for i in names.passed() if i in parts and names.predicts(i)), best)
+    return next((i for i in names.cheapest() if i in parts and accepted(names.rows[i], policy)), best)
 
 
-def _better_without_name(contest: CandidateTable, best: Effect | None) -> int | None:
+def _better_without_name(contest: CandidateTable, best: Effect | None, policy: Policy) -> int | None:
     """Return the dependence without a name that beats the best name, if one does and predicts rows left out."""
     rows = contest.rows
-    nameless = next((i for i in contest.passed() if rows[i].effect.is_nameless), None)
+    nameless = next((i for i in contest.passed(policy) if rows[i].effect.is_nameless), None)
     if nameless is None:
         return None
     to_beat = next((row.cost for row in rows if row.effect is best), np.inf)
-    return nameless if rows[nameless].cost < to_beat and contest.predicts(nameless) else None
+    return nameless if rows[nameless].cost < to_beat and accepted(rows[nameless], policy) else None
 
 
 def _decision(table: CandidateTable, best: int, others: Iterable[Effect], policy: Policy) -> Decision:
     row = table.rows[best]
-    same = row.effect.same if isinstance(row.effect, Tone) else ()
+    same = row.effect.same if isinstance(row.effect, Harmonic) else ()
     return Decision(row, each_heading_once([*table.rivals(best, policy), *others, *same], row.effect, policy))
 
 
@@ -185,20 +242,20 @@ def each_heading_once(effects: Iterable[Effect], best: Effect, policy: Policy) -
 
 
 def _title(effect: Effect) -> object:
-    return (effect.heading, effect.locus.order) if isinstance(effect, Tone) else effect.heading
+    return (effect.heading, effect.locus.order) if isinstance(effect, Harmonic) else effect.heading
 
 
 def is_own_curve(effect: Effect) -> bool:
     """Return whether an effect is a simple curve of the joint's own position, about its own axis."""
     at = effect.locus
     is_about_axis = at.acts_on in ("drive", "gamma_z")
-    return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve | Tone)
+    return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve | Harmonic)
 
 
 def _beyond(names: CandidateTable, best: int, policy: Policy) -> tuple[float, int]:
     """Return the chance that some simple curve of the joint's position is all of the curve, and the drive curve."""
     rows, effect = names.rows, names.rows[best].effect
-    curves = names.curves_beside(effect)
+    curves = names.competing_curves(effect)
     simple = [
         i
         for i, row in enumerate(rows)
@@ -224,3 +281,28 @@ def _larger_curves(names: CandidateTable, best: int, policy: Policy) -> list[Eff
     """Return the drive curve that leaves something to a simple curve of the joint's position, if there is a hint of one."""
     chance, curve = _beyond(names, best, policy)
     return [names.rows[curve].effect] if chance < policy.hint else []
+
+
+def standard_errors(gains: np.ndarray) -> float:
+    """Return the sum of what blocks of poses left out gain, in its standard errors as the blocks differ.
+
+    More than one is what it takes, here and everywhere in a discovery, to call a prediction better. One block alone, such as
+    a region that the others don't reach, can't veto what they agree in: if they do by ``TESTING.veto`` standard errors, the
+    blocks that gain least and most count as those next to them (Winsor's mean).
+    """
+    if len(gains) < 2:
+        return 0.0
+    every, inner = _in_errors(gains), _in_errors(np.clip(gains, *np.sort(gains)[[1, -2]]))
+    return max(every, inner) if len(gains) >= TESTING.fewest_blocks and inner > TESTING.veto else every
+
+
+def _in_errors(gains: np.ndarray) -> float:
+    return float(gains.sum() / max(gains.std(ddof=1) * np.sqrt(len(gains)), 1e-300))
+
+
+def enough_errors(effect: Effect) -> float:
+    """Return how many standard errors blocks left out have to gain by an effect.
+
+    More by an effect that is the best of many that were looked at on all blocks.
+    """
+    return TESTING.searched if effect.looks > 1.0 else TESTING.predicts

@@ -1,34 +1,52 @@
-r"""What refits would change, to first order: with further effects, without some of a model, and without blocks of poses.
+r"""Score tests of candidate effects on the Jacobian of a fitted model, and what refits would change, to first order.
 
-With S and b of all whitened columns, those of the model (N) and of candidates (g), and L the priors of the model,
+With A the whitened Jacobian by all parameters (those of the model, N, and those of every candidate, at zero), r the
+whitened residuals, S = A A^T and b = A r, everything that criticism asks follows from S and b: with the model's tangent
+space and its priors L projected out,
 
 .. math:: S'_{gg} = S_{gg} - S_{gN} (S_{NN} + L)^{-1} S_{Ng}, \qquad b'_g = b_g - S_{gN} (S_{NN} + L)^{-1} (b_N - L x)
 
-are what is left of candidates once the model has taken up what it can of them; x are its parameters less what is believed.
+are what is left of candidates once the model has taken up what it can of them, x its parameters less what is believed, and
+
+.. math:: T_g = b'^T_g S'^{-1}_{gg} b'_g
+
+is what adding effect g and refitting everything would take off the sum of squares (Rao's score test; chi-square with
+k_g degrees of freedom if g is not there). One pass over the data serves all candidates. Which criteria follow from these,
+and what each decides, stands in docs/criteria.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.special import fdtrc
 
-from pincal.discover.information import Information, scaled_factor
-from pincal.discover.products import Products
+from pincal.discover.policy import TESTING
+from pincal.discover.products import Information, Products
+from pincal.identify.quadratic import SEEN, Factor
 from pincal.model.effects import Effect
 
-# Part of a column's square that must be left after projection for the data to see it.
-_SEEN = 1e-5
-# Part of a parameter's prior variance that the data take off, at least, where they see it: they know nothing of what only
-# the priors of the model keep apart from it, as of a tilt that geometry is, too, were its lengths as far off as nobody
-# builds them.
-_TOLD = 0.01
-# What parameters that are held are known by, in units of what the data say of them.
-_HELD = 1e6
+
+@dataclass(frozen=True)
+class ScoreResult:
+    """The test of one candidate.
+
+    Attributes:
+        gain: T, what it takes off the sum of squares (in units of the noise that the model leaves).
+        rank: k, directions of it that the data see.
+        p_value: of the F test, the places or frequencies paid for among which the candidate was chosen.
+        ebic: change of the extended Bayesian information criterion (Chen and Chen 2008); negative is better.
+    """
+
+    gain: float
+    rank: int
+    p_value: float
+    ebic: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +65,7 @@ class Doubt:
 
 
 @dataclass(frozen=True, eq=False)
-class FirstOrder:
+class ScoreTests:
     """Gram matrices of a fitted model and of all candidates, whitened by the noise that the model leaves.
 
     What a refit with candidates, or without parameters of the model, would change follows from them to first order.
@@ -100,9 +118,8 @@ class FirstOrder:
     @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:
         """H, shape (C, N), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
-        scale, L, slope = self.model.factor
-        taken = solve_triangular(L, scale[:, None] * self.products.cross, lower=True, check_finite=False).T
-        return taken, self.products.b - taken @ slope
+        taken = self.model.factor.half(self.products.cross).T
+        return taken, self.products.g - taken @ self.model.slope
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
@@ -111,11 +128,10 @@ class FirstOrder:
             return [(0.0, self)]
         found, own = [], self.doubt.columns
         for factor, cost in zip(self.doubt.factors, self.doubt.costs, strict=True):
-            known = self.model.known.copy()
-            known.flat[:: len(known) + 1] += own * self.precision[: self.n_model] * (factor**-2.0 - 1.0)
+            known = self.model.prior.H + np.diag(own * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
             tests = replace(self, doubt=None, model=self.model.believing(factor, known))
-            scale, L, slope = tests.model.factor
-            evidence = np.sum(np.log(np.diag(L) / scale)) + np.count_nonzero(own) * np.log(factor) - 0.5 * slope @ slope
+            evidence = 0.5 * (tests.model.factor.log_det - tests.model.slope @ tests.model.slope)
+            evidence += np.count_nonzero(own) * np.log(factor)
             found.append((cost + 2.0 * float(evidence), tests))
         least = min(cost for cost, _ in found)
         return [(cost - least, tests) for cost, tests in found]
@@ -147,34 +163,32 @@ class FirstOrder:
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray]:
         """T and rank of each of C candidates by itself, shape (C,); those of one size are worked out at once."""
-        (taken, b), diagonal = self._projection, self.products.squares
+        taken, b = self._projection
         sizes = np.array([len(j) for j in self.columns])
         gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
         for size in np.unique(sizes):
             some = np.flatnonzero(sizes == size)
             j = np.array([self.columns[i] for i in some])
-            scale = 1.0 / np.sqrt(np.maximum(diagonal[j], 1e-300))
-            S = self.products.each_inner(j) - taken[j] @ taken[j].swapaxes(1, 2)
-            values, vectors = np.linalg.eigh(S * scale[:, :, None] * scale[:, None])
-            seen = self._seen(j, scale, values, vectors)
-            along = np.einsum("gi,gik->gk", scale * b[j], vectors) ** 2
-            gains[some] = np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=1)
+            roots, seen = self._roots(j, self.products.each_inner(j) - taken[j] @ taken[j].swapaxes(1, 2))
+            gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
         return gains, ranks
 
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
         j, S, _ = self.within(which)
-        scale = 1.0 / np.sqrt(np.maximum(self.products.squares[j], 1e-300))
-        values, vectors = np.linalg.eigh(S * np.outer(scale, scale))
-        seen = self._seen(j, scale, values, vectors)
-        return j, scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
+        roots, seen = self._roots(j, S)
+        return j, roots[:, seen]
 
-    def _seen(self, j: np.ndarray, scale: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Return which eigenvectors, shape (..., J, J), of J columns the data see; shape (..., J) like all others."""
+    def _roots(self, j: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the root of S^-1 of J columns, shape (..., J, J), zero where the data see nothing, and what they see."""
+        scale = 1.0 / np.sqrt(np.maximum(self.products.squares[j], 1e-300))
+        values, vectors = np.linalg.eigh(S * scale[..., None] * scale[..., None, :])
         expected = (self.sizes[self.n_model + j] / scale) ** 2
         told = values * np.einsum("...i,...ik->...k", expected, vectors**2)
-        return np.asarray((values > _SEEN) & (told > _TOLD))
+        seen = (values > SEEN) & (told > TESTING.told)
+        root = 1.0 / np.sqrt(np.where(seen, values, np.inf))
+        return scale[..., None] * vectors * root[..., None, :], seen
 
     def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
         """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).
@@ -183,22 +197,21 @@ class FirstOrder:
         are those that are likeliest with the candidates.
         """
         tests = self.likeliest(which)[1]
-        return np.array([tests._gain_left_out(k, which) for k in range(len(self.model.blocks_S))])
+        return np.array([tests._gain_left_out(k, which) for k in range(len(self.model.blocks.H))])
 
     def _gain_left_out(self, k: int, which: Sequence[int]) -> float:
         """Return by how much some candidates, fitted without block k, lower the squared error on it."""
         products, j = self.products, self.products.places(which)
-        model_S, model_b = self.model.blocks_S[k], self.model.blocks_b[k]
-        across, b = products.blocks_cross[k][:, j], products.blocks_b[k, j]
+        model_S, model_b = self.model.blocks.H[k], self.model.blocks.g[k]
+        across, b = products.blocks_cross[k][:, j], products.blocks_g[k, j]
         own = products.blocks_inner[k][np.ix_(j, j)]
-        model_scale, L, model_step = self.model.without_block[k]
+        model, model_step = self.model.without_block[k]
         cross = products.cross[:, j] - across
-        taken = solve_triangular(L, model_scale[:, None] * cross, lower=True, check_finite=False)
+        taken = model.half(cross)
         precision = np.diag(self.precision[self.n_model + j])
-        scale, factor = scaled_factor(products.inner_of(which) - own - taken.T @ taken + precision)
-        slope = scale * (products.b[j] - b - cross.T @ model_step)
-        step = scale * cho_solve((factor, True), slope, check_finite=False)
-        change = -model_scale * solve_triangular(L, taken @ step, lower=True, trans="T", check_finite=False)
+        factor = Factor.of(products.inner_of(which) - own - taken.T @ taken + precision)
+        step = factor.solve(products.g[j] - b - cross.T @ model_step)
+        change = -model.back(taken @ step)
         along = model_S @ change + across @ step
         beside = across.T @ change + own @ step
         left = model_b - model_S @ model_step, b - across.T @ model_step
@@ -215,19 +228,19 @@ class FirstOrder:
         """
         j = np.array([i for i, name in enumerate(self.names) if name in names or name in still], int)
         goes = np.array([self.names[i] in names for i in j], bool)
-        units, losses = np.eye(self.n_model)[:, j], np.zeros(len(self.model.blocks_S))
-        for k, (scale, factor, step) in enumerate(self.model.without_block if len(j) else ()):
-            columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
+        units, losses = np.eye(self.n_model)[:, j], np.zeros(len(self.model.blocks.H))
+        for k, (factor, step) in enumerate(self.model.without_block if len(j) else ()):
+            columns = factor.solve(units)
             held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * self.values[j])
-            S, b = self.model.blocks_S[k], self.model.blocks_b[k]
-            losses[k] = held @ S @ held - step @ S @ step - 2.0 * b @ (held - step)
+            H, g = self.model.blocks.H[k], self.model.blocks.g[k]
+            losses[k] = held @ H @ held - step @ H @ step - 2.0 * g @ (held - step)
         return losses
 
     def holding(self, names: Collection[str]) -> Self:
         """Return the same tests against the model with some of its parameters held where they are."""
         held = np.array([name in names for name in self.names])
-        known = self.model.known + np.diag(held * np.diag(self.model.S) * _HELD)
-        return replace(self, model=Information(self.model.blocks_S, self.model.blocks_b, known, self.model.pull))
+        H = self.model.prior.H + np.diag(held * np.diag(self.model.rows.H) * TESTING.held)
+        return replace(self, model=Information(self.model.blocks, replace(self.model.prior, H=H)))
 
     def among(self, which: Sequence[int], gone: Collection[str], model: Information | None = None) -> Self:
         """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
@@ -256,3 +269,89 @@ class FirstOrder:
         """Return some candidates' parameters to first order, priors included."""
         j, S, b = self.within(which)
         return np.asarray(np.linalg.inv(S + np.diag(self.precision[self.n_model + j])) @ b)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom that the model leaves."""
+        return max(self.readings - self.spent, 1.0)
+
+    def score(self, which: Sequence[int], groups: int) -> ScoreResult:
+        """Return the test of some candidates taken as one, of so many groups that are tested."""
+        looks = math.prod(self.effects[i].looks for i in which)
+        return self._judged(*self.gain(which), groups, looks)
+
+    def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> ScoreResult:
+        """Return the test of what some candidates still explain once others are in the model."""
+        both, rank_both = self.gain(sorted({*which, *given}))
+        alone, rank_alone = self.gain(given)
+        return self._judged(both - alone, max(rank_both - rank_alone, 0), groups, beside=(alone, rank_alone))
+
+    def p_value_of_any(self, which: Sequence[int]) -> float:
+        """Return the p-value of some candidates, of all as one or of one of them alone, its choice paid for.
+
+        One joint's drive that is compliant is lost among as many parameters as all drives and bearings have.
+        """
+        alone = (len(which) * self.score([i], 1).p_value for i in which)
+        return min(self.score(which, 1).p_value, *alone)
+
+    def _judged(
+        self, gain: float, rank: int, groups: int, looks: float = 1.0, beside: tuple[float, int] = (0.0, 0)
+    ) -> ScoreResult:
+        if rank == 0:
+            return ScoreResult(0.0, 0, 1.0, np.inf)
+        squares = max(self.squares - beside[0], 1e-6 * self.squares)
+        p_value = min(looks * float(chance_of(gain, rank, squares, self.dof - beside[1])), 1.0)
+        cost = information_criterion(gain, rank, squares, self.readings) + 2.0 * np.log(max(groups, 1) * looks)
+        return ScoreResult(min(gain, TESTING.most_explained * squares), rank, p_value, float(cost))
+
+    def log_evidence(self, which: Sequence[int]) -> float:
+        """Return the log of how much likelier the data are with some candidates, whatever their values, than without.
+
+        Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order). The
+        places or frequencies among which they were chosen cost, too.
+        """
+        cost, tests = self.likeliest(which)
+        j, S, b = tests.within(which)
+        size = self.sizes[self.n_model + j]
+        information = np.outer(size, size) * S + np.eye(len(j))
+        step = np.linalg.solve(information, size * b)
+        looks = sum(float(np.log(self.effects[i].looks)) for i in which)
+        return float(0.5 * ((size * b) @ step - np.linalg.slogdet(information)[1] - cost)) - looks
+
+    def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
+        """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
+
+        Both are in the model first, priors included, and these parameters then lose what they are told to, to first order.
+        """
+        j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
+        columns = self.model.factor.solve(np.eye(self.n_model)[:, j])
+        values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.model.rows.g + self.model.prior.g)
+        spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
+        costs = []
+        for c, S, b in (self.within([i]) for i in which):
+            inverse = np.linalg.inv(S + np.diag(self.precision[self.n_model + c]))
+            cross = columns.T @ self.products.cross[:, c]
+            left = values - cross @ inverse @ b
+            loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
+            costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
+        return costs
+
+
+def chance_of(gain: np.ndarray | float, rank: int, squares: np.ndarray | float, dof: float) -> np.ndarray:
+    """Return the chance that something of a rank that is not there takes as much off the squares (F test).
+
+    Args:
+        gain: what it takes off, any shape.
+        rank: directions of it that the data see.
+        squares: before, in the same unit.
+        dof: degrees of freedom before.
+    """
+    gain, rest = np.minimum(gain, TESTING.most_explained * squares), max(dof - rank, 1.0)
+    return np.asarray(fdtrc(rank, rest, (gain / rank) / ((squares - gain) / rest)))
+
+
+def information_criterion(gain: float, rank: int, squares: float, readings: int) -> float:
+    """Return the change of the Bayesian information criterion by what takes a gain off the squares; negative is better."""
+    return readings * float(np.log1p(-min(gain, TESTING.most_explained * squares) / squares)) + rank * float(
+        np.log(readings)
+    )

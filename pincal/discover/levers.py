@@ -1,18 +1,45 @@
-"""Levers: how the readings move with the coordinates in which an arm could move."""
+r"""How readings move with the coordinates of an arm, and which waves and maps of joint positions show along these levers.
+
+With w = L . r and v = L . L at each pose (L the lever of a joint's position on its whitened readings, r their residuals,
+which a fit has made orthogonal to its own columns), and :math:`F_u(k) = \sum_n u_n e^{i k q_n}`, a wave of k periods a turn
+takes off the squares
+
+.. math:: T(k) = 2 \, \frac{V |F_w(k)|^2 - \Re (\overline{F_v(2k)} F_w(k)^2)}{V^2 - |F_v(2k)|^2}, \qquad V = \sum_n v_n ,
+
+if the model takes up none of it. On even steps of k the exponential of a sum is a product, so that all k are one product
+of two small matrices. What is found is tested like any other candidate, and pays for all orders among which it was chosen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import chdtri
 
-from pincal.identify.fit import Fit
+from pincal.discover.policy import TESTING, WAVES
+from pincal.identify.fit import ModelFit
+from pincal.identify.normal import block_rows
+from pincal.identify.problem import extended
+from pincal.model import kernels
+from pincal.model.basis import FEWEST_SPLINES, spline_basis
+from pincal.model.catalogue.bearing_features import bearing_features
+from pincal.model.catalogue.candidates import elasticity
+from pincal.model.catalogue.ripple import resolution_of
+from pincal.model.catalogue.unnamed import maps_of
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions
-from pincal.model.effect import Effect, Locus, Term
+from pincal.model.conditions import MOMENT, Conditions, PoseSet
+from pincal.model.effect import Candidate, Effect, Family, Harmonic, Locus, Term
+from pincal.model.effects import Compliance
+from pincal.model.kernel_inputs import Payload, Values
+from pincal.model.latest import Latest
+from pincal.model.model import Model
 from pincal.parameters import Parameter
+
+# By link, of the latest poses.
+_MOMENTS = Latest[tuple[np.ndarray, ...]](2)
 
 
 @dataclass(frozen=True)
@@ -33,18 +60,284 @@ class Motions(Effect):
         return tuple(Term(p, k) for p, k in enumerate(self.coordinates))
 
 
-def levers(fit: Fit, coordinates: tuple[int, ...]) -> np.ndarray:
+def levers(fit: ModelFit, coordinates: tuple[int, ...]) -> np.ndarray:
     """Return how the readings move with K coordinates of the chain, shape (K, m, N), per rad or m."""
     return linearised(fit, [Motions(coordinates)], np.zeros(len(fit.values), bool))[1]
 
 
-def linearised(fit: Fit, extra: Sequence[Effect], free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def linearised(fit: ModelFit, extra: Sequence[Effect], free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return residuals, shape (m, N), and the Jacobian by free parameters, then all of the extra effects."""
-    problem, known = fit.problem.extended(extra)
+    problem, known = extended(fit.problem, extra)
     values, mask = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], mask[known] = fit.values, free
-    pieces = list(problem.station.linearise(values, mask))
+    pieces = list(problem.stations[0].linearise(values, mask))
     residuals = np.concatenate([r for _, r, _ in pieces], axis=1)
     jacobian = np.concatenate([J for _, _, J in pieces], axis=2)
     present = (np.cumsum(mask) - 1)[known[free]]
     return residuals, jacobian[np.concatenate([present, np.setdiff1d(np.arange(len(jacobian)), present)])]
+
+
+@dataclass(frozen=True)
+class MassError(Effect):
+    """Mass and first moment of each link are off, seen through compliances as they are known so far.
+
+    The static moments are linear in mass and first moment of mass, so one evaluation a parameter gives the basis:
+    gamma_l += k_l d n_l / d parameter. They are those of the nominal geometry: that of the fit changes them by far less than
+    masses are off, and nominal ones serve all fits of one table.
+
+    Attributes:
+        compliances: coordinates that bend, each with the moment that it follows and its k [rad/(N m)].
+        links: the joints that move the links whose masses a URDF tells; of the others they are parameters of the model.
+    """
+
+    compliances: tuple[tuple[int, int, float], ...]
+    links: tuple[int, ...]
+    name: ClassVar[str] = "mass_error"
+    meaning: ClassVar[str] = "masses and centres of mass of the links differ from the URDF"
+    family: ClassVar[Family] = Family.LOAD
+
+    @classmethod
+    def of(cls, model: Model, values: np.ndarray) -> MassError | None:
+        """Return the effect for a model's present compliances, None for a rigid model, or one that has all masses itself."""
+        chain, found = model.chain, {body.joint for body in model.bodies}
+        links = tuple(i for i in range(chain.robot.n_joints) if i not in found)
+        n, bent = chain.robot.n_joints, []
+        for span, effect in zip(model.spans, model.effects, strict=True):
+            if effect.family is Family.ELASTICITY:
+                terms = effect.terms(chain, Conditions.at(np.zeros((1, n))), np.ones((1, 3 * n)))
+                own = values[span]
+                bent += [(t.coordinate, t.moment, float(own[t.parameter])) for t in terms if t.moment is not None]
+        compliances = tuple(entry for entry in bent if entry[2])
+        return cls(compliances, links) if compliances and links else None
+
+    @property
+    def locus(self) -> Locus:
+        """All elastic rotations."""
+        return Locus(acts_on="gamma", follows=MOMENT)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Relative error of mass, and of the first moment along x, y, z in units of mass times link size."""
+        return tuple(
+            Parameter(f"{joint}.{symbol}", "1", self.name, 0.0, TESTING.mass if symbol == "mass" else TESTING.centre)
+            for joint in (chain.robot.joint_names[i] for i in self.links)
+            for symbol in ("mass", "mc_x", "mc_y", "mc_z")
+        )
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add each compliance times the change of its moment."""
+        known, terms = _MOMENTS.of(chain, conditions), list[Term]()
+        for p, i in enumerate(self.links):
+            if i not in known:
+                known[i] = tuple(_moments_of_link(chain, conditions, i))
+            for c, change in enumerate(known[i]):
+                terms += [Term(4 * p + c, at, k * change[m]) for at, m, k in self.compliances if m // 3 <= i]
+        return tuple(terms)
+
+
+def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[np.ndarray]:
+    """Yield the static moments, shape (3 n, N), of one unit of each parameter of link i alone, on the nominal arm."""
+    robot, drives = chain.robot, chain.drives
+    slot = np.full(len(chain.nominal), -1)
+    slot[drives] = np.arange(len(drives))
+    values = Values(chain.nominal.copy(), slot, np.ascontiguousarray((conditions.q + chain.nominal[drives]).T))
+    masses, centres = np.zeros_like(robot.masses), np.zeros_like(robot.centres)
+    masses[i] = robot.masses[i]
+    no_load = Payload(np.zeros(len(conditions)), np.zeros(3))
+
+    def moments_at(centre: np.ndarray) -> np.ndarray:
+        centres[i] = centre
+        layout = chain.layout._replace(masses=masses, centres=centres)
+        return np.asarray(kernels.static_moments(layout, values, no_load))
+
+    straight = moments_at(np.zeros(3))
+    size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
+    along = [moments_at(size * axis) - straight for axis in np.eye(3)]
+    yield straight + sum(part * of for part, of in zip(robot.centres[i] / size, along, strict=True))
+    yield from along
+
+
+def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
+    """Return the linear compliances that a model has, k of each joint's x, y, z in turn, shape (3 n,) [rad/(N m)]."""
+    joints = model.chain.robot.joint_names
+    k = np.zeros(3 * len(joints))
+    for effect in model.effects:
+        if not isinstance(effect, Compliance):
+            continue
+        for parameter in effect.parameters(model.chain):
+            axis = "xyz".index(parameter.symbol[-1])
+            k[3 * joints.index(parameter.element) + axis] = values[model.index(parameter.name)]
+    return k
+
+
+def situation_of(fit: ModelFit) -> PoseSet:
+    """Return where effects look for what they could do beyond a fit."""
+    compliances = tuple(compliances_of(*fit.arm).tolist())
+    return PoseSet(fit.problem.chain, fit.problem.conditions, compliances)
+
+
+def missing_compliances(fit: ModelFit) -> tuple[Compliance, ...]:
+    """Return the linear compliances that the poses excite and a fit does not have yet."""
+    chain = fit.problem.chain
+    present = {p.name for e in fit.problem.effects if isinstance(e, Compliance) for p in e.parameters(chain)}
+    found = []
+    for effect in elasticity(situation_of(fit)):
+        assert isinstance(effect, Compliance)
+        parts = effect.parts(chain)
+        left = tuple(str(part.only) for part in parts if part.parameters(chain)[0].name not in present)
+        if left:
+            found.append(effect if len(left) == len(parts) else replace(effect, joints=left))
+    return tuple(found)
+
+
+def missing_features(fit: ModelFit) -> list[Effect]:
+    """Return the places and directions of bearings that a fit takes from the drawing."""
+    return missing_from(fit, bearing_features(fit.problem.chain, fit.problem.effects))
+
+
+def missing_from(fit: ModelFit, effects: Iterable[Effect]) -> list[Effect]:
+    """Return those of some effects that a fit does not have."""
+    present = {effect.identity for effect in fit.problem.effects}
+    return [effect for effect in effects if effect.identity not in present]
+
+
+def strongest_tones(fit: ModelFit, candidates: Sequence[Candidate], near: float) -> list[Harmonic]:
+    """Return, for each joint whose residuals show one, the wave that explains most, and others that explain as much.
+
+    Args:
+        fit: the fit.
+        candidates: effects that its poses could show.
+        near: squares by which the others may explain less.
+    """
+    tones = [candidate.effect for candidate in candidates if isinstance(candidate.effect, Harmonic)]
+    tones = [tone for tone in tones if tone.band is not None]
+    if not tones:
+        return []
+    joints = [fit.problem.chain.robot.joint_names.index(str(tone.locus.joint)) for tone in tones]
+    along, lever = seen_along(fit, np.asarray(fit.problem.chain.drives)[joints])
+    q = fit.problem.conditions.q.T[joints]
+    return [tone for parts in zip(tones, q, along, lever, strict=True) for tone in _strongest(fit, *parts, near)]
+
+
+def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return L . r and L . L of some coordinates on the whitened readings, shape (K, N) each."""
+    motions = Motions(tuple(map(int, coordinates)))
+    along, lever = np.zeros((2, len(coordinates), len(fit.problem)))
+    for (station, places, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
+        of_model, of_sensor = station.split(fit.values[places])
+        wide = station.with_model(station.model.with_effects([*station.model.effects, motions]))
+        values = np.concatenate([of_model, np.zeros(len(coordinates)), of_sensor])
+        free = np.zeros(len(values), bool)
+        free[len(of_model) : len(of_model) + len(coordinates)] = True
+        weights = station.weights * fit.solution.weights[rows]
+        sigma = np.concatenate(
+            [
+                np.full(at.stop - at.start, s)
+                for at, s in zip(block_rows(station), fit.solution.estimated[blocks], strict=True)
+            ]
+        )
+        for piece, residuals, jacobian in wide.linearise(values, free):
+            scale = weights[piece] / sigma[:, None]
+            here = np.arange(len(fit.problem))[rows][piece]
+            moved = jacobian * scale
+            along[:, here] = np.einsum("kmn,mn->kn", moved, residuals * scale)
+            lever[:, here] = np.einsum("kmn,kmn->kn", moved, moved)
+    return along, lever
+
+
+def _strongest(
+    fit: ModelFit, tone: Harmonic, q: np.ndarray, along: np.ndarray, lever: np.ndarray, near: float
+) -> Iterator[Harmonic]:
+    """Yield the wave that explains most of what a joint leaves, if it is worth a test, and its like."""
+    assert tone.band is not None
+    resolution = resolution_of(q)
+    step = WAVES.step * resolution
+    orders, gains = _on_steps(q, along, lever, start=tone.band[0], step=step, end=tone.band[1])
+    for known in fit.problem.effects:
+        if isinstance(known, Harmonic) and known.locus.joint == tone.locus.joint:
+            gains[np.abs(orders - (known.locus.order or 0.0)) < resolution] = 0.0
+    least = 2.0 * np.log(tone.looks / WAVES.worth)
+    for _ in range(1 + WAVES.aliases):
+        highest = int(np.argmax(gains))
+        if gains[highest] < least:
+            return
+        close = orders[highest] + step * np.linspace(-1.0, 1.0, 2 * WAVES.closer + 1)
+        sums = np.stack([_sums(q, along, close), _sums(q, lever, 2.0 * close)])
+        finer = _gains(sums, float(lever.sum()))
+        best = int(np.argmax(finer))
+        least = max(least, float(finer[best]) - near)
+        yield tone.tuned(round(float(close[best]), WAVES.digits), tone.looks)
+        gains[np.abs(orders - orders[highest]) < resolution] = 0.0
+
+
+def _on_steps(
+    q: np.ndarray, along: np.ndarray, lever: np.ndarray, *, start: float, step: float, end: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return even steps of orders, shape (K,), and what each takes off the squares, shape (K,)."""
+    coarse = start + WAVES.fine * step * np.arange(int(np.ceil((end - start) / (WAVES.fine * step))))
+    fine = step * np.arange(WAVES.fine)
+    sums = np.zeros((2, len(coarse), WAVES.fine), complex)
+    for at in range(0, len(q), WAVES.piece):
+        piece = slice(at, at + WAVES.piece)
+        a, b = (_waves(k, q[piece]) for k in (coarse, fine))
+        sums[0] += (a * along[piece]) @ b.T
+        sums[1] += (a**2 * lever[piece]) @ (b**2).T
+    orders = np.add.outer(coarse, fine).ravel()
+    gains = _gains(sums.reshape(2, -1), float(lever.sum()))
+    return orders[orders <= end], gains[orders <= end]
+
+
+def _waves(orders: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return exp(i k q) of even steps of orders, shape (K, N): each step is one more factor."""
+    factors = np.empty((len(orders), len(q)), complex)
+    factors[:1] = np.exp(1j * orders[0] * q)
+    factors[1:] = np.exp(1j * (orders[-1] - orders[0]) / max(len(orders) - 1, 1) * q)
+    return np.cumprod(factors, axis=0)
+
+
+def _sums(q: np.ndarray, u: np.ndarray, orders: np.ndarray) -> np.ndarray:
+    """Return F_u at even steps of orders, shape (K,)."""
+    return np.asarray(_waves(orders, q) @ u)
+
+
+def _gains(sums: np.ndarray, whole: float) -> np.ndarray:
+    """Return T from F_w(k) and F_v(2k), shape (2, K); zero where the positions show one phase of a wave only."""
+    F, twice = sums
+    rest = whole**2 - np.abs(twice) ** 2
+    gains = 2.0 * (whole * np.abs(F) ** 2 - (np.conj(twice) * F**2).real) / np.maximum(rest, WAVES.phases * whole**2)
+    return np.where(rest > WAVES.phases * whole**2, gains, 0.0)
+
+
+def likely_maps(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
+    """Return the map, coarse and finer, that takes most off the squares at some joints, if it is worth a test.
+
+    What a refit would take up of it is left out of account: what is found is tested like any other candidate, and pays for
+    the pairs of joints among which it was chosen.
+    """
+    situation, chain = situation_of(fit), fit.problem.chain
+    drives = [int(chain.drives[situation.joints.index(joint)]) for joint in joints]
+    along, lever = seen_along(fit, np.array(drives))
+    columns = dict(zip(situation.joints, situation.conditions.q.T, strict=True))
+    splines = {name: _coarse(q) for name, q in columns.items() if np.ptp(q)}
+    found: list[tuple[float, Sequence[Effect]]] = []
+    for joint, b, v in zip(joints, along, lever, strict=True):
+        for effect in maps_of(situation, joint):
+            forms = effect.resolutions(situation)
+            if forms and missing_from(fit, [effect]):
+                basis = np.einsum("an,bn->abn", splines[joint], splines[effect.depends_on]).reshape(-1, len(b))
+                found.append((_gain(basis, b, v), forms))
+    gain, likeliest = max(found, key=lambda one: one[0], default=(0.0, ()))
+    worth = float(chdtri(FEWEST_SPLINES**2, WAVES.worth / max(len(found), 1)))
+    tried = likeliest[: WAVES.map_forms]
+    return list(dict.fromkeys([tried[0], tried[-1]])) if gain > worth else []
+
+
+def _coarse(q: np.ndarray) -> np.ndarray:
+    """Return the splines of which the coarsest map is made, of positions of shape (N,), shape (4, N)."""
+    return spline_basis(q, float(q.min()), float(q.max()), FEWEST_SPLINES)
+
+
+def _gain(basis: np.ndarray, along: np.ndarray, lever: np.ndarray) -> float:
+    """Return what basis functions, shape (K, N), of a joint's position take off the squares."""
+    S, b = (basis * lever) @ basis.T, basis @ along
+    ridge = WAVES.map_seen * float(np.diag(S).max(initial=0.0))
+    return float(b @ np.linalg.solve(S + ridge * np.eye(len(S)), b)) if ridge else 0.0

@@ -1,4 +1,4 @@
-"""Where a model and data disagree, found before anything is named: in which joint, following what, in which range.
+"""Where a model and data disagree, found before anything is named: in which joint, following what, in which range, where.
 
 Every coordinate in which an arm could move has a lever: how the readings move with it. A disagreement acts at a place if
 a curve of some variable times the lever of that place explains it, once all that a refit would take up is projected out.
@@ -11,38 +11,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import qr
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc
 
-from pincal.discover.candidate_tests import some_rows
-from pincal.discover.levers import Motions, linearised
-from pincal.discover.nuisance import MassError
-from pincal.discover.regions import regions_of
-from pincal.identify.fit import Fit
+from pincal.discover.candidate_tests import fit_of_rows
+from pincal.discover.first_order import chance_of, information_criterion
+from pincal.discover.levers import MassError, Motions, linearised
+from pincal.discover.policy import WHERE
+from pincal.identify.fit import ModelFit
 from pincal.identify.normal import block_rows
+from pincal.identify.quadratic import SEEN, root_of_inverse
 from pincal.io.discovery_file import Disagreement
 from pincal.model.basis import spline_basis
-from pincal.model.catalogue.curves import most_pieces
+from pincal.model.catalogue.transmission import most_pieces
 from pincal.model.chain import Chain
-from pincal.model.conditions import Situation, distinct_values, recorded_variable, varies
+from pincal.model.conditions import PoseSet, distinct_values, recorded_variable, varies
 from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS
 
-# Chance that sound data show a place at all (test_nothing_is_located_where_there_is_only_noise).
-_ALPHA = 0.01
-# Part of the excess below which a further place is not worth a line, and places at most.
-_SHARE, _MOST_PLACES = 0.05, 3
-# Part of a column's square that must be left after projection for the data to see it.
-_SEEN = 1e-5
-# Pieces of curves: smooth ones, of a joint's own position also as fine as a gear's waves, of slow variables coarser.
-_SIZE, _OWN_SIZES, _SLOW_SIZE = 8, (24, 60), 5
-# What counts as sitting in one range: this part of it in less than that part of range and of rows.
-_MOST, _NARROW = 0.6, 0.4
-# Rows beyond this number are thinned, for time: a place worth a line shows in fewer.
-_ENOUGH_ROWS = 1000
+# A coordinate by (joint or None, acts_on, number).
+Spot = tuple[str | None, str, int]
 
 
 @dataclass(frozen=True)
-class Place:
+class Located:
     """Where a disagreement acts and what it follows.
 
     Attributes:
@@ -75,11 +66,11 @@ class Location:
     """
 
     p_value: float
-    places: tuple[Place, ...]
+    places: tuple[Located, ...]
     regions: tuple[Disagreement, ...]
 
 
-def locate(fit: Fit, sigma: np.ndarray) -> Location:
+def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
     """Return where a fit and its data disagree.
 
     Args:
@@ -87,19 +78,19 @@ def locate(fit: Fit, sigma: np.ndarray) -> Location:
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
     """
     rows = np.flatnonzero(fit.solution.weights > 0.0)
-    fit = some_rows(fit, rows[np.unique(np.linspace(0, len(rows) - 1, _ENOUGH_ROWS).astype(int))])
+    fit = fit_of_rows(fit, rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
     rest = _rest_of(fit, sigma)
     left, dof, excess = rest.by_row(rest.left), rest.dof, rest.squares - rest.dof
     p_value = float(chdtrc(dof, rest.squares))
-    places: list[Place] = []
-    while len(places) < _MOST_PLACES and (best := rest.best()) is not None:
+    places: list[Located] = []
+    while len(places) < WHERE.places and (best := rest.best()) is not None:
         place = rest.described(best, excess)
-        if place.share < _SHARE:
+        if place.share < WHERE.share:
             break
         places.append(place)
         rest = rest.without(best)
     regions: tuple[Disagreement, ...] = ()
-    if fit.station.sensor.blocks[0].size == 3 and (places or p_value < _ALPHA):
+    if fit.station.sensor.blocks[0].size == 3 and (places or p_value < WHERE.chance):
         regions = tuple(regions_of(fit, left[:3], 3.0 * dof / rest.readings))
     return Location(p_value, tuple(places), regions)
 
@@ -116,17 +107,11 @@ class _Candidate:
         whole: shape (k,), their squares before that.
     """
 
-    place: Place
+    place: Located
     lever: float
     columns: np.ndarray
     gram: np.ndarray
     whole: np.ndarray
-
-    @classmethod
-    def of(cls, place: Place, lever: float, columns: np.ndarray) -> _Candidate:
-        """Return a place with nothing taken up."""
-        gram = columns @ columns.T
-        return cls(place, lever, columns, gram, np.diag(gram))
 
     def along(self, vectors: np.ndarray) -> np.ndarray:
         """Return the products of its columns with vectors of all readings and priors, shape (m N + priors, ...)."""
@@ -150,7 +135,7 @@ class _Rest:
         spent: parameters spent.
     """
 
-    fit: Fit
+    fit: ModelFit
     left: np.ndarray
     taken: np.ndarray
     candidates: Sequence[_Candidate]
@@ -179,23 +164,17 @@ class _Rest:
         """Return the candidate that explains most for its freedom; None if none is sure."""
         squares = self.squares
         found = [self._judged(candidate, squares) for candidate in self.candidates]
-        i = min(range(len(found)), key=lambda k: found[k][0])
-        ebic, p_value = found[i]
-        return self.candidates[i] if p_value < _ALPHA / len(found) and ebic < 0.0 else None
+        i, (ebic, p_value) = min(enumerate(found), key=lambda one: one[1][0])
+        return self.candidates[i] if p_value < WHERE.chance / len(found) and ebic < 0.0 else None
 
     def _judged(self, candidate: _Candidate, squares: float) -> tuple[float, float]:
         """Return information criterion and p-value of a candidate."""
-        scale = 1.0 / np.sqrt(np.maximum(candidate.whole, 1e-300))
-        values, vectors = np.linalg.eigh(candidate.gram * np.outer(scale, scale))
-        seen = values > _SEEN
-        rank = int(seen.sum())
+        root = root_of_inverse(candidate.gram, candidate.whole, SEEN)
+        rank = root.shape[1]
         if rank == 0 or rank >= 0.5 * self.dof:
             return np.inf, 1.0
-        along = vectors[:, seen].T @ (scale * candidate.along(self.left))
-        gain = min(float(np.sum(along**2 / values[seen])), 0.999999 * squares)
-        rest = max(self.dof - rank, 1.0)
-        p_value = float(fdtrc(rank, rest, gain / rank / ((squares - gain) / rest)))
-        return self.readings * float(np.log1p(-gain / squares)) + rank * float(np.log(self.readings)), p_value
+        gain = float(np.sum((candidate.along(self.left) @ root) ** 2))
+        return information_criterion(gain, rank, squares, self.readings), float(chance_of(gain, rank, squares, self.dof))
 
     def without(self, best: _Candidate) -> _Rest:
         """Return what is left once a candidate is taken up as well."""
@@ -214,10 +193,10 @@ class _Rest:
         columns[: candidate.columns.shape[1]] += candidate.columns.T
         return columns
 
-    def described(self, candidate: _Candidate, excess: float) -> Place:
+    def described(self, candidate: _Candidate, excess: float) -> Located:
         """Return a candidate with its share of the whole excess, its size and the range in which it sits."""
         place, columns = candidate.place, self.columns_of(candidate)
-        height, _, rank, _ = np.linalg.lstsq(columns, self.left, rcond=np.sqrt(_SEEN))
+        height, _, rank, _ = np.linalg.lstsq(columns, self.left, rcond=np.sqrt(SEEN))
         fitted = columns @ height
         gain = float(fitted @ fitted) - rank
         change = self.by_row(fitted)
@@ -230,7 +209,7 @@ class _Rest:
         return replace(place, share=share, size=size, window=window, inside=inside)
 
 
-def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
+def _rest_of(fit: ModelFit, sigma: np.ndarray) -> _Rest:
     """Return what a fit leaves, with its parameters and uncertain masses taken up."""
     free = fit.solution.free
     masses = MassError.of(fit.model, fit.values)
@@ -252,17 +231,17 @@ def _rest_of(fit: Fit, sigma: np.ndarray) -> _Rest:
     # As large as all candidates together.
     del jacobian
     moved = dict(zip(spots, motions, strict=True))
-    candidates = [_Candidate.of(*found).without(Q) for found in _candidates(fit, moved)]
+    candidates = [candidate.without(Q) for candidate in _candidates(fit, moved)]
     return _Rest(fit, r - Q @ (Q.T @ r), Q, candidates, fit.solution.effective)
 
 
-def _smoothness(fit: Fit, own: int) -> Iterator[np.ndarray]:
+def _smoothness(fit: ModelFit, own: int) -> Iterator[np.ndarray]:
     """Yield what is believed of curves as readings of their heights, shape (K, own) each."""
     column = np.cumsum(fit.solution.free) - 1
-    for places, information in fit.problem.smooth:
-        squares, axes = np.linalg.eigh(information)
-        rows = np.zeros((len(places), own))
-        rows[:, column[places]] = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
+    for term in (term for term in fit.problem.beliefs.terms if term.sigma is None):
+        squares, axes = np.linalg.eigh(term.information)
+        rows = np.zeros((len(term.places), own))
+        rows[:, column[term.places]] = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
         yield rows
 
 
@@ -271,11 +250,7 @@ def _orthonormal(A: np.ndarray) -> np.ndarray:
     sizes = np.linalg.norm(A, axis=0)
     # Pivoted: a column that adds nothing has to come last, or a direction that rounding makes up is kept from all after it.
     Q, R, _ = qr(A / np.maximum(sizes, 1e-300), mode="economic", pivoting=True, check_finite=False, overwrite_a=True)
-    return np.asarray(Q[:, np.abs(np.diag(R)) > 1e-7])
-
-
-# A coordinate by (joint or None, acts_on, number).
-Spot = tuple[str | None, str, int]
+    return np.asarray(Q[:, np.abs(np.diag(R)) > WHERE.spanned])
 
 
 def _spots(chain: Chain) -> dict[Spot, int]:
@@ -289,12 +264,12 @@ def _spots(chain: Chain) -> dict[Spot, int]:
     return found | {(None, "lengths", k): c for k, c in enumerate(lengths) if chain.nominal[c]}
 
 
-def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place, float, np.ndarray]]:
-    """Yield places, their levers and whitened columns, shape (k, m N); ``moved`` tells how the readings move."""
+def _candidates(fit: ModelFit, moved: dict[Spot, np.ndarray]) -> Iterator[_Candidate]:
+    """Yield places with nothing taken up; ``moved`` tells how the readings move."""
     names, conditions = fit.model.chain.robot.joint_names, fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
-    bases = {v: _basis(_variable(fit, None, v), _SLOW_SIZE) for v in slow}
-    bases |= {name: _basis(_variable(fit, name, name), _SIZE) for name in names}
+    bases = {v: _basis(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
+    bases |= {name: _basis(_variable(fit, name, name), WHERE.pieces) for name in names}
     followed: list[tuple[str | None, str, str, np.ndarray, np.ndarray]] = [
         (joint, acts_on, variable, basis, moved[joint, acts_on, 0][None])
         for joint in names
@@ -310,27 +285,27 @@ def _candidates(fit: Fit, moved: dict[Spot, np.ndarray]) -> Iterator[tuple[Place
         # A variable that does not vary has no curves.
         if len(basis):
             columns = (lever[:, None] * basis[:, None, :]).reshape(len(lever) * len(basis), -1)
-            yield Place(joint, acts_on, variable), float(np.linalg.norm(lever)), columns
+            gram = columns @ columns.T
+            yield _Candidate(Located(joint, acts_on, variable), float(np.linalg.norm(lever)), columns, gram, np.diag(gram))
 
 
-def _of_own_drive(fit: Fit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
+def _of_own_drive(fit: ModelFit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yield what a drive may follow beside positions: fine waves of its gear, direction of approach, last move, load."""
     conditions = fit.station.conditions
     q = _variable(fit, joint, joint)
-    for size in _OWN_SIZES:
+    for size in WHERE.own_pieces:
         if np.ptp(q) and size <= most_pieces(q):
             yield joint, _basis(q, size)
-    if conditions.approach is not None and varies(approach := _variable(fit, joint, "approach")):
-        yield "approach", approach[None]
-    if conditions.move is not None and varies(move := _variable(fit, joint, "move")):
-        yield "move", move[None]
-    yield "load", _basis(_variable(fit, joint, "load"), _SIZE)
+    for name, column in (("approach", conditions.approach), ("move", conditions.move)):
+        if column is not None and varies(x := _variable(fit, joint, name)):
+            yield name, x[None]
+    yield "load", _basis(_variable(fit, joint, "load"), WHERE.pieces)
 
 
-def _variable(fit: Fit, joint: str | None, name: str) -> np.ndarray:
+def _variable(fit: ModelFit, joint: str | None, name: str) -> np.ndarray:
     """Return a variable at the rows of a fit, shape (N,)."""
     if name == "load" and joint is not None:
-        return Situation(fit.model.chain, fit.station.conditions).moment(joint)
+        return PoseSet(fit.model.chain, fit.station.conditions).moment(joint)
     return recorded_variable(fit.model.chain, fit.station.conditions, name, joint=joint)
 
 
@@ -349,12 +324,76 @@ def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | No
     """Return the narrowest range of x that holds most of an energy a row, and how much; None if it is not narrow."""
     order = np.argsort(x, kind="stable")
     x, total = x[order], np.concatenate([[0.0], np.cumsum(energy[order])])
-    if not total[-1] > 0.0 or len(np.unique(x)) < 10:
+    if not total[-1] > 0.0 or len(np.unique(x)) < WHERE.distinct:
         return None, 0.0
-    last = np.searchsorted(total, total[:-1] + _MOST * total[-1] * (1.0 - 1e-12), side="left") - 1
+    last = np.searchsorted(total, total[:-1] + WHERE.most * total[-1] * (1.0 - 1e-12), side="left") - 1
     width = np.where(last < len(x), x[np.minimum(last, len(x) - 1)] - x, np.inf)
     i = int(np.argmin(width))
     j = int(last[i])
-    if width[i] > _NARROW * (x[-1] - x[0]) or j + 1 - i > _NARROW * len(x):
+    if width[i] > WHERE.narrow * (x[-1] - x[0]) or j + 1 - i > WHERE.narrow * len(x):
         return None, 0.0
     return (float(x[i]), float(x[j])), float((total[j + 1] - total[i]) / total[-1])
+
+
+def regions_of(fit: ModelFit, left: np.ndarray, expected: float) -> Iterator[Disagreement]:
+    """Yield the range of reach or height and the direction in which what is left of positions is concentrated.
+
+    Args:
+        fit: the fit.
+        left: shape (3, N), whitened residuals in the frame of the instrument.
+        expected: what the noise makes of the squares of a row.
+    """
+    robot, gravity = fit.model.chain.robot, fit.model.chain.gravity
+    # A row's part of the excess: its squares less what the noise makes of them.
+    energy = np.sum(left**2, axis=0) - expected
+    if energy.sum() <= 0.0:
+        return
+    up = -gravity / np.linalg.norm(gravity)
+    away = robot.forward_kinematics(fit.station.conditions.q)[:, :3, 3] - robot.frames.T_base_first[:3, 3]
+    first = robot.joint_names[0]
+    ranges = ("reach", f"from {first}", np.linalg.norm(away, axis=1)), ("height", f"above {first}", away @ up)
+    found = [region for name, where, x in ranges for region in _thickest(name, where, x, energy)]
+    if found:
+        yield max(found, key=lambda region: region.share)
+    yield from _direction(fit.model.chain.base_rotation.T @ left, away, up, expected)
+
+
+def _thickest(name: str, where: str, x: np.ndarray, energy: np.ndarray) -> Iterator[Disagreement]:
+    """Yield the third of the rows, neighbours in x [m], with most of the excess, if chance does not make as much."""
+    order = np.argsort(x, kind="stable")
+    third = max(len(x) // 3, 1)
+
+    def sums(rows: np.ndarray) -> np.ndarray:
+        total = np.cumsum(np.concatenate([np.zeros((*rows.shape[:-1], 1)), rows], axis=-1), axis=-1)
+        return np.asarray(total[..., third:] - total[..., :-third])
+
+    found = sums(energy[order])
+    shuffled = np.random.default_rng(0).permuted(np.tile(energy, (WHERE.shuffles, 1)), axis=1)
+    if np.mean(sums(shuffled).max(axis=1) >= found.max()) > WHERE.chance:
+        return
+    inside = order[np.argmax(found) :][:third]
+    span = f"{x[inside].min():.2f} to {x[inside].max():.2f} m"
+    statement = f"it appears where the tip is {span} {where}, in {100 * third / len(x):.0f} % of the poses"
+    yield Disagreement(statement, min(float(energy[inside].sum() / energy.sum()), 1.0), region=f"{name} {span}")
+
+
+def _direction(left: np.ndarray, away: np.ndarray, up: np.ndarray, expected: float) -> Iterator[Disagreement]:
+    """Yield the direction in which more than half of the excess points, if there is one.
+
+    All in the base frame: whitened residuals, shape (3, N), the tip from the first joint, shape (N, 3) [m], and up, (3,).
+    """
+    outward = away - np.outer(away @ up, up)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    parts = {
+        "vertical": up @ left,
+        "radial": np.sum(outward.T * left, axis=0),
+        "tangential": np.sum(np.cross(up, outward).T * left, axis=0),
+    }
+    excess = {name: float(np.sum(part**2) - len(part) * expected / 3.0) for name, part in parts.items()}
+    name = max(excess, key=lambda key: excess[key])
+    whole = sum(max(value, 0.0) for value in excess.values())
+    # A sum of squares of N numbers scatters by the root of 2 N.
+    if excess[name] >= WHERE.pointed * whole and excess[name] >= WHERE.above * np.sqrt(2.0 * left.shape[1]):
+        direction = f"{name} direction"
+        statement = f"the error points in the {direction} (a third would be isotropic)"
+        yield Disagreement(statement, excess[name] / whole, region=direction)

@@ -3,50 +3,57 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from pincal.discover.backward import drop_needless, name_again
-from pincal.discover.candidate_tests import Search, addable, over_rows_of, sampled, variants
-from pincal.discover.decisions import each_heading_once, is_own_curve
-from pincal.discover.forward import add_effects, add_hidden_waves, bent, hold_up_elasticity, judge_outliers_again
-from pincal.discover.history import History, State
-from pincal.discover.joint_noise import joint_noise, weighed
-from pincal.discover.lines import name_lines
-from pincal.discover.moment_frames import (
-    best_frame,
-    elastic_ways,
-    fit_cost,
-    in_frame,
-    is_brought,
-    likeliest_fit,
-    single_compliance,
+from pincal.discover.backward import add_remainders, drop_needless, merge_parts, name_again, take_whole_curves
+from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, variants
+from pincal.discover.decisions import (
+    Row,
+    Unfitted,
+    accepted,
+    each_heading_once,
+    enough_errors,
+    is_own_curve,
+    standard_errors,
 )
-from pincal.discover.nuisance import missing_compliances, score_test_beside_nuisances
-from pincal.discover.policy import POLICY, Policy
-from pincal.discover.remainders import add_remainders, merge_parts, take_whole_curves
-from pincal.discover.resolution import curves_over
-from pincal.discover.settling import about_itself, settle
-from pincal.discover.smoothness import smoothed
-from pincal.identify.calibrate import Until, refit, weighed_by_order
+from pincal.discover.elastic import ElasticWay, elastic_way, likeliest_fit
+from pincal.discover.ending import fit_all_rows, name_lines
+from pincal.discover.first_order import ScoreTests
+from pincal.discover.levers import missing_compliances
+from pincal.discover.policy import POLICY, TESTING, Policy
+from pincal.discover.score_tests import score_test, score_test_given_nuisances
+from pincal.discover.steps import (
+    History,
+    SearchState,
+    SearchStep,
+    add_effects,
+    add_hidden_waves,
+    bent,
+    hold_up_elasticity,
+    judge_outliers_again,
+    settle,
+    worded,
+)
+from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order
+from pincal.identify.choices import deviance
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
-from pincal.identify.fit import Fit
-from pincal.identify.moment_frames import FRAME_BETTER
-from pincal.identify.solve import Exit
+from pincal.identify.fit import ModelFit
 from pincal.model.chain import MomentFrame
-from pincal.model.effect import Curve, Effect, Settling
+from pincal.model.effect import Curve, Effect
+from pincal.validate.midway import change_in
 
 log = logging.getLogger(__name__)
-
-# Mean square of a joint's steps from row to row, over that of steps in random order, below which it moved along the rows: a
-# path of a few turning points, or sorted poses.
-_SMALL_STEPS = 0.1
+# What loads move where a bearing is compliant in another convention.
+_LIKE_A_BEARING = ("base", "link")
 
 
 def discover_effects(
-    fit: Fit,
+    fit: ModelFit,
     groups: np.ndarray,
     *,
     frames: Sequence[MomentFrame] = (),
@@ -66,14 +73,14 @@ def discover_effects(
         nameless: identities of the dependences without a name that take part; default: all.
     """
 
-    def searched(first: Fit) -> History:
+    def searched(first: ModelFit) -> History:
         few, rows = sampled(first, policy)
         search = Search(policy, tuple(extra), first, groups[rows], tuple(frames), nameless)
-        state = State(few)
-        for step_on in PASSES:
+        state = SearchState(few)
+        for step_on in _PASSES:
             state = step_on(state, search)
         first = in_frame(first, state.fit.problem.chain.moment_frame)
-        return History(first, state.steps, state.fit, state.changes, search.extra, policy)
+        return History(state.fit, state.steps, state.changes, first=first, extra=search.extra, policy=policy)
 
     if any(station.serial is not None for station in fit.problem.stations):
         # What depends on the order of rows may be what is looked for.
@@ -88,16 +95,43 @@ def discover_effects(
     # Names that leave what depends on the order of the rows may be made of it: once more, with rows weighed by it. What it
     # is is told beside all that was found, or else without: what is missing may look like it.
     named = {e.identity for step in found.steps if not step.is_elastic for e in step.effects}
-    plain = refit(found.final, [e for e in found.final.options.effects if e.identity not in named], until=Until.CLOSE)
+    plain = refit(found.final, [e for e in found.final.options.effects if e.identity not in named], until=Tolerance.CLOSE)
     noise = next((of for of in map(serial_noise, (found.final, plain)) if any(of)), None)
     if noise is None or not (is_dependent(found.final) or _may_be_order(along, with_serial(plain, noise), policy)):
         return found
-    log.info("what is left depends on the order of the rows: once more, rows weighed by it")
+    log.info("the residuals depend on the order of the rows: repeating with weighted rows")
     found = searched(refit(with_serial(fit, noise), fit.options.effects, start={}))
-    return found.fitted_again(weighed_by_order(found.final))
+    return found.fitted_again(reweighted_by_order(found.final))
 
 
-def _follows_the_order(effect: Effect, fit: Fit) -> bool:
+def withdraw_names_at_change(found: History) -> History:
+    """Take back all names where something changed midway in a table: what it leaves passes for effects of the robot.
+
+    A model that describes neither half leaves residuals that no name explains, and something always fits them somewhat.
+    Elasticity, which every arm has, stays.
+    """
+    names = [step for step in found.steps if not step.is_elastic]
+    if not names or not _is_changed_midway(found.final):
+        return found
+    effects = tuple(effect for step in names for effect in step.effects)
+    gone = {effect.identity for effect in effects}
+    fit = refit(found.final, [e for e in found.final.options.effects if e.identity not in gone], start={})
+    if not _is_changed_midway(fit):
+        return found
+    log.info("withdrawn because of a change midway: %s", worded(effects))
+    steps = tuple(step for step in found.steps if step.is_elastic)
+    return found.changed(fit, steps, (), effects)
+
+
+def _is_changed_midway(fit: ModelFit) -> bool:
+    """Return whether something changed between two rows of a station."""
+    return any(
+        change_in(station, fit.values[places], fit.solution.free[places], np.arange(len(station)))
+        for station, places, _ in fit.stations
+    )
+
+
+def _follows_the_order(effect: Effect, fit: ModelFit) -> bool:
     """Return whether an effect follows the positions of a joint that moved by small steps along the rows of a station."""
     names = fit.problem.chain.robot.joint_names
     if effect.locus.follows not in names:
@@ -106,24 +140,26 @@ def _follows_the_order(effect: Effect, fit: Fit) -> bool:
     for station in fit.problem.stations:
         if station.position is not None and len(station) > 1:
             q = station.conditions.q[np.argsort(station.position, kind="stable"), j]
-            if np.mean(np.diff(q) ** 2) < _SMALL_STEPS * 2.0 * np.var(q):
+            if np.mean(np.diff(q) ** 2) < TESTING.order * 2.0 * np.var(q):
                 return True
     return False
 
 
-def _may_be_order(effects: Sequence[Effect], weighed: Fit, policy: Policy) -> bool:
+def _may_be_order(effects: Sequence[Effect], weighed: ModelFit, policy: Policy) -> bool:
     """Return whether noise along the rows explains any of some effects of which a fit has none.
 
     Where poses follow each other along a joint, what follows that joint and what drifts are the same but for rows that are
     near in the joint and far apart in the order.
     """
-    fit = refit(weighed, weighed.options.effects, start={}, until=Until.CLOSE)
+    fit = refit(weighed, weighed.options.effects, start={}, until=Tolerance.CLOSE)
     few, _ = sampled(fit, policy)
-    tests = score_test_beside_nuisances(few, effects)
-    return any(tests.score([i], 1).p_value > policy.drop * policy.false_name for i in range(len(effects)))
+    tests = score_test_given_nuisances(few, effects)
+    scores = (tests.score([i], 1) for i in range(len(effects)))
+    rows = (Row(effect, score, score.ebic, "stay") for effect, score in zip(effects, scores, strict=True))
+    return not all(accepted(row, policy) for row in rows)
 
 
-def start_in_likeliest_frame(state: State, search: Search) -> State:
+def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
     """Take the convention of moments in which elasticity explains most."""
     if len(search.frames) < 2:
         return state
@@ -131,86 +167,41 @@ def start_in_likeliest_frame(state: State, search: Search) -> State:
     single = single_compliance(ways, search.frames, search.policy)
     if single is not None:
         fit = in_frame(state.fit, single[0])
-        return State(fit).with_step(bent(fit, single[1]))
+        return SearchState(fit).with_step(bent(fit, single[1]))
     every = missing_compliances(state.fit)
     whole = likeliest_fit(state.fit, every, search.frames)
     frame = whole.problem.chain.moment_frame
     fit, way = in_frame(state.fit, frame), ways.get(frame)
     if way is None:
-        return State(fit)
+        return SearchState(fit)
     is_known = way.effects == every
-    return State(fit).with_step(bent(fit, replace(way, effects=every), whole) if is_known else bent(fit, way))
+    return SearchState(fit).with_step(bent(fit, replace(way, effects=every), whole) if is_known else bent(fit, way))
 
 
-def compare_frames(state: State, search: Search) -> State:
+def compare_frames(state: SearchState, search: Search) -> SearchState:
     """Go on in the convention of moments that fits what was found best, unless this one explains the data as well then."""
     frame = best_frame(state, search)
     if frame == state.fit.problem.chain.moment_frame:
         return state
     log.info("once more with --moment-frame %s", frame)
-    told = State(in_frame(sampled(search.first, search.policy)[0], frame))
+    told = SearchState(in_frame(sampled(search.first, search.policy)[0], frame))
     for step in state.steps:
         if not is_brought(step):
             start = {effect: state.fit.values[state.fit.problem.places_at(effect)] for effect in step.effects}
-            after = refit(told.fit, [*told.fit.options.effects, *step.effects], start=start, until=Until.CLOSE)
+            after = refit(told.fit, [*told.fit.options.effects, *step.effects], start=start, until=Tolerance.CLOSE)
             told = told.with_step(replace(step, before=told.fit, after=after))
     return min(state, add_effects(told, search), key=lambda found: _cost(found, search))
 
 
-def _cost(state: State, search: Search) -> float:
+def _cost(state: SearchState, search: Search) -> float:
     """Return the extended Bayesian information criterion of all that was found, and what another convention has to gain."""
     named = sum(not step.is_elastic for step in state.steps)
     is_other = state.fit.problem.chain.moment_frame != search.frames[0]
     choices = max(len(addable(state.fit, search)), 2)
-    return fit_cost(state.fit) + 2.0 * named * float(np.log(choices)) + FRAME_BETTER * is_other
+    return fit_cost(state.fit) + 2.0 * named * float(np.log(choices)) + CRITERIA.moment_frame * is_other
 
 
-def fit_all_rows(state: State, search: Search) -> State:
-    """Fit all rows of the first fit, and every curve that was found as fine and as smooth as they say that it is.
-
-    At the end rows are weighed by the noise that is left, which may come by way of the joints. How smooth curves are is told
-    before: what is left of them passes for such noise.
-    """
-    fit, first = state.fit, search.first
-    is_thinned, noise = len(fit.problem) < len(first.problem), joint_noise(fit)
-    if is_thinned:
-        whole = over_rows_of(fit, first)
-        wider: dict[Effect, Effect] = {e: curves_over(whole, e, [e.resolution])[0] for e in _curves_of(state)}
-        fit = refit(whole, _exchanged(fit.options.effects, wider), until=Until.ROUGH)
-        state = _with_others(state, wider, fit)
-    curves = _curves_of(state)
-    if not curves and not is_thinned and noise is None:
-        return state.fitted_again(refit(fit, fit.options.effects, start={})) if state.changes else state
-    chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
-    if curves and fit.solution.exit is not Exit.EXACT:
-        chosen, fit = smoothed(fit, curves)
-    for curve, (finer, _) in chosen.items():
-        log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, finer.resolution)
-    settling = [e for step in state.steps for e in step.effects if isinstance(e, Settling)] if is_thinned else []
-    by, start = dict[Effect, Effect](), dict[Effect, np.ndarray]()
-    for effect, (other, values) in (*chosen.items(), *((e, about_itself(fit, e)) for e in settling)):
-        by[effect], start[other] = other, values
-    effects = _exchanged(fit.options.effects, by)
-    fit = fit if noise is None else weighed(fit, noise)
-    state = _with_others(state, by, refit(fit, effects, start=start))
-    return state.changed(state.fit, state.steps, (), ())
-
-
-def _curves_of(state: State) -> list[Curve]:
-    """Return the curves that were found; those that the user gave stay as they are."""
-    return [effect for step in state.steps for effect in step.effects if isinstance(effect, Curve)]
-
-
-def _exchanged(effects: Iterable[Effect], by: Mapping[Effect, Effect]) -> tuple[Effect, ...]:
-    return tuple(by.get(effect, effect) if isinstance(effect, Curve | Settling) else effect for effect in effects)
-
-
-def _with_others(state: State, by: Mapping[Effect, Effect], fit: Fit) -> State:
-    steps = tuple(replace(step, effects=_exchanged(step.effects, by)) for step in state.steps)
-    return replace(state, fit=fit, steps=steps)
-
-
-def suggest_whole_curves(state: State, search: Search) -> State:
+def suggest_whole_curves(state: SearchState, search: Search) -> SearchState:
     """Add, to two simple curves of one joint's position, that together they may be one irregular one."""
     simple = [step.effect.locus.joint for step in state.steps if is_own_curve(step.effect)]
     several = {joint for joint in simple if simple.count(joint) > 1}
@@ -226,8 +217,115 @@ def suggest_whole_curves(state: State, search: Search) -> State:
     return state
 
 
+def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
+    """Return a fit in another convention, fitted again if it has moments."""
+    effects = fit.options.effects
+    if frame == fit.problem.chain.moment_frame:
+        return fit
+    if any(effect.uses_moments for effect in effects):
+        return refit(fit, effects, moment_frame=frame)
+    return replace(
+        fit,
+        problem=fit.problem.with_effects(effects, moment_frame=frame),
+        options=replace(fit.options, moment_frame=frame),
+    )
+
+
+def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, ElasticWay]:
+    """Return how an arm that has no elasticity yet is compliant in each convention; nothing where it does not."""
+    if has_compliance(fit.options.effects):
+        return {}
+    return {frame: way for frame in frames if (way := elastic_way(in_frame(fit, frame), policy))}
+
+
+def single_compliance(
+    ways: Mapping[MomentFrame, ElasticWay], frames: Sequence[MomentFrame], policy: Policy
+) -> tuple[MomentFrame, ElasticWay] | None:
+    """Return the convention in which one drive or bearing is all that is compliant; None where more does, or nothing.
+
+    It would be lost among the many parameters by which whole arms differ between conventions. What explains as much in
+    another convention is told as equivalent.
+
+    Args:
+        ways: how the arm is compliant, by convention.
+        frames: the conventions; the first is kept unless another is better beyond chance.
+        policy: what counts as a tie.
+    """
+    if not ways:
+        return None
+    costs = {frame: way.score.ebic for frame, way in ways.items()}
+    least = min(costs, key=lambda frame: costs[frame])
+    frame = frames[0] if costs.get(frames[0], np.inf) < costs[least] + CRITERIA.moment_frame else least
+    if not ways[frame].is_single:
+        return None
+    close = [way for other, way in ways.items() if way.is_single and costs[other] < costs[frame] + policy.tie]
+    every = (*ways[frame].equivalent, *(effect for way in close for effect in (*way.effects, *way.equivalent)))
+    return frame, replace(ways[frame], equivalent=each_heading_once(every, ways[frame].effects[0], policy))
+
+
+def best_frame(state: SearchState, search: Search) -> MomentFrame:
+    """Return the convention in which it is best to go on from what was found; that of the fit unless another is better.
+
+    Another has to fit what was found better, or as well without the effects that a wrong convention brings about, or with
+    one of loads that a wrong convention takes for a compliance: a base that tilts is a bearing that tilts with the link
+    before. Where nothing but elasticity was found, the likeliest stays unless that is worth what an effect must take off.
+    """
+    frames, policy = search.frames, search.policy
+    fit, effects, here = state.fit, state.fit.options.effects, state.fit.problem.chain.moment_frame
+    others = [frame for frame in frames if frame != here]
+    if not others or not any(effect.uses_moments for effect in effects):
+        return here
+    brought = [effect for step in state.steps if is_brought(step) for effect in step.effects]
+    plain = [effect for effect in effects if effect not in brought]
+    cost = fit_cost(fit)
+    enough = policy.least_gain(fit.solution.degrees, declared=fit.is_declared)
+    enough *= all(step.is_elastic for step in state.steps)
+    costs = {}
+    for frame in others:
+        other = refit(fit, effects, moment_frame=frame, until=Tolerance.CLOSE)
+        costs[frame] = fit_cost(other) + enough + _still_to_gain(other, search)
+        if brought:
+            costs[frame] = min(costs[frame], fit_cost(refit(fit, plain, moment_frame=frame, until=Tolerance.CLOSE)))
+    best = min(others, key=lambda frame: costs[frame])
+    return best if costs[best] < cost else here
+
+
+def _still_to_gain(fit: ModelFit, search: Search) -> float:
+    """Return what the best load on base or links would change of the information criterion; 0 where that may be chance.
+
+    As in a search it has to predict rows left out, too. Few rows leave bearings out, and what loads do elsewhere would stand
+    for them.
+    """
+    if is_small_table(fit, search.policy):
+        return 0.0
+    # What else moves base or links, such as time, is for every convention to explain.
+    others = (effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects)
+    effects = [effect for effect in others if effect.is_of_loads]
+    tests, rows = score_test(fit, effects, search.groups), list[Row]()
+    for i, effect in enumerate(effects):
+        score, said = tests.score([i], len(effects)), partial(_said_of, tests, i)
+        rows.append(Row(effect, score, score.ebic, among=len(effects), left_out=said, enough=enough_errors(effect)))
+    rows.sort(key=lambda row: row.cost)
+    return next((row.cost for row in rows if accepted(row, search.policy)), 0.0)
+
+
+def _said_of(tests: ScoreTests, i: int) -> Unfitted:
+    return Unfitted(standard_errors(tests.gains_by_block([i])))
+
+
+def is_brought(step: SearchStep) -> bool:
+    """Return whether a wrong convention may have brought a step about: an effect of loads, or one without a name."""
+    return any(effect.is_of_loads or effect.is_nameless for effect in step.effects)
+
+
+def fit_cost(fit: ModelFit) -> float:
+    """Return the Bayesian information criterion of a fit."""
+    readings = sum(len(s) * sum(block.size for block in s.sensor.blocks) for s in fit.problem.stations)
+    return deviance(fit) + fit.solution.effective * float(np.log(readings))
+
+
 # The algorithm.
-PASSES: tuple[Callable[[State, Search], State], ...] = (
+_PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     start_in_likeliest_frame,
     add_effects,
     compare_frames,

@@ -1,12 +1,17 @@
-"""What a discovery goes by: every number that it decides with, and where it comes from."""
+"""What a discovery goes by: every number that it decides with, and where it comes from.
+
+:class:`Policy` is what a search is given and a user may change. The others are the same in every search: one class for each
+subject, with one object of it. docs/criteria.md derives the criteria in which these numbers stand.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import log
 from typing import Any
 
 
-def _number(default: float, unit: str, pinned_by: str, meaning: str, origin: str) -> Any:
+def _number(default: object, unit: str, pinned_by: str, meaning: str, origin: str) -> Any:
     """Return a field for a number: its unit, the test that fixes it, what it means, and why it has this value."""
     return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": origin, "pinned_by": pinned_by})
 
@@ -21,13 +26,36 @@ _EXAMPLES = "test_discovery_report.py::test_hidden_examples_come_out_right"
 _SMALL = "test_selection.py::test_priors_on_effects_decide_on_small_tables"
 _DECISIONS = "test_discovery_decisions.py::"
 _CRITERION = "information criterion (-2 log likelihood)"
+_REPORT = "test_discovery_report.py::"
+_LOCATED = _REPORT + "test_the_hidden_effect_is_named_and_was_located_before"
+_NOWHERE = _REPORT + "test_nothing_is_located_where_there_is_only_noise"
+_PERIOD = _REPORT + "test_period_is_that_of_a_tone_and_none_of_anything_else"
+_POWER = _REPORT + "test_effects_of_detectable_size_are_found_nine_times_of_ten"
+_APART = _REPORT + "test_tell_apart_stands_exactly_where_there_are_equivalents"
+_SCATTER = "test_scatter.py::test_scatter_of_a_joint_is_found_with_its_size"
+_NEIGHBOURS = "test_scatter.py::test_neighbours_tell_scatter_from_a_function"
+_JOINT_NOISE = "test_joint_noise.py::test_noise_of_the_joints_is_found_with_its_size"
+_STAGE = "test_tones.py::test_a_stage_is_found_at_its_order"
+_QUIET = "test_tones.py::test_sound_residuals_show_no_wave"
+_LINE = "test_tones.py::test_what_the_span_does_not_tell_apart_is_one_line"
+_SMOOTH = "test_smooth_curves.py::test_a_smooth_curve_is_closer_to_the_true_one"
+_LIKELIEST = "test_smooth_curves.py::test_roughness_is_where_the_readings_are_likeliest"
+_REPEATS = "test_repeats.py::"
+_BLOCKS = "test_rows.py::test_one_block_does_not_veto"
+_SCAN = "test_tones.py::test_the_scan_is_least_squares_of_a_sine_and_a_cosine"
+_SOFT = "test_elastic_rivals.py::test_a_compliance_is_as_sure_as_a_fit_without_it_is_bad"
+_TWO_SOFT = "test_elastic_rivals.py::test_two_compliances_of_which_one_gives_way_are_told_for_each_other"
+_BENT = "test_selection.py::test_small_tables_of_a_bent_arm_keep_its_elasticity"
+_UNEVEN = "test_uneven.py::test_a_scattering_joint_makes_no_more_of_chance_than_it_says"
+_CONSTANT = "test_settling.py::test_the_time_constant_is_found_and_its_uncertainty"
 
 
+# fmt: off
 @dataclass(frozen=True, kw_only=True)
 class Policy:
     """Thresholds and limits of a discovery.
 
-    Each field says in its metadata what it means, in which unit, why it has this value and which test fixes it.
+    The metadata of each field give its meaning, unit, origin and the test that pins it.
 
     Example:
         >>> cautious = Policy(false_name=1e-4)
@@ -35,54 +63,53 @@ class Policy:
         50.0
     """
 
-    # fmt: off
     false_name: float = _number(0.005, "probability", _SOUND,
-        "chance per step that sound data bring in any name at all",
+        "probability per step that data without an effect lead to any name",
         "about one false name in a hundred discoveries of one to three steps")
     elastic: float = _number(1e-4, "probability", _SOUND,
         "p-value below which elasticity enters the model",
-        "every arm is elastic, so one test of it is enough; it is judged again at the end")
+        "every arm is elastic, so one test is enough; it is tested again at the end")
     tie: float = _number(6.0, _CRITERION, _DECISIONS + "test_rivals_are_those_that_leave_little",
         "difference in cost below which two effects count as equally good",
         "odds of 20 to 1 (2 log 20 = 6.0)")
     near_tie: float = _number(15.0, _CRITERION, _DECISIONS + "test_rivals_are_those_that_leave_little",
-        "difference in cost up to which an effect is looked at as a rival at all",
+        "difference in cost up to which an effect is considered as a rival",
         "2.5 ties: odds of 1800 to 1")
     without_name: float = _number(6.0, _CRITERION, _NAMED,
-        "by how much a dependence without a name has to be better than a name",
-        "one tie: a name is believed unless the odds against it are 20 to 1")
+        "by how much an unnamed effect has to be better than a named one",
+        "one tie: a named effect is preferred unless the odds against it are 20 to 1")
     across: float = _number(2.0, _CRITERION, _NO_NAME,
         "by how much more if it acts across a joint's axis",
-        "what turns a joint across its axis often turns a neighbour about its own, the plainer of the two")
+        "a rotation of a joint across its axis often resembles one of a neighbour about its own, which is simpler")
     hint: float = _number(0.3, "probability", _DECISIONS + "test_a_simple_curve_may_be_part_of_a_whole_one",
         "p-value below which a simple curve of a joint's position may be part of a finer one",
         "a hint, not a finding: it only adds an equivalent effect, so it may be wrong in a third of the cases")
     adds_nothing: float = _number(1e-3, "probability", _MANY_NAMED,
-        "p-value above which an effect adds nothing to another that is dearer",
+        "p-value above which an effect adds nothing to another of higher cost",
         "chosen: strict, because many rivals are tested against each effect")
     told_apart: float = _number(1e-5, "probability", _MANY_NAMED,
-        "p-value above which an effect adds nothing to another that is as cheap",
-        "of equally good effects both stay unless they are told apart beyond doubt")
+        "p-value above which an effect adds nothing to another of equal cost",
+        "of equally good effects both are kept unless clearly distinguished")
     remainder: float = _number(0.02, "probability", _NO_NAME,
-        "p-value below which a name leaves something of what it follows in the place where it acts",
-        "the name stays among the equivalent effects, so it may be wrong in a fiftieth of the cases")
+        "p-value below which an effect leaves a dependence on its variable where it acts",
+        "it stays among the equivalent effects, so it may be wrong in 2 % of the cases")
     sure: float = _number(12.0, "Wald statistic per parameter", _PAIRS,
-        "above which an effect is so far from zero that it need not be judged again",
+        "above which an effect is so far from zero that it is not tested again",
         "3.5 standard deviations; it saves a test and decides nothing by itself")
     drop: float = _number(0.1, "ratio", _SOUND,
-        "part of the chance of a false name at which an effect is taken out again",
-        "an effect that entered by chance among many is tested once more alone, so more is asked of it")
+        "fraction of the probability of a false name at which an effect is removed",
+        "an effect selected among many is tested again alone, so the limit is stricter")
     rows_each: float = _number(3.0, "rows per parameter", _SMALL,
-        "below which priors on effects have to speak for an effect, too",
-        "with fewer, the model of so many parameters bends to a few rows, and p-values count that as evidence")
+        "below which the priors on effects have to support an effect, too",
+        "with fewer, the model adapts to a few rows, and p-values count that as evidence")
     share: float = _number(0.01, "ratio", _DECISIONS + "test_what_matters_to_nobody_is_left_out",
-        "part of the weighted squares that an effect has to take off to matter; twice if the noise is not declared",
+        "fraction of the weighted squares that a relevant effect has to remove; twice if the noise is not declared",
         "0.5 % of the error: less than any user would act on")
     gain: float = _number(100.0, "noise variance", _DECISIONS + "test_what_matters_to_nobody_is_left_out",
         "reduction of the weighted squares that is enough, however many readings there are",
         "ten standard deviations of one parameter: sure, whatever its share")
     close: int = _number(12, "effects", _EXAMPLES,
-        "names that take part when dependences without a name are tried",
+        "named effects that take part when unnamed ones are tested",
         "chosen: it bounds the size of the second table")
     most_steps: int = _number(14, "steps", _EXAMPLES,
         "effects that are added at most",
@@ -92,8 +119,7 @@ class Policy:
         "what a reader can act on")
     enough_readings: int = _number(12000, "readings", "benchmark.py",
         "readings from which effects are chosen; in the end all rows are fitted and resolve the curves",
-        "what takes 100 off the squares of more readings still takes enough off these; UR10 B gives the same names")
-    # fmt: on
+        "an effect that reduces the squares of more readings by 100 still reduces these enough; UR10 B gives the same names")
 
     def least_gain(self, squares: float, *, declared: bool) -> float:
         """Return what an effect has to take off a sum of squares to matter, both in units of the noise.
@@ -103,5 +129,262 @@ class Policy:
         return min(self.gain, (1.0 if declared else 2.0) * self.share * squares)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ScoreNumbers:
+    """What score tests go by."""
+
+    wider: float = _number(10.0, "ratio", "test_bearings.py::test_no_wobble_is_found_where_geometry_is_beyond_its_priors",
+        "factor by which the priors of geometry are widened where effects are tested",
+        "an effect distinguished from geometry only by the priors would be found wherever a machine exceeds them, as arms "
+        "with nearly parallel axes do: small errors of the axes are large displacements of their common normal")
+    blocks: int = _number(8, "blocks", _EXAMPLES,
+        "blocks of poses that are held out in turn", "seven eighths determine the model nearly as well as all")
+    predicts: float = _number(1.0, "standard errors", _EXAMPLES,
+        "by which held-out blocks have to improve for a prediction to be called better",
+        "one in six by chance; other criteria are stricter")
+    searched: float = _number(2.0, "standard errors", _STAGE,
+        "the same for an effect selected among many on all blocks, such as harmonics of all orders",
+        "selection favours chance in the held-out blocks as well: of the significant ripples on a real UR10 only one "
+        "is found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
+    veto: float = _number(2.0, "standard errors", _BLOCKS,
+        "that blocks of poses have to improve for one of them not to have a veto", "1 in 40 by chance")
+    fewest_blocks: int = _number(6, "blocks", _BLOCKS,
+        "among which the extreme ones can be identified", "four are left without them")
+    against: float = _number(2.0, "standard errors", _BENT,
+        "by which blocks of poses have to get worse with a prior to contradict it", "1 in 40 by chance")
+    most_explained: float = _number(0.999999, "ratio", _EXAMPLES,
+        "largest fraction of the squares that can be removed", "keeps the F ratio finite")
+    told: float = _number(0.01, "ratio", "test_bearings.py::test_what_geometry_takes_of_a_wobble_is_not_counted",
+        "smallest reduction of an observable parameter's prior variance by the data, as a fraction",
+        "an effect distinguished only by the model's priors is not observable, such as a tilt that implausible geometry "
+        "would explain")
+    held: float = _number(1e6, "ratio", _TWO_SOFT,
+        "prior information of held parameters, in units of that of the data",
+        "a thousandth of their standard deviation: nothing")
+    mass: float = _number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
+        "relative uncertainty of the mass of a link in a URDF", "chosen: a few per cent, as for the masses of real arms")
+    centre: float = _number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
+        "uncertainty of a first moment of mass in a URDF, in units of mass times link size", "as well as the mass")
+    mass_beliefs: tuple[tuple[float, float], ...] = _number(((0.4, 0.0), (2.0, 2.0 * log(30.0))), "ratio, " + _CRITERION,
+        "test_selection.py::test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without",
+        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, 10 %; the data determine "
+        "which is likelier, with an effect and without",
+        "gravity compensators and wrong payloads (lambda >= 60, masses 3 % off) are then named on more arms than with 5 % "
+        "for all, and arms whose masses are 10 % off get no more false names")
+    most_taken: float = _number(0.9, "ratio", "test_uneven.py::test_even_noise_changes_nothing",
+        "largest leverage of a visit on an effect",
+        "chosen: a visit that determines an effect alone does not show its noise")
+    uneven: float = _number(0.05, "probability", _UNEVEN,
+        "probability that even noise is mistaken for uneven",
+        "usual: the resulting test is valid for even noise, too, but weaker")
+    drawn: int = _number(200, "tables", "test_stability.py::test_a_bootstrap_of_noise_has_any_chance_alike",
+        "tables that a bootstrap draws", "the smallest p-value that they can show is 1/201")
+    drawn_from: float = _number(1e-10, "ratio", "test_stability.py::test_what_is_there_is_no_chance",
+        "part of the largest eigenvalue of S', scaled to a diagonal of 1, below which one is rounding",
+        "above what rounding leaves of 1e-16 a product")
+    order: float = _number(0.1, "ratio", "test_rows.py::test_correlated_noise_is_estimated_and_left_white",
+        "mean square of a joint's steps from row to row, over that of random ones, below which it moved along the rows",
+        "a path of a few turning points, or sorted poses")
+    expansions_tested: int = _number(4, "times", _CONSTANT,
+        "that an effect with a time constant is linearised anew to be tested", "chosen: each step is Newton's")
+    expansions_entered: int = _number(3, "times", _CONSTANT,
+        "the same before the next effect is looked for", "what is left of it is found once nothing else is missing")
+    expansions: int = _number(8, "times", _CONSTANT,
+        "the same in the end", "chosen: each step is Newton's")
+    sure: float = _number(4.0, "standard deviations", _SOFT,
+        "by which a compliance has to differ from zero to be named by itself",
+        "1 in 16000 by chance, of some twenty compliances")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveNumbers:
+    """How high-order harmonics, maps of two joints and periods are searched for."""
+
+    step: float = _number(0.25, "periods over the whole range", _SCAN,
+        "steps of a periodogram", "the highest is then seen at 95 % of its square or more")
+    fine: int = _number(48, "steps", _SCAN,
+        "of the one small matrix; the other has as many as it takes", "chosen for time: about the root of all steps")
+    closer: int = _number(16, "steps", _STAGE,
+        "about the highest to find its place, each way", "a sixtieth of a resolution")
+    piece: int = _number(4096, "rows", _STAGE,
+        "whose exponentials are held at once", "chosen for memory: some megabytes")
+    worth: float = _number(0.05, "probability", _QUIET,
+        "p-value of the highest harmonic, and of the best map, below which it becomes a candidate",
+        "the subsequent test is exact and stricter")
+    aliases: int = _number(3, "waves", "test_tones.py::test_a_grid_of_positions_does_not_tell_orders_apart",
+        "other orders that explain as much, at most", "what a reader can act on")
+    phases: float = _number(1e-3, "ratio", "test_tones.py::test_a_grid_of_positions_does_not_tell_orders_apart",
+        "fraction of V^2 by which two phases of a harmonic have to differ to be distinguished",
+        "less is rounding of positions on a grid")
+    digits: int = _number(2, "digits", _STAGE,
+        "of an order that are kept", "finer than any span resolves")
+    close: float = _number(1.0, "cycles per revolution", "test_tones.py::test_a_wave_found_again_close_by_came_in_so",
+        "orders closer than this are the same harmonic", "stages of a drive differ by more")
+    line: float = _number(2.0, "resolutions", _LINE,
+        "up to which two harmonics may be one line", "each is within one of the middle")
+    map_forms: int = _number(3, "resolutions", "test_maps.py::test_a_map_is_as_fine_as_rows_and_positions_allow",
+        "of the likeliest map, of which the coarsest and the finest are tested",
+        "chosen: its other resolutions are tried once it has entered")
+    map_seen: float = _number(1e-6, "ratio", "test_maps.py::test_a_function_of_two_joints_is_found_with_both",
+        "fraction of the largest diagonal below which a piece of a map has no pose", "a thousandth of the largest lever")
+    periods: float = _number(1.8, "periods", _PERIOD,
+        "that have to be seen before a curve is called periodic", "nearly two")
+    tone: float = _number(0.7, "ratio", _PERIOD,
+        "part of the excess that one tone has to explain for that", "chosen: most of it")
+    period: float = _number(1e-3, "probability", _PERIOD,
+        "chance that noise makes any tone of this strength", "chosen: a word in a report")
+    fewest: int = _number(20, "rows", _PERIOD,
+        "below which no period is looked for", "chosen: ten a period")
+    finest: float = _number(0.25, "periods a row", _PERIOD,
+        "that are looked for at most", "half of what evenly spaced rows resolve")
+    oversampled: int = _number(8, "steps a period", _REPORT + "test_gains_of_tones_are_those_of_least_squares",
+        "over the whole range in which periods are looked for", "a tone between two steps is seen at 98 % of its square")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveNumbers:
+    """How fine and how smooth drive curves are."""
+
+    sizes: tuple[int, ...] = _number(
+        (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180), "functions",
+        _REPEATS + "test_no_curve_is_finer_than_the_positions_of_its_joint",
+        "numbers of basis functions that are tried", "chosen: about a fifth apart")
+    at_once: int = _number(400, "parameters", _REPEATS + "test_curves_tested_a_few_at_a_time_are_the_same",
+        "of curves that are tested at once", "chosen for memory, which grows with the square")
+    enough: int = _number(44, "positions", _REPEATS + "test_what_repeated_positions_can_not_tell_is_said",
+        "distinct positions of a joint that are enough for most gears", "fewer are worth a word where the poses carry more")
+    finer: tuple[float, ...] = _number((1.0, 1.5, 2.25), "ratio", _RATES + "test_a_whole_curve_takes_the_place_of_its_part",
+        "pieces of a whole curve over those of the coarsest", "chosen: three are enough to tell whether there is more")
+    roughness: float = _number(0.1, "rad^-0.5", _LIKELIEST,
+        "where the search for the roughness begins", "chosen: only the time depends on it")
+    moves: int = _number(15, "times", _LIKELIEST,
+        "that it is moved at most", "chosen: a bound on the time")
+    settled: float = _number(0.05, "ratio", _LIKELIEST,
+        "the change that ends it", "a curve hardly depends on that")
+    farthest: float = _number(10.0, "ratio", _LIKELIEST,
+        "by which it moves at most", "chosen: a step that is too long comes back")
+    least: float = _number(1e-5, "rad^-0.5", _SMOOTH,
+        "least roughness", "below it a curve strays from a straight line by less than 0.01 mrad in a radian")
+    least_noise: float = _number(1e-3, "ratio", _SMOOTH,
+        "part of the variance of the noise that finer curves may leave at least", "readings that they go through have none")
+    firm: float = _number(30.0, "ratio", _SMOOTH,
+        "how much surer than by their priors other parameters are taken to stay, in the step from there",
+        "where compliances multiply places of bearings, a whole one leads far off")
+    densely: int = _number(8, "positions a piece", _SMOOTH,
+        "by which a curve is drawn in other pieces", "chosen: a spline is smooth between them")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceNumbers:
+    """When a place or a region is worth a line."""
+
+    chance: float = _number(0.01, "probability", _NOWHERE,
+        "that data without an effect show a place, or a range of the workspace", "a line of a report in a hundred may "
+        "be chance")
+    share: float = _number(0.05, "ratio", _LOCATED,
+        "part of the excess below which a further place is not worth a line", "chosen: too small to be relevant")
+    places: int = _number(3, "places", _LOCATED,
+        "and regions, of one station and of all together, that are worth a line", "what a reader can act on")
+    pieces: int = _number(8, "functions", _LOCATED,
+        "of a smooth curve of a position", "two periods over the range")
+    own_pieces: tuple[int, ...] = _number((24, 60), "functions", _LOCATED,
+        "of a curve of the joint's own position, in addition", "as fine as the harmonics of a gear")
+    slow_pieces: int = _number(5, "functions", _LOCATED,
+        "of a curve of payload, temperature and time", "they vary slowly")
+    distinct: int = _number(10, "values", _REPORT + "test_a_range_is_named_only_if_most_sits_in_it",
+        "of a variable below which it has no narrow range", "chosen: a range of four of them, at most")
+    most: float = _number(0.6, "ratio", _REPORT + "test_a_range_is_named_only_if_most_sits_in_it",
+        "part of what is found that sits in one range", "chosen: most of it")
+    narrow: float = _number(0.4, "ratio", _REPORT + "test_a_range_is_named_only_if_most_sits_in_it",
+        "part of the whole range and of the rows that this range has at most",
+        "chosen: evenly spread, two fifths would hold two fifths")
+    rows: int = _number(1000, "rows", _LOCATED,
+        "beyond which they are thinned", "for time: a place worth a line shows in fewer")
+    spanned: float = _number(1e-7, "ratio", _LOCATED,
+        "fraction of a column's length that has to remain given the others for it to add a direction",
+        "above the root of what rounding leaves of its square")
+    shuffles: int = _number(300, "orders", _NOWHERE,
+        "of the rows by which a range of the workspace is judged", "three of them lie beyond the chance")
+    pointed: float = _number(0.55, "ratio", _LOCATED,
+        "part of the excess that a direction has to hold", "more than half; a third would be even")
+    above: float = _number(4.0, "standard deviations", _NOWHERE,
+        "that it has to be above the noise", "1 in 30000 by chance")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseNumbers:
+    """What is taken for scatter of one joint, and for noise that comes by way of all joints."""
+
+    scatter: float = _number(25.0, "2 log likelihood", "test_scatter.py::test_noise_of_several_targets_is_no_scatter",
+        "that scatter of a joint has to gain",
+        "5 standard deviations of one parameter, so that none of a robot's joints gets there by chance: neither noise nor "
+        "several targets do, 50 urad do")
+    ratios: tuple[float, float, int] = _number((-2.0, 3.0, 101), "log10, log10, number", _SCATTER,
+        "candidate variances of the joint, in units of the noise seen at the joint's mean lever",
+        "an eighth apart: a likelihood is flatter")
+    chance: float = _number(0.01, "probability", _NEIGHBOURS,
+        "that scatter is taken for a function of the pose, and that noise of replicates is taken for scatter",
+        "a line of a report in a hundred may be chance")
+    neighbours: int = _number(6, "poses", _NEIGHBOURS,
+        "next to a pose", "chosen: twice as many as joints that a function follows")
+    smooth: float = _number(0.15, "ratio", _NEIGHBOURS,
+        "part of a joint's range over which a smooth function keeps most of its value", "one period per range")
+    most_joints: int = _number(3, "joints", "test_scatter.py::test_a_function_of_two_joints_is_no_scatter",
+        "that a function follows, if not all", "chosen: of more, no table has near poses")
+    near_joints: int = _number(2, "joints", _NEIGHBOURS,
+        "of which neighbours have to be near for a function of them to be excluded",
+        "as many as an effect of the catalogue follows")
+    beyond: float = _number(2.0, "standard deviations", _NEIGHBOURS,
+        "beyond the critical value that a smooth function has to reach to be excluded where it does not",
+        "1 in 40 by chance")
+    draws: int = _number(299, "orders", _NEIGHBOURS,
+        "in which the errors are drawn again", "three of them lie beyond the chance")
+    visits: int = _number(1000, "visits", _SCATTER,
+        "beyond which they are thinned", "for time")
+    joints: float = _number(25.0, "2 log likelihood", "test_joint_noise.py::test_even_noise_is_left_as_it_is",
+        "that noise of the joints has to gain", "without any, 120 tables had up to 13, half of them up to 2")
+    readings_each: float = _number(5.0, "readings per parameter", _JOINT_NOISE,
+        "below which a fit has shaped its residuals too much",
+        "a fifth of their variance is gone then")
+    rows: int = _number(1000, "rows", _JOINT_NOISE,
+        "that determine the variances well enough", "to 5 %")
+    start: float = _number(0.3, "noise variance", "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest",
+        "where the search for the variances begins", "chosen: only the time depends on it")
+    bounds: tuple[float, float] = _number((1e-6, 1e4), "noise variance",
+        "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest", "how small and how large they may be",
+        "nothing, and everything")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SightNumbers:
+    """What is promised of effects that could be found, and of measurements that could be made."""
+
+    power: float = _number(0.9, "probability", _POWER,
+        "probability of finding an effect of detectable size", "usual")
+    fewest: float = _number(10.0, "degrees of freedom", _REPORT + "test_survey_assumes_noise_where_rows_are_too_few_to_tell",
+        "below which an effect can't be tested", "the noise is known to 22 % then")
+    hopeless: float = _number(1e7, "noise variance", _REPORT + "test_survey_assumes_noise_where_rows_are_too_few_to_tell",
+        "non-centrality beyond which a test is given up", "the readings are too few for it")
+    shapes: int = _number(400, "shapes", _POWER,
+        "of an effect of several parameters over which its power is averaged", "to 1.5 % at a power of 0.9")
+    told_apart: float = _number(30.0, "noise variance", _APART,
+        "non-centrality above which two effects count as distinguished", "5.5 standard deviations of one parameter")
+    telling: float = _number(1.5, "ratio", _APART,
+        "by which a further run has to be better than repeating the same poses",
+        "chosen: repeating the poses is the simpler advice")
+    repetitions: float = _number(50.0, "ratio", _APART,
+        "times the poses of a table above which no further run of its kind is advised", "too many to be measured")
+    warmer: float = _number(10.0, "K", _APART,
+        "change of temperature that another run could make", "an arm between a cold start and an hour of work")
+    moves: tuple[float, ...] = _number((-1.5, -0.1, 0.1, 1.5), "rad, m", _APART,
+        "moves by which another run could come to its poses", "a large motion, and one as short as in a program")
+
+
+# fmt: on
 POLICY = Policy()
-ALPHA = POLICY.false_name
+TESTING = ScoreNumbers()
+WAVES = WaveNumbers()
+CURVES = CurveNumbers()
+WHERE = PlaceNumbers()
+NOISE = NoiseNumbers()
+SIGHT = SightNumbers()

@@ -1,31 +1,42 @@
-"""What a table of measurements is worth before it is fitted: coverage, rank, what can't be told and why."""
+"""What a table of measurements is worth before it is fitted: coverage, rank, how large an effect has to be to be found."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from msgspec import to_builtins
+from scipy.special import fdtri, ncfdtr
 
-from pincal.discover.policy import ALPHA
-from pincal.discover.power import FEWEST, POWER, Detectable, minimum_detectable
-from pincal.discover.resolution import notes_on_repeats
+from pincal.discover.drive_curves import notes_on_repeats
+from pincal.discover.first_order import ScoreTests
+from pincal.discover.levers import situation_of
+from pincal.discover.policy import POLICY, SIGHT
+from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.identify.calibrate import Tables, expected_fit, refit, tables_of
 from pincal.identify.explain import explain
-from pincal.identify.fit import Fit
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.reasons import Reason, Status
 from pincal.measure.admit import admit, unobservable_notes
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.conditions import distinct_values
+from pincal.model.effect import Curve, Effect, Reducible
 from pincal.model.effects import ELASTIC
+from pincal.model.model import Model
+from pincal.model.sizes import largest_basis
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.agreement import check_agreement
+
+# Why an effect of rank zero can't be tested.
+ABSORBED = "the fitted model absorbs all of it in these poses (rank zero)"
+FTest = tuple[float, int, int, float]  # degrees of freedom that the model leaves, rank, groups tested, alpha
 
 
 @dataclass(frozen=True)
@@ -88,7 +99,7 @@ class DataReport:
         condition: of the determined directions.
         parameters: what to expect of each.
         detectable: how large each effect beyond the model would have to be to be found.
-        warnings: what else is to be said, doubts first.
+        warnings: further messages, doubts first.
     """
 
     kind: str
@@ -127,9 +138,17 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     admitted = admit(robot, tables_of(measurements), lambda name: options.at(name).setup)
     tables = admitted.tables
     fit = expected_fit(robot, tables, options)
-    check_agreement(robot, tables.values(), fit)
+    corrected = check_agreement(robot, tables.values(), fit)
+    if corrected is not None:
+        robot = corrected.of(robot)
+        fit = expected_fit(robot, tables, options)
     unseen = [list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()]
-    notes = [*admitted.notes, *admitted.idle, *(n for n in unseen[0] if all(n in other for other in unseen))]
+    notes = [
+        *(() if corrected is None else corrected.notes),
+        *admitted.notes,
+        *admitted.idle,
+        *(n for n in unseen[0] if all(n in other for other in unseen)),
+    ]
     notes += notes_on_masses(robot, options.effects)
     notes += notes_on_repeats(robot, fit.problem.conditions.q)
     posterior = fit.solution.posterior
@@ -140,7 +159,10 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         rows=len(fit.problem),
         joints=tuple(_ranges(robot, fit.problem.conditions.q)),
         nominal=error_statistics(nominal),
-        noise={unit: float(fit.solution.sigma[0]), "source": "declared" if fit.is_declared else "foreseen by a fit"},
+        noise={
+            unit: float(fit.solution.sigma[0]),
+            "source": "declared" if fit.is_declared else "estimated from a preliminary fit",
+        },
         rank=posterior.identifiable_rank,
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
@@ -150,22 +172,22 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     )
 
 
-def _outlook(robot: Robot, fit: Fit) -> DetectabilityTable:
+def _outlook(robot: Robot, fit: ModelFit) -> DetectabilityTable:
     """Return what could be found beyond the elastic model."""
     base = refit(fit, ELASTIC)
     declared = fit.noise.declared
     assumed = np.array([block.noise for block in base.problem.blocks])
     degrees = base.solution.degrees
-    estimated = base.solution.estimated if degrees >= FEWEST else assumed
+    estimated = base.solution.estimated if degrees >= SIGHT.fewest else assumed
     sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])
-    source = "declared" if fit.is_declared else ("estimated" if degrees >= FEWEST else "assumed")
+    source = "declared" if fit.is_declared else ("estimated" if degrees >= SIGHT.fewest else "assumed")
     chain, conditions = base.problem.chain, base.problem.conditions
     tested = candidates(chain, conditions)
     sights = minimum_detectable(base, tested, sigma=sigma)
     sights += [Detectable(effect, reason=reason) for effect, reason in untestable(chain, conditions)]
     first, places, _ = next(iter(fit.stations))
     sigma_m = float(sigma[0]) * first.metres_per_reading(fit.nominal.values[places])
-    return DetectabilityTable("elastic", sigma_m, source, ALPHA, POWER, tuple(sights))
+    return DetectabilityTable("elastic", sigma_m, source, POLICY.false_name, SIGHT.power, tuple(sights))
 
 
 def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
@@ -175,7 +197,168 @@ def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
         yield JointRange(name, float(q.min()), float(q.max()), lower, upper, distinct_values(q))
 
 
-def _expectations(fit: Fit) -> Iterator[Expectation]:
+def _expectations(fit: ModelFit) -> Iterator[Expectation]:
     for p, sigma, finding in zip(fit.problem.parameters, fit.estimate.sigma, explain(fit), strict=True):
         known = float(sigma) if np.isfinite(sigma) else 0.0
         yield Expectation(p.name, p.unit, known, finding.status, finding.reason, p.effect)
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest size of an effect that would be found.
+
+    Attributes:
+        effect: what.
+        measure: what the size is the size of: the name of the effect's one parameter, "amplitude" (the length of the
+            vector of its parameters), "rms of the curve" or, of compliances, "largest rotation in these poses".
+        unit: the unit of the sizes.
+        size: at which it is found with the chance ``SIGHT.power``, all directions of its parameters alike; None where no
+            size would show.
+        best: the same in the direction that shows best.
+        absorbed: part of the squared signal that a refitted model takes up (the mean over the directions).
+        reason: why no size would show; empty otherwise.
+    """
+
+    effect: Effect
+    measure: str = ""
+    unit: str = ""
+    size: float | None = None
+    best: float | None = None
+    absorbed: float | None = None
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, the effect by name, joint, source, order and frame."""
+        at = self.effect.locus
+        which = zip(("effect", "joint", "source", "order", "frame"), (*self.effect.heading, at.order, at.frame), strict=True)
+        return dict(which) | {key: value for key, value in vars(self).items() if key != "effect"}
+
+
+def minimum_detectable(
+    fit: ModelFit, effects: Sequence[Effect], *, sigma: np.ndarray | None = None, alpha: float = POLICY.false_name
+) -> list[Detectable]:
+    """Return, for each effect, how large it would have to be to be found with these poses and this noise.
+
+    An effect of parameters beta leaves the non-centrality beta^T S' beta once everything else, uncertain masses included,
+    is refitted. It is found if its gain passes what the loop asks: the F test at ``alpha`` over the number of groups
+    tested, and the share of the squares. The power follows from the non-central F distribution.
+
+    Args:
+        fit: the model that every effect would be added to.
+        effects: which.
+        sigma: shape (blocks,), standard deviation of one component of each block of readings; that of the residuals
+            unless given.
+        alpha: chance of a false name.
+    """
+    situation = situation_of(fit)
+    tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
+    noise = fit.solution.estimated if sigma is None else sigma
+    quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
+    found = score_test_given_nuisances(quiet, tested)
+    if found.dof < SIGHT.fewest:
+        return [Detectable(effect, reason=_too_few(found)) for effect in effects]
+    groups = len({effect.identity for effect in effects})
+    return [row for i in range(len(tested)) for row in _sizes(fit, found, i, alpha, groups)]
+
+
+def _too_few(found: ScoreTests) -> str:
+    return f"{found.readings} readings leave {found.dof:.0f} degrees of freedom to judge by; measure more poses"
+
+
+def _sizes(fit: ModelFit, found: ScoreTests, i: int, alpha: float, groups: int) -> Iterator[Detectable]:
+    """Yield the detectable size of an effect, one a unit of its parameters."""
+    effect = found.effects[i]
+    parameters = effect.parameters(fit.problem.chain)
+    rank = found.gain([i])[1]
+    test = (round(found.dof, 3), rank, round(groups * effect.looks), alpha)
+    for unit in dict.fromkeys(p.unit for p in parameters):
+        own = np.array([k for k, p in enumerate(parameters) if p.unit == unit])
+        measure, shown, scale = _measure(effect, fit, own, unit)
+        if rank == 0:
+            yield Detectable(effect, measure, shown, absorbed=1.0, reason=ABSORBED)
+            continue
+        if not np.isfinite(detectable_noncentrality(test)):
+            yield Detectable(effect, measure, shown, reason=_too_few(found))
+            continue
+        whole = found.products.inner_of([i])[np.ix_(own, own)]
+        signal = scale.T @ found.within([i])[1][np.ix_(own, own)] @ scale
+        size, best = _size_at(np.maximum(np.linalg.eigvalsh(signal), 0.0), test)
+        absorbed = float(np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0))
+        yield Detectable(effect, measure, shown, size, best, absorbed)
+
+
+def _measure(effect: Effect, fit: ModelFit, own: np.ndarray, unit: str) -> tuple[str, str, np.ndarray]:
+    """Return what the size of some parameters means, its unit, and the parameters of vectors of size 1, shape (p, k)."""
+    if isinstance(effect, Curve):
+        return "rms of the curve", unit, _unit_curves(effect, fit)
+    if "N m" in unit:
+        # Micro-radians say more than compliances.
+        largest, felt = largest_basis(Model(fit.problem.chain, (effect,)), fit.problem.conditions)
+        return "largest rotation in these poses", "rad", np.diag(1.0 / largest[own])[:, felt[own]]
+    one = len(own) == 1
+    return effect.parameters(fit.problem.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))
+
+
+def _unit_curves(effect: Curve, fit: ModelFit) -> np.ndarray:
+    """Return coefficients, shape (size, k), of orthogonal curves whose rms about their mean over the poses is 1."""
+    terms = effect.terms(fit.problem.chain, fit.problem.conditions, None)
+    basis = np.stack([term.basis for term in terms if term.basis is not None])
+    basis = basis - basis.mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(basis @ basis.T / basis.shape[1])
+    seen = values > 1e-6 * values[-1]
+    return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
+
+
+def _size_at(strengths: np.ndarray, test: FTest) -> tuple[float, float]:
+    """Return the size that is found with the chance SIGHT.power in a random direction, and in the best one.
+
+    Args:
+        strengths: shape (k,), non-centrality of an effect of size 1 along the principal directions.
+        test: what the loop asks.
+    """
+    from scipy.optimize import brentq
+
+    best = float(np.sqrt(detectable_noncentrality(test) / strengths.max()))
+    if len(strengths) == 1:
+        return best, best
+    z = np.random.default_rng(0).standard_normal((SIGHT.shapes, len(strengths)))
+    along = (z**2 / np.sum(z**2, axis=1, keepdims=True)) @ strengths
+    grid, powers = _power_curve(test)
+    missing = lambda log_size: float(np.mean(np.interp(np.exp(2.0 * log_size) * along, grid, powers))) - SIGHT.power  # noqa: E731
+    return float(np.exp(brentq(missing, np.log(0.1 * best), np.log(1e6 * best)))), best
+
+
+def critical_gain(test: FTest) -> float:
+    """Return what an effect has to take off the sum of squares to be let in, in units of the noise."""
+    dof, rank, groups, alpha = test
+    rest = max(dof - rank, 1.0)
+    ratio = rank * float(fdtri(rank, rest, 1.0 - alpha / max(groups, 1))) / rest
+    return max(ratio / (1.0 + ratio) * dof, POLICY.least_gain(dof, declared=True))
+
+
+def power_of(noncentrality: float, test: FTest) -> float:
+    """Return the chance that an effect of a non-centrality passes the loop's test."""
+    dof, rank, *_ = test
+    gain, rest = critical_gain(test), max(dof - rank, 1.0)
+    F = (gain / rank) / (max(dof - gain, 1e-9) / rest)
+    return 1.0 - float(ncfdtr(rank, rest, noncentrality, F))
+
+
+@lru_cache(maxsize=256)
+def detectable_noncentrality(test: FTest) -> float:
+    """Return the non-centrality at which the chance to be found is SIGHT.power; inf where no effect passes the test."""
+    from scipy.optimize import brentq
+
+    upper = 10.0 * critical_gain(test) + 100.0
+    while power_of(upper, test) < SIGHT.power:
+        upper *= 4.0
+        if upper > SIGHT.hopeless:
+            return np.inf
+    return float(brentq(lambda value: power_of(value, test) - SIGHT.power, 1e-3, upper))
+
+
+@lru_cache(maxsize=256)
+def _power_curve(test: FTest) -> tuple[np.ndarray, np.ndarray]:
+    """Return non-centralities and the chances that belong to them."""
+    grid = np.linspace(0.0, 3.0 * detectable_noncentrality(test), 60)
+    return grid, np.array([power_of(value, test) for value in np.maximum(grid, 1e-9)])

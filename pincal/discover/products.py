@@ -1,4 +1,4 @@
-"""Products of the whitened columns of candidates with those of a model, with each other, and with the residuals."""
+"""Products of columns, taken over the rows: of a model's, and of candidates' with these, each other and the residuals."""
 
 from __future__ import annotations
 
@@ -11,6 +11,69 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.identify.jacobian import Jacobian
+from pincal.identify.quadratic import Factor, Form
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What rows and priors say of the N parameters of a model, by block of poses; the same for all candidates.
+
+    Attributes:
+        blocks: what the rows of each of B blocks say.
+        prior: what was known of the parameters before.
+        beliefs: the same by the factor of sizes in doubt.
+    """
+
+    blocks: Form
+    prior: Form
+    beliefs: dict[float, Information] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def rows(self) -> Form:
+        """What all rows say."""
+        return Form(*(of[0] if len(of) == 1 else of.sum(axis=0) for of in vars(self.blocks).values()))
+
+    @cached_property
+    def factor(self) -> Factor:
+        """Of the information of rows and priors."""
+        return Factor.of(self.rows.H + self.prior.H)
+
+    @cached_property
+    def slope(self) -> np.ndarray:
+        """That of rows and priors in units of the factor, shape (N,)."""
+        return self.factor.half(self.rows.g + self.prior.g)
+
+    def believing(self, factor: float, H: np.ndarray) -> Information:
+        """Return the same where sizes in doubt are multiplied by a factor, which makes H of the priors' information."""
+        return self.beliefs.setdefault(factor, Information(self.blocks, replace(self.prior, H=H)))
+
+    def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
+        """Return the same of the parameters that stay, the others at zero; to first order nothing is evaluated again.
+
+        Without columns J of value v the residuals r grow by J v, and g by H v.
+
+        Args:
+            model: shape (M,), which stay.
+            gone: shape (G,), which go.
+            values: shape (G,), of these.
+        """
+        left = self.blocks.part(model)
+        left = replace(left, g=left.g + self.blocks.H[:, model[:, None], gone] @ values)
+        return Information(left, self.prior.part(model))
+
+    def grown(self, gone: np.ndarray, values: np.ndarray) -> float:
+        """Return by how much the squares of the residuals grow without columns of these values, shape (G,)."""
+        rows = self.rows.part(gone)
+        return float(values @ (2.0 * rows.g + rows.H @ values))
+
+    @cached_property
+    def without_block(self) -> list[tuple[Factor, np.ndarray]]:
+        """Factor of the information without each block, and the step of the parameters."""
+        found = []
+        for H, g in zip(self.blocks.H, self.blocks.g, strict=True):
+            factor = Factor.of(self.rows.H - H + self.prior.H)
+            found.append((factor, factor.solve(self.rows.g - g + self.prior.g)))
+        return found
 
 
 class Whitened(NamedTuple):
@@ -116,7 +179,7 @@ class Products:
         columns: for each candidate, its columns.
         blocks_cross: shape (B, N, C), with the model's columns.
         blocks_inner: shape (B, C, C), with each other.
-        blocks_b: shape (B, C), with the residuals.
+        blocks_g: shape (B, C), with the residuals.
         rows: what they are taken over; None if nobody knows.
         is_partial: whether those of one candidate's columns with another's are left out of ``blocks_inner``, to be taken
             from the rows when they are asked for: of many candidates few pairs are.
@@ -125,7 +188,7 @@ class Products:
     columns: tuple[np.ndarray, ...]
     blocks_cross: np.ndarray
     blocks_inner: np.ndarray
-    blocks_b: np.ndarray
+    blocks_g: np.ndarray
     rows: Rows | None = None
     is_partial: bool = False
     _asked: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
@@ -136,9 +199,9 @@ class Products:
         return _sum(self.blocks_cross)
 
     @cached_property
-    def b(self) -> np.ndarray:
+    def g(self) -> np.ndarray:
         """Of all blocks, shape (C,)."""
-        return _sum(self.blocks_b)
+        return _sum(self.blocks_g)
 
     @cached_property
     def _inner(self) -> np.ndarray:
@@ -188,7 +251,7 @@ class Products:
             columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
             blocks_cross=cross[:, model],
             blocks_inner=self.blocks_inner[:, j[:, None], j],
-            blocks_b=self.blocks_b[:, j] + values @ cross[:, gone],
+            blocks_g=self.blocks_g[:, j] + values @ cross[:, gone],
             rows=None if self.rows is None else self.rows.among(which, model, gone, values),
         )
 

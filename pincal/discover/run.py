@@ -1,38 +1,58 @@
-"""Discover what a calibration misses: from a robot and a table to findings and a model that holds them."""
+"""Discover what a calibration misses: from a robot and a table to findings, a model that holds them, how stable they are.
+
+Halves of the poses, whole regions of joint space at a time, tell how stable names are: a half leaves out half of the
+regions; it and the rest of them are a pair (complementary pairs: Shah and Samworth 2013, J. R. Stat. Soc. B 75, 55-80). A
+name that comes in 19 of 20 halves does not hang on a few poses, and somebody else's poses would most likely have brought it
+up, too; one that comes in less than 60 % is a hint.
+
+A search on a half starts from the geometric fit of all rows, in their convention of moments, and looks for everything in
+the catalogue; of dependences without a name for those that all rows brought up. Where effects are chosen by a sample of the
+rows, see ``Policy.enough_readings``, halves are of this sample.
+"""
 
 from __future__ import annotations
 
 import html
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, Unpack
 
 import msgspec
 import numpy as np
 
-from pincal.calibration.fit import Fit as CalibratedFit
-from pincal.calibration.left_out import leave_out_stations
+from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibration import Calibration, run_calibration
+from pincal.calibration.held_out import LeftOut, as_measured, leave_out_stations
 from pincal.calibration.result import result_of
-from pincal.calibration.rows import LeftOut, Validation, as_measured
-from pincal.calibration.run import Calibration, run_calibration
-from pincal.discover.bootstrap import bootstrap_last
-from pincal.discover.history import History
-from pincal.discover.joint_noise import note_on_joints
-from pincal.discover.judge import findings_of, repeated
-from pincal.discover.loop import discover_effects
-from pincal.discover.policy import POLICY, Policy
-from pincal.discover.resolution import notes_on_repeats
+from pincal.calibration.validation import Validation
+from pincal.discover.candidate_tests import fit_of_rows, sampled
+from pincal.discover.drive_curves import notes_on_repeats
+from pincal.discover.elastic import sure_compliances
+from pincal.discover.ending import note_on_joints, widened
+from pincal.discover.findings import bootstrap_last, findings_of
+from pincal.discover.loop import discover_effects, withdraw_names_at_change
+from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.shrink import PartialResidual, gaps_of, partial_residuals, stages_of
-from pincal.discover.stability import begin_halves
-from pincal.discover.widened import widened
-from pincal.errors import BadInputError
-from pincal.identify.calibrate import Tables, tables_of
+from pincal.discover.steps import History, worded
+from pincal.errors import BadInputError, PincalError
+from pincal.identify.calibrate import Tables, refit, tables_of
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
-from pincal.io.discovery_file import Findings, Gap, Stage
+from pincal.io.discovery_file import (
+    Bootstrap,
+    EffectName,
+    Findings,
+    FoundEffect,
+    Gap,
+    Repeated,
+    Stability,
+    Stage,
+)
 from pincal.measure.approach import note_on_sides
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
@@ -40,11 +60,13 @@ from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
-from pincal.spread import wake
-from pincal.validate.verdict import Verdict
+from pincal.spread import spread, wake
+from pincal.validate.misfit import SURE, Verdict
 
-# Blocks of poses that are left out in turn: enough that seven eighths determine the model nearly as well as all.
-_CV_BLOCKS = 8
+Heading = tuple[str, str | None, str | None]
+"""Effect, joint and source: two effects that have them in common have the same name."""
+Group = tuple[Heading, ...]
+"""The heading of what was found, and those of what the data can't tell from it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +74,7 @@ class Discovery:
     """A discovery with its calibration.
 
     Attributes:
-        calibration: the calibration with all that was found.
+        calibration: the calibration with all effects found.
         trail: how it was found.
         findings: what was found.
         gaps: errors on held-out rows at the start, after each change of the model.
@@ -79,46 +101,53 @@ class Discovery:
         return dict(msgspec.to_builtins(self.findings))
 
 
+class Choices(TypedDict, total=False):
+    """What a discovery shares with a calibration, how rows are held out, and conventions of moments to choose from."""
+
+    test_fraction: float
+    split: Validation
+    seed: int
+    holdout: Tables | None
+    moment_frames: Sequence[MomentFrame]
+
+
 def run_discovery(
     robot: Robot,
     measurements: Tables,
     options: Options | None = None,
     *,
     extra: tuple[Effect, ...] = (),
-    test_fraction: float = 0.2,
-    split: Validation = "both",
-    seed: int = 0,
-    holdout: Tables | None = None,
-    moment_frames: Sequence[MomentFrame] = (),
     policy: Policy = POLICY,
     stability: int = 0,
     executor: Executor | None = None,
+    **choices: Unpack[Choices],
 ) -> Discovery:
-    """Calibrate, find what the model misses, name it, add it and show the gap shrink on rows that criticism never saw.
+    """Calibrate, identify and add the effects that the model misses, and validate each step on held-out rows.
 
     Args:
         robot: the arm.
         measurements: the table, or several, which are a station each.
         options: how to calibrate; its effects are the model to start from, default: the geometric one.
-        extra: effects of the user's own that take part.
-        test_fraction: part of the rows held out.
+        extra: additional effects of the user that take part.
+        policy: thresholds and limits.
+        stability: number of subsamples on which the search is repeated, to count how often each name is found; a
+            bootstrap then also tests the effect accepted last; default: none.
+        executor: makes these searches, and the discoveries that leave a station out; default: one after the other, here.
+
+    Keyword Args:
+        test_fraction: part of the rows held out; default: a fifth.
         split: how rows are chosen; default: whole regions of joint space, and stretches of consecutive rows, of which those
-            lead that are predicted worse. With "station" each station in turn is
-            predicted by a discovery on the others.
-        seed: of the choice.
+            lead that are predicted worse. With "station" each station in turn is predicted by a discovery on the others.
+        seed: of the choice; default: 0.
         holdout: other measurements to hold out instead.
         moment_frames: conventions of where moments bend the arm to choose from by the data; that of the options unless
             given. The first stays unless another fits better beyond chance.
-        policy: thresholds and limits.
-        stability: halves of the poses on which the search is repeated, to tell how often each name comes up; then a
-            bootstrap also says whether the name accepted last may be chance; default: none.
-        executor: makes these searches, and the discoveries that leave a station out; default: one after the other, here.
 
     Returns:
         The calibration with all that was found, and how it was found.
 
     Raises:
-        BadInputError: as :func:`run_calibration`, and if there are to be fewer than no halves.
+        BadInputError: as :func:`run_calibration`, and if the number of subsamples is negative.
 
     Example:
         >>> import numpy as np
@@ -136,26 +165,29 @@ def run_discovery(
         [('gear_eccentricity', 'joint_4')]
     """
     if stability < 0:
-        raise BadInputError(f"stability is {stability}; expected a number of halves of the poses, 0 for none")
+        raise BadInputError(f"stability is {stability}; expected a number of subsamples, 0 for none")
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
-    frames = tuple(moment_frames) or (MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,))
+    frames = tuple(choices.pop("moment_frames", ())) or (
+        MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,)
+    )
     options = replace(options, moment_frame=frames[0])
     search = partial(_search, frames=frames, extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()
-    if split == "station":
+    held_back: dict[str, Any] = {"test_fraction": 0.2, "split": "both", **choices}
+    if held_back["split"] == "station":
         # Stations are held out instead of rows.
-        split, test_fraction = "random", 0.0
+        held_back |= {"test_fraction": 0.0, "split": "random"}
         others = partial(_discovered, search)
         left_out = leave_out_stations(robot, tables_of(measurements), options, fit_others=others, executor=executor)
     if executor is not None:
-        wake(executor, stability, begin_halves.__module__)
+        wake(executor, stability, begin_subsamples.__module__)
     # Before names are looked for, what depends on the order of rows may be what they stand for.
     plain = replace(options, serial=False)
-    first = run_calibration(robot, measurements, plain, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
+    first = run_calibration(robot, measurements, plain, **held_back)
     first = replace(first, fit=replace(first.fit, options=replace(first.fit.options, serial=options.serial)))
     trail, notes = search(first)
-    halves = begin_halves(trail, _regions(first), stability, executor=executor)
+    halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # What follows is done here while workers are at the halves.
     fit, gaps, traces = widened(trail), stages_of(trail, first.stations), partial_residuals(trail)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
@@ -169,7 +201,7 @@ def run_discovery(
     )
     if stability:
         bootstrap = bootstrap_last(trail)
-        findings = repeated(findings, halves(), bootstrap)
+        findings = with_subsamples(findings, halves(), bootstrap)
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
@@ -184,8 +216,9 @@ def _search(
     first: Calibration, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
 ) -> tuple[History, tuple[Note, ...]]:
     """Return what was found from a calibration on, and notes."""
-    blocks = np.concatenate(_regions(first)) % _CV_BLOCKS
-    trail = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
+    blocks = np.concatenate(_regions(first)) % TESTING.blocks
+    found = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
+    trail = withdraw_names_at_change(found)
     problem = trail.final.problem
     tables = (rows.train for rows in first.stations)
     sides = (note_on_sides(table.source, table.approach_from) for table in tables)
@@ -194,9 +227,14 @@ def _search(
         *dict.fromkeys(filter(None, sides)),
         *notes_on_repeats(problem.chain.robot, problem.conditions.q),
     ]
+    if trail is not found:
+        names = worded(trail.changes[-1].left)
+        notes.append(
+            f"withdrawn, since a change midway may look the same: {names}; make two stations of the table and run again"
+        )
     was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
     if frame != was:
-        notes.append(f"moments bend the arm as with --moment-frame {frame}: it fits better than {was}")
+        notes.append(f"moments act as with --moment-frame {frame}: it fits better than {was}")
     if of_joints := note_on_joints(trail.final):
         notes.append(of_joints)
     return trail, doubts_first(notes)
@@ -216,3 +254,139 @@ def _discovered(
     """Return the fit of all that is discovered on all rows of some stations."""
     trail, _ = search(run_calibration(robot, tables, options, test_fraction=0.0))
     return CalibratedFit.of(trail.final)
+
+
+@dataclass(frozen=True)
+class Subsamples:
+    """What the search named in each half of the poses.
+
+    Attributes:
+        named: for each half the names that it brought up.
+        poses: rows of a half, on average.
+    """
+
+    named: tuple[tuple[Group, ...], ...]
+    poses: int
+
+    def __len__(self) -> int:
+        return len(self.named)
+
+    def count(self, heading: Heading) -> int:
+        """Return in how many halves a name came up, as it is or among what the half could not tell from its name."""
+        return sum(any(heading in group for group in groups) for groups in self.named)
+
+    def others(self, known: Sequence[Heading], share: float) -> list[tuple[Heading, int]]:
+        """Return names that are not known and came up first in at least a share of the halves, the most frequent first."""
+        first = Counter(heading for groups in self.named for heading in dict.fromkeys(group[0] for group in groups))
+        return [(name, n) for name, n in first.most_common() if name not in known and n >= share * len(self)]
+
+
+def begin_subsamples(
+    trail: History, regions: Sequence[np.ndarray], count: int, *, executor: Executor | None = None
+) -> Callable[[], Subsamples]:
+    """Begin to repeat a search on halves of the poses from which it chose; return what waits for the names.
+
+    Args:
+        trail: the search on all rows.
+        regions: for each station shape (rows,), the region of joint space of each training row.
+        count: number of halves.
+        executor: makes the searches, all of them begun now; default: one after the other, here, once they are waited for.
+    """
+    if not count:
+        return lambda: Subsamples((), 0)
+    few, rows = sampled(trail.first, trail.policy)
+    offsets = np.cumsum([0, *(int(part.max()) + 1 for part in regions)])
+    joined = np.concatenate([part + offset for part, offset in zip(regions, offsets, strict=False)])[rows]
+    parts = [np.unique(joined[span]) for span in few.problem.rows]
+    found = [effect for step in trail.steps for effect in (*step.effects, *step.equivalent)]
+    nameless = frozenset(effect.identity for effect in found if effect.is_nameless)
+    run = partial(_names_in_half, few, joined, trail.extra, trail.policy, nameless)
+    halves = list(_subsamples(parts, joined, count))
+    poses = round(float(np.mean([np.count_nonzero(np.isin(joined, half)) for half in halves])))
+    named = spread(run, halves, label="subsample", executor=executor)
+    return lambda: Subsamples(tuple(groups for groups in named if groups is not None), poses)
+
+
+def _subsamples(parts: Sequence[np.ndarray], regions: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    """Yield the regions of each half, those of every station divided so that both halves have about as many rows."""
+    rng, sizes = np.random.default_rng(0), np.bincount(regions)
+    for k in range(count):
+        if k % 2 == 0:
+            orders = [rng.permutation(part) for part in parts]
+            cuts = [_middle(sizes[order]) for order in orders]
+        pairs = zip(orders, cuts, strict=True)
+        yield np.concatenate([order[cut:] if k % 2 else order[:cut] for order, cut in pairs])
+
+
+def _middle(sizes: np.ndarray) -> int:
+    """Return how many of these blocks hold about half of the rows; at least one, and not all."""
+    counts = np.cumsum(sizes)
+    return int(np.clip(np.argmin(np.abs(counts - 0.5 * counts[-1])) + 1, 1, max(len(sizes) - 1, 1)))
+
+
+def _names_in_half(
+    first: ModelFit,
+    regions: np.ndarray,
+    extra: tuple[Effect, ...],
+    policy: Policy,
+    nameless: frozenset[object],
+    half: np.ndarray,
+) -> tuple[Group, ...] | None:
+    """Return the names that a search on some regions brings up; None if their rows do not make a fit."""
+    rows = np.flatnonzero(np.isin(regions, half))
+    groups = np.unique(regions[rows], return_inverse=True)[1] % TESTING.blocks
+    try:
+        few = fit_of_rows(first, rows)
+        start = refit(few, few.options.effects, start={})
+        return tuple(_groups(discover_effects(start, groups, extra=extra, policy=policy, nameless=nameless)))
+    except PincalError:
+        return None
+
+
+def _groups(trail: History) -> Iterator[Group]:
+    """Yield what a search found as its findings name it: elasticity joint by joint."""
+    for step in trail.steps:
+        if step.is_elastic:
+            yield from ((sure.effect.heading,) for sure in sure_compliances(trail.final, step.effects))
+        else:
+            yield (step.effect.heading, *(other.heading for other in step.equivalent))
+
+
+def with_subsamples(findings: Findings, halves: Subsamples, bootstrap: Bootstrap | None) -> Findings:
+    """Return findings with how stable they are.
+
+    Args:
+        findings: what a discovery found.
+        halves: what the search named in halves of the poses.
+        bootstrap: whether the effect that was accepted last may be chance; None if there is none.
+    """
+    if not halves:
+        return msgspec.structs.replace(findings, bootstrap=bootstrap)
+    effects = tuple(msgspec.structs.replace(entry, stability=_stability(entry, halves)) for entry in findings.effects)
+    return msgspec.structs.replace(
+        findings,
+        effects=effects,
+        hints=tuple(_repeated(entry, entry.stability) for entry in effects if entry.stability and entry.is_hint),
+        only_in_halves=tuple(_only_in_subsamples(effects, halves)),
+        poses_in_a_half=halves.poses,
+        bootstrap=bootstrap,
+    )
+
+
+def _heading(entry: EffectName) -> Heading:
+    return entry.effect, entry.joint, entry.source
+
+
+def _stability(entry: EffectName, halves: Subsamples) -> Stability:
+    return Stability(halves.count(_heading(entry)), len(halves))
+
+
+def _repeated(name: EffectName, stability: Stability) -> Repeated:
+    return Repeated(**{field: getattr(name, field) for field in EffectName.__struct_fields__}, stability=stability)
+
+
+def _only_in_subsamples(effects: Sequence[FoundEffect], halves: Subsamples) -> Iterator[Repeated]:
+    """Yield names that most halves bring up and that all rows neither have nor list among what could be theirs."""
+    known = [_heading(name) for entry in effects for name in (entry, *entry.equivalent)]
+    for (effect, joint, source), named in halves.others(known, SURE):
+        yield Repeated(effect=effect, joint=joint, source=source, stability=Stability(named, len(halves)))

@@ -1,8 +1,15 @@
-"""Scatter of one joint: what moves it from pose to pose but stands in no column.
+r"""Scatter of one joint, which moves it from pose to pose but stands in no column; and tests where noise is uneven by it.
 
 More is left along the lever of a joint than the noise makes: either the joint is somewhere else each time, or what is left
 is a function of the pose that nobody has named. The same pose measured again tells these apart; so do poses that are near
 each other in some joints, as a smooth function is nearly the same at both and scatter is not.
+
+A score test takes the noise to be one number. Where a joint does not repeat, readings are noisier along its lever than
+across it, and chance alone explains more by effects on this joint than the test says. What the noise is along an effect is
+seen in the scores of single visits, :math:`s_v = W^T \sum_{n \in v} X'_n{}^T r_n` (X' the effect's columns with the model's
+tangent space projected out, whitened by W, r what the effect leaves): even noise makes the mean square of their components
+1 in all. Divided by a mean square that is more, and more than by chance, the test is right whatever the noise (Rao and
+Scott 1981, first order).
 """
 
 from __future__ import annotations
@@ -15,30 +22,17 @@ from typing import Literal
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri, fdtrc
 
+from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import levers
-from pincal.identify.fit import Fit
+from pincal.discover.policy import NOISE, TESTING
+from pincal.identify.fit import ModelFit
 from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint
 from pincal.measure.poses import same_joints
 
-# Twice the log-likelihood that scatter of a joint has to gain: 5 standard deviations of one parameter, so that none of a
-# robot's joints gets there by chance (test_scatter.py: neither noise nor several targets do, 50 urad do).
-_ENOUGH = 25.0
-# Candidate variances of the joint, in units of the noise seen at the joint's mean lever.
-_RATIOS = np.logspace(-2, 3, 101)
-# Chance that scatter is taken for a function of the pose, and that noise of replicates is taken for scatter.
-_CHANCE = 0.01
-# Neighbours of a pose, and how far a smooth function keeps most of its value: in parts of a joint's range, a wave a range.
-_NEIGHBOURS, _SMOOTH = 6, 0.15
-# A function follows all joints or so many at most; of so many its neighbours have to be near for it to be excluded.
-_MOST_JOINTS, _NEAR_JOINTS = 3, 2
-# Standard deviations beyond the critical value that a smooth function has to reach to be excluded where it does not.
-_SEEN = 2.0
-# Orders in which the errors are drawn again; visits beyond so many are thinned, for time.
-_DRAWS, _MOST_VISITS = 299, 1000
 _ROW_ORDER = "the order of the rows"
 
 
@@ -69,38 +63,38 @@ class Excess:
 
     @property
     def statement(self) -> str:
-        """What is to be said of it."""
+        """Description."""
         if self.shown_by == "replicates":
-            return f"{self.joint} is somewhere else about its own axis each time, also where a pose is measured again"
+            return f"{self.joint} does not return to the same position about its own axis, even when a pose is repeated"
         if self.shown_by:
             return (
-                f"{self.joint} is somewhere else about its own axis each time, whatever pose and recorded columns are: "
-                "poses next to each other have unrelated errors"
+                f"{self.joint} does not return to the same position about its own axis, whatever the pose and the recorded "
+                "columns: neighbouring poses have unrelated errors"
             )
         if self.follows:
-            of = " and ".join(self.follows) if len(self.follows) <= _MOST_JOINTS else "all joints"
+            of = " and ".join(self.follows) if len(self.follows) <= NOISE.most_joints else "all joints"
             return (
-                f"{self.joint} is off about its own axis by what follows {of}: poses next to each other have related "
-                "errors; it does not scatter, and more poses would show its course"
+                f"{self.joint} has an error about its own axis that follows {of}: neighbouring poses have correlated "
+                "errors; it does not scatter, and more poses would resolve it"
             )
         if self.is_repeated:
             return (
-                f"{self.joint} is off about its own axis by a function of the pose: poses that were measured again show it "
-                "again; more poses would show its course"
+                f"{self.joint} has an error about its own axis that is a function of the pose: repeated poses reproduce it; "
+                "more poses would resolve it"
             )
         return (
-            f"{self.joint} is off about its own axis by scatter or by a function of the pose: no pose was measured twice, "
-            "and too few are next to each other to tell; measure ten poses three times each"
+            f"{self.joint} has an error about its own axis that is scatter or a function of the pose: no pose was repeated, "
+            "and too few are neighbours to decide; measure ten poses three times each"
         )
 
 
-def find_scatter(fit: Fit) -> ScatteringJoint | None:
+def find_scatter(fit: ModelFit) -> ScatteringJoint | None:
     """Return the joint that is shown to scatter, if there is one; see :func:`find_excess`."""
     excess = find_excess(fit)
     return None if excess is None else excess.scattering
 
 
-def find_excess(fit: Fit, measured: Fit | None = None) -> Excess | None:
+def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | None:
     """Return the joint along whose lever most is left beyond the noise, if it is enough, and whether it is scatter.
 
     It is if replicates differ by it. Without them it is if poses that are neighbours in the positions of some joints have
@@ -113,7 +107,7 @@ def find_excess(fit: Fit, measured: Fit | None = None) -> Excess | None:
     """
     found = [(_scatter_along(*one.readings), one) for alone in fit.alone for one in _along_levers(alone)]
     whole, best = max(found, key=lambda pair: pair[0].gain)
-    if whole.gain <= _ENOUGH:
+    if whole.gain <= NOISE.scatter:
         return None
     conditions, missing = best.station.conditions, "time"
     if conditions.approach is None:
@@ -122,7 +116,7 @@ def find_excess(fit: Fit, measured: Fit | None = None) -> Excess | None:
         missing = "temperature"
     every = found if measured is None else [(whole, one) for alone in measured.alone for one in _along_levers(alone)]
     again = next(one for (_, one), (_, at) in zip(every, found, strict=True) if at is best).differences()
-    if again is not None and again.gain > chdtri(1, 2.0 * _CHANCE):
+    if again is not None and again.gain > chdtri(1, 2.0 * NOISE.chance):
         return Excess(best.joint, again.sigma, missing, "replicates")
     follows = best.follows(whole)
     if again is not None:
@@ -194,7 +188,7 @@ class _AlongLever:
         signal = whole.sigma**2 * a2
         errors = along / np.sqrt(np.maximum(a2, 1e-300) * (whole.noise**2 + signal))
         share = np.sqrt(signal / (whole.noise**2 + signal))
-        some = np.unique(np.linspace(0, len(first) - 1, _MOST_VISITS).astype(int))
+        some = np.unique(np.linspace(0, len(first) - 1, NOISE.visits).astype(int))
         q = self.station.conditions.q[first[some]]
         names = self.station.model.chain.robot.joint_names
         return related(dict(zip(names, q.T, strict=True)), errors[some], share[some])
@@ -209,20 +203,20 @@ def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray
         share: shape (V,), root of the part of each error's variance that is not noise.
     """
     rng = np.random.default_rng(0)
-    drawn = np.column_stack([errors, *(rng.permutation(errors) for _ in range(_DRAWS))])
+    drawn = np.column_stack([errors, *(rng.permutation(errors) for _ in range(NOISE.draws))])
     moving = {name: (q - q.min()) / np.ptp(q) for name, q in joints.items() if np.ptp(q)}
-    sets = [names for n in range(1, _MOST_JOINTS + 1) for names in combinations(moving, n)]
-    if len(moving) > _MOST_JOINTS:
+    sets = [names for n in range(1, NOISE.most_joints + 1) for names in combinations(moving, n)]
+    if len(moving) > NOISE.most_joints:
         sets.append(tuple(moving))
     spaces = {names: np.column_stack([moving[name] for name in names]) for names in sets}
     spaces[(_ROW_ORDER,)] = np.arange(len(errors))[:, None] / len(errors)
-    values, expected = np.empty((len(spaces), _DRAWS + 1)), np.empty(len(spaces))
+    values, expected = np.empty((len(spaces), NOISE.draws + 1)), np.empty(len(spaces))
     for k, places in enumerate(spaces.values()):
         pairs, expected[k] = _neighbours(places, share)
         values[k] = np.einsum("vd,vd->d", drawn, pairs @ drawn)
     mean, spread = values[:, 1:].mean(axis=1), values[:, 1:].std(axis=1)
     scores = (values - mean[:, None]) / spread[:, None]
-    critical = float(np.quantile(scores[:, 1:].max(axis=0), 1.0 - _CHANCE))
+    critical = float(np.quantile(scores[:, 1:].max(axis=0), 1.0 - NOISE.chance))
     # Of what is half smooth and half scatter, the larger half counts.
     is_related = (scores[:, 0] > critical) & (values[:, 0] - mean > 0.5 * expected)
     if is_related.any():
@@ -230,13 +224,13 @@ def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray
         enough = 0.5 * scores[is_related, 0].max()
         close = is_related & (scores[:, 0] > enough)
         return min((len(names), -scores[k, 0], names) for k, names in enumerate(spaces) if close[k])[2]
-    few = np.array([len(names) <= _NEAR_JOINTS for names in spaces])
-    return () if np.all(expected[few] > (critical + _SEEN) * spread[few]) else None
+    few = np.array([len(names) <= NOISE.near_joints for names in spaces])
+    return () if np.all(expected[few] > (critical + NOISE.beyond) * spread[few]) else None
 
 
 def _neighbours(places: np.ndarray, share: np.ndarray) -> tuple[coo_array, float]:
     """Return the weights of the products of neighbours' errors, shape (V, V), and their sum for a smooth function."""
-    n_near = min(_NEIGHBOURS, len(places) - 1)
+    n_near = min(NOISE.neighbours, len(places) - 1)
     distance, near = cKDTree(places).query(places, n_near + 1)
     row = np.repeat(np.arange(len(places)), n_near + 1)
     column, distance = near.ravel(), distance.ravel()
@@ -244,10 +238,10 @@ def _neighbours(places: np.ndarray, share: np.ndarray) -> tuple[coo_array, float
     row, column, distance = row[others], column[others], distance[others]
     weight = share[row] * share[column]
     pairs = coo_array((weight, (row, column)), shape=(len(places), len(places))).tocsr()
-    return pairs, float(np.sum(weight**2 * np.exp(-0.5 * (distance / _SMOOTH) ** 2)))
+    return pairs, float(np.sum(weight**2 * np.exp(-0.5 * (distance / NOISE.smooth) ** 2)))
 
 
-def _along_levers(fit: Fit) -> Iterator[_AlongLever]:
+def _along_levers(fit: ModelFit) -> Iterator[_AlongLever]:
     """Yield the readings of the only station along the lever of each joint."""
     chain, rows = fit.model.chain, block_rows(fit.station)[0]
     sound = fit.solution.weights > 0.0
@@ -296,7 +290,7 @@ def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) 
     along2 = np.bincount(visit, np.sum(residuals * lever, axis=0)) ** 2 / np.maximum(a2, 1e-300)
     across2, readings = float(np.sum(residuals**2) - np.sum(along2)), residuals.size
     # In the first row without any scatter.
-    ratios = np.concatenate([[0.0], _RATIOS])
+    ratios = np.concatenate([[0.0], np.logspace(*NOISE.ratios)])
     spread = 1.0 + np.outer(ratios, a2 / np.mean(a2))
     sigma2 = (across2 + np.sum(along2 / spread, axis=1)) / readings
     likelihood = -readings * np.log(sigma2) - np.sum(np.log(spread), axis=1)
@@ -305,3 +299,50 @@ def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) 
     return _Component(
         max(gain, 0.0), float(np.sqrt(ratios[best] * sigma2[best] / np.mean(a2))), float(np.sqrt(sigma2[best]))
     )
+
+
+def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
+    """Return the p-value of one candidate's score test beside masses, whatever the noise is at each visit of a pose.
+
+    Args:
+        fit: the fit.
+        tests: those of one candidate against it, masses among what is projected out.
+    """
+    (effect,) = tests.effects
+    _, whitening = tests.whitening([0])
+    if not whitening.shape[1]:
+        return 1.0
+    scores, taken = _scores_by_visit(fit, tests, whitening)
+    # What a visit takes up itself it does not show.
+    scores /= (1.0 - np.minimum(taken, TESTING.most_taken))[:, None]
+    gain, rank = tests.gain([0])
+    uneven = float(np.sum(scores**2)) / rank
+    # As many visits as share what is seen of the effect, about.
+    many = float(np.sum(taken) ** 2 / np.sum(taken**2))
+    if chdtrc(many, uneven * many) > TESTING.uneven:
+        return tests.score([0], 1).p_value
+    return min(effect.looks * float(fdtrc(rank, max(many - rank, 1.0), gain / uneven / rank)), 1.0)
+
+
+def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
+    products, model, rows = tests.products, tests.model, tests.products.rows
+    assert rows is not None
+    # What a whitened unit of the effect moves beside what the model then takes up of it, and the step of both.
+    taken = model.factor.solve(np.column_stack([products.cross @ whitening, model.rows.g + model.prior.g]))
+    step = whitening.T @ tests.projected[1]
+    of_model = np.column_stack([-taken[:, :-1], taken[:, -1] - taken[:, :-1] @ step])
+    visit = _visits(fit)
+    sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
+    for here, residuals, moved in rows.moved(of_model, 0, np.column_stack([whitening, whitening @ step])):
+        moved, left = moved[:-1], residuals - moved[-1]
+        np.add.at(sums, visit[here], np.einsum("rmn,mn->nr", moved, left))
+        np.add.at(shares, visit[here], np.einsum("rmn,rmn->nr", moved, moved))
+    return sums, shares.sum(axis=1)
+
+
+def _visits(fit: ModelFit) -> np.ndarray:
+    """Return the visit that each row belongs to, shape (N,), each of one station."""
+    each = [visits(station) for station in fit.problem.stations]
+    starts = np.cumsum([0, *(int(of.max()) + 1 for of in each)])
+    return np.concatenate([start + of for start, of in zip(starts, each, strict=False)])

@@ -1,226 +1,275 @@
-r"""Score tests of candidate effects on the Jacobian of a fitted model.
-
-With A the whitened Jacobian by all parameters (those of the model, N, and those of every candidate, at zero), r the
-whitened residuals, S = A A^T and b = A r, everything that criticism asks follows from S and b: with the model's tangent
-space and its priors L projected out,
-
-.. math:: S'_{gg} = S_{gg} - S_{gN} (S_{NN} + L)^{-1} S_{Ng}, \qquad T_g = b'^T_g S'^{-1}_{gg} b'_g ,
-
-T_g is what adding effect g and refitting everything would take off the sum of squares (Rao's score test; chi-square with
-k_g degrees of freedom if g is not there). One pass over the data serves all candidates.
-"""
+"""From a fit to its score tests: columns of the model, made once for all tests against it, and candidates beside them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cho_solve
-from scipy.special import fdtrc
 
-from pincal.discover.first_order import Doubt, FirstOrder
-from pincal.discover.information import Information
-from pincal.discover.tangent import Tangent
+from pincal.discover.first_order import Doubt, ScoreTests
+from pincal.discover.levers import MassError, missing_features
+from pincal.discover.policy import TESTING
+from pincal.discover.products import Information, Products, RowPart, Rows, Whitened
 from pincal.identify.beliefs import priors_of
-from pincal.identify.fit import Fit
-from pincal.model.effect import Family
-from pincal.model.effects import Effect
-
-# By how much wider than in a fit the priors of geometry are where effects are tested: one that only they keep apart from
-# geometry would be found wherever a machine leaves them. Sound arms with nearly parallel axes do: small errors of these are
-# large ones of where their common normal stands.
-WIDER = 10.0
-VETO = 2.0
-"""Standard errors that blocks of poses have to gain for one of them not to count against them: 1 in 40 by chance."""
-# Blocks of which the extreme ones can be told.
-_FEWEST_BLOCKS = 6
-
-
-@dataclass(frozen=True)
-class Score:
-    """The test of one candidate.
-
-    Attributes:
-        gain: T, what it takes off the sum of squares (in units of the noise that the model leaves).
-        rank: k, directions of it that the data see.
-        p_value: of the F test, the places or frequencies paid for among which the candidate was chosen.
-        ebic: change of the extended Bayesian information criterion (Chen and Chen 2008); negative is better.
-    """
-
-    gain: float
-    rank: int
-    p_value: float
-    ebic: float
+from pincal.identify.fit import ModelFit
+from pincal.identify.jacobian import Jacobian
+from pincal.identify.normal import believed, block_rows
+from pincal.identify.problem import Problem, extended
+from pincal.identify.quadratic import Form
+from pincal.identify.station import Station
+from pincal.model.conditions import part_of
+from pincal.model.effect import Effect, Family
 
 
 @dataclass(frozen=True, eq=False)
-class ScoreTests(FirstOrder):
-    """Score tests of all candidates: how likely chance explains one, and what it costs to believe it."""
+class _Piece:
+    """Some rows of a station, sorted by their blocks, with the whitened Jacobian of the model.
 
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom that the model leaves."""
-        return max(self.readings - self.spent, 1.0)
-
-    def score(self, which: Sequence[int], groups: int) -> Score:
-        """Return the test of some candidates taken as one, of so many groups that are tested."""
-        looks = math.prod(self.effects[i].looks for i in which)
-        return self._judged(*self.gain(which), groups, looks)
-
-    def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> Score:
-        """Return the test of what some candidates still explain once others are in the model."""
-        both, rank_both = self.gain(sorted({*which, *given}))
-        alone, rank_alone = self.gain(given)
-        return self._judged(both - alone, max(rank_both - rank_alone, 0), groups, beside=(alone, rank_alone))
-
-    def p_value_of_any(self, which: Sequence[int]) -> float:
-        """Return the p-value of some candidates, of all as one or of one of them alone, its choice paid for.
-
-        One joint's drive that gives way is lost among as many parameters as all drives and bearings have.
-        """
-        alone = (len(which) * self.score([i], 1).p_value for i in which)
-        return min(self.score(which, 1).p_value, *alone)
-
-    def _judged(
-        self, gain: float, rank: int, groups: int, looks: float = 1.0, beside: tuple[float, int] = (0.0, 0)
-    ) -> Score:
-        if rank == 0:
-            return Score(0.0, 0, 1.0, np.inf)
-        squares, dof = max(self.squares - beside[0], 1e-6 * self.squares), self.dof - beside[1]
-        gain = min(gain, 0.999999 * squares)
-        left, rest = squares - gain, max(dof - rank, 1.0)
-        p_value = min(looks * float(fdtrc(rank, rest, (gain / rank) / (left / rest))), 1.0)
-        price = rank * np.log(self.readings) + 2.0 * np.log(max(groups, 1) * looks)
-        ebic = self.readings * np.log(left / squares) + price
-        return Score(gain, rank, p_value, float(ebic))
-
-    def log_evidence(self, which: Sequence[int]) -> float:
-        """Return the log of how much likelier the data are with some candidates, whatever their values, than without.
-
-        Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order). The
-        places or frequencies among which they were chosen cost, too.
-        """
-        cost, tests = self.likeliest(which)
-        j, S, b = tests.within(which)
-        size = self.sizes[self.n_model + j]
-        information = np.outer(size, size) * S + np.eye(len(j))
-        step = np.linalg.solve(information, size * b)
-        looks = sum(float(np.log(self.effects[i].looks)) for i in which)
-        return float(0.5 * ((size * b) @ step - np.linalg.slogdet(information)[1] - cost)) - looks
-
-    def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
-        """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
-
-        Both are in the model first, priors included, and these parameters then lose what they are told to, to first order.
-        """
-        j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
-        scale, factor, _ = self.model.factor
-        units = np.eye(self.n_model)[:, j]
-        columns = scale[:, None] * cho_solve((factor, True), scale[:, None] * units, check_finite=False)
-        values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.model.b - self.model.pull)
-        spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
-        costs = []
-        for c, S, b in (self.within([i]) for i in which):
-            inverse = np.linalg.inv(S + np.diag(self.precision[self.n_model + c]))
-            cross = columns.T @ self.products.cross[:, c]
-            left = values - cross @ inverse @ b
-            loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
-            costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
-        return costs
-
-
-def standard_errors(gains: np.ndarray) -> float:
-    """Return the sum of what blocks of poses left out gain, in its standard errors as the blocks differ.
-
-    More than one is what it takes, here and everywhere in a discovery, to call a prediction better. One block alone, such as
-    a region that the others don't reach, can't veto what they agree in: if they do by ``VETO`` standard errors, the blocks
-    that gain least and most count as those next to them (Winsor's mean).
+    Attributes:
+        rows: shape (n,), which of all rows of the fit they are.
+        groups: shape (n,), the block of each row.
+        whitening: shape (m, n).
+        residuals: shape (m, n), whitened.
+        jacobian: by the station's columns.
     """
-    if len(gains) < 2:
-        return 0.0
-    every, inner = _in_errors(gains), np.clip(gains, *np.sort(gains)[[1, -2]])
-    return max(every, _in_errors(inner)) if len(gains) >= _FEWEST_BLOCKS and _in_errors(inner) > VETO else every
+
+    rows: np.ndarray
+    groups: np.ndarray
+    whitening: np.ndarray
+    residuals: np.ndarray
+    jacobian: Jacobian
+
+    def parts(self, n_blocks: int) -> Iterator[tuple[int, slice]]:
+        """Yield the blocks of rows that are here, and which of the rows they are."""
+        if n_blocks == 1:
+            yield 0, slice(0, len(self.groups))
+            return
+        for k in np.unique(self.groups).tolist():
+            yield k, slice(*np.searchsorted(self.groups, [k, k + 1]))
 
 
-def _in_errors(gains: np.ndarray) -> float:
-    return float(gains.sum() / max(gains.std(ddof=1) * np.sqrt(len(gains)), 1e-300))
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """The columns of a model at a fit, and of what is projected out with it, whitened by the noise that the model leaves.
 
+    Of all candidates' tests against a fit this is the same.
 
-def enough_errors(effect: Effect) -> float:
-    """Return how many standard errors blocks left out have to gain by an effect.
-
-    One; two by an effect that is the best of many that were looked at on all blocks, such as waves of all orders: to be the
-    best it took chance for help, in the blocks left out as well. Of the ripples that chance does not explain on a real UR10
-    that one comes up in both series, at 2.4 and 2.2; the others reach 1.7 at most.
+    Attributes:
+        fit: the fit.
+        nuisance: what is projected out with the model.
+        problem: the model with this.
+        values, free: shape (P,), of its parameters.
+        known: where those of the fit stand among them.
+        orders: for each station, its rows sorted by their blocks.
+        pieces: for each station, its pieces.
+        blocks: what each block of rows says of the N columns.
+        squares: sum of squared residuals.
+        information: what follows from them with priors of geometry so many times as wide as the fit's.
     """
-    return 2.0 if effect.looks > 1.0 else 1.0
+
+    fit: ModelFit
+    nuisance: tuple[Effect, ...]
+    problem: Problem
+    values: np.ndarray
+    free: np.ndarray
+    known: np.ndarray
+    orders: tuple[np.ndarray | slice, ...]
+    pieces: tuple[tuple[_Piece, ...], ...]
+    blocks: Form
+    squares: float
+    information: dict[float, Information] = field(default_factory=dict)
+
+    @classmethod
+    def at(cls, fit: ModelFit, nuisance: Sequence[Effect], groups: np.ndarray | None) -> Tangent:
+        """Return the columns at a fit.
+
+        Args:
+            fit: the fit.
+            nuisance: effects that are projected out with the model.
+            groups: shape (N,), the block of each row; default: one block.
+        """
+        problem, known = extended(fit.problem, nuisance)
+        values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
+        values[known], free[known] = fit.values, fit.solution.free
+        n_blocks, size = 1 if groups is None else int(groups.max()) + 1, int(free.sum())
+        H, g, squares = np.zeros((n_blocks, size, size)), np.zeros((n_blocks, size)), 0.0
+        column, orders, pieces = np.cumsum(free) - 1, [], []
+        for i, station in enumerate(problem.stations):
+            rows, places = problem.rows[i], problem.places[i]
+            blocks = np.zeros(len(station), int) if groups is None else groups[rows]
+            order: np.ndarray | slice = slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
+            sorted_station = _sorted(station, order)
+            local_values, local_free = values[places], free[places]
+            weights, sigma = fit.solution.weights[rows][order], fit.solution.estimated[problem.block_spans[i]]
+            mine = column[places[local_free]]
+            own_H, own_g, found = _room(H, mine, mine), np.zeros((n_blocks, len(mine))), list[_Piece]()
+            for piece, residuals, jacobian in sorted_station.linearise_shared(local_values, local_free):
+                whitening = np.empty_like(residuals)
+                for readings, s in zip(block_rows(station), sigma, strict=True):
+                    whitening[readings] = sorted_station.weights[piece] * weights[piece] / s
+                here = np.arange(rows.start, rows.stop)[order][piece]
+                part = _Piece(here, blocks[order][piece], whitening, residuals * whitening, jacobian.weighted(whitening))
+                for k, some in part.parts(n_blocks):
+                    part.jacobian.poses(some).add_gram(part.residuals[:, some], own_H[k], own_g[k])
+                squares += float(np.sum(part.residuals**2))
+                found.append(part)
+            facts = believed(sorted_station, local_values, local_free)
+            if facts is not None:
+                own_H += facts.H / n_blocks
+                own_g += facts.g / n_blocks
+            g[:, mine] += own_g
+            _scatter(own_H, mine, mine, H)
+            orders.append(order)
+            pieces.append(tuple(found))
+        said = Form.of(H, g)
+        return cls(fit, tuple(nuisance), problem, values, free, known, tuple(orders), tuple(pieces), said, squares)
+
+    def tests(self, candidates: Sequence[Effect], *, wider: float = TESTING.wider) -> ScoreTests:
+        """Return the tests of candidates, none of them in the model; ``wider`` as of :func:`score_test`."""
+        fit, (problem, known) = self.fit, extended(self.problem, candidates)
+        model, of_fit = known[self.free], known[self.known]
+        values = np.zeros(len(problem.parameters))
+        values[known] = self.values
+        # Of nuisance parameters the sizes are priors as they are, whatever they move.
+        sizes = np.array([parameter.size for parameter in problem.parameters])
+        sizes[of_fit] = fit.priors.sizes
+        for effect in fit.problem.effects:
+            sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
+        alone = fit.problem.with_effects(candidates)
+        own, places = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
+        for effect, at in zip(candidates, places, strict=True):
+            sizes[at] = own[alone.places_at(effect)]
+        if wider not in self.information:
+            beyond, precision = problem.beliefs.beyond_priors(model, values, sizes), sizes[model] ** -2.0
+            prior = Form.of(beyond.H + np.diag(precision), beyond.g - values[model] * precision)
+            self.information[wider] = Information(self.blocks, prior)
+        masses = (effect for effect in self.nuisance if isinstance(effect, MassError))
+        unsure = [place for effect in masses for place in problem.places_at(effect)]
+        return ScoreTests(
+            effects=tuple(candidates),
+            names=tuple(problem.parameters[i].name for i in model),
+            values=values[model],
+            sizes=sizes[np.concatenate([model, *places])],
+            model=self.information[wider],
+            products=self._products(problem, values, places),
+            squares=self.squares,
+            readings=int(problem.readings(fit.solution.weights).sum()),
+            spent=fit.solution.effective,
+            doubt=Doubt(np.isin(model, unsure), *zip(*TESTING.mass_beliefs, strict=True)) if unsure else None,
+        )
+
+    def _products(self, problem: Problem, values: np.ndarray, places: Sequence[np.ndarray]) -> Products:
+        """Return the products of these columns and of candidates', which stand at some places in a problem with all."""
+        tested, free = np.concatenate([np.zeros(0, int), *places]), np.zeros(len(values), bool)
+        free[tested] = True
+        n_model, n_blocks, n = self.blocks.H.shape[1], len(self.blocks.H), len(tested)
+        of_model, of_tested = np.cumsum(self.free) - 1, np.zeros(len(values), int)
+        of_tested[tested] = np.arange(n)
+        ends = np.cumsum([0, *map(len, places)])
+        candidate = np.repeat(np.arange(len(places)), np.diff(ends)) if n_blocks == 1 else np.zeros(n, int)
+        cross, inner, b = np.zeros((n_blocks, n_model, n)), np.zeros((n_blocks, n, n)), np.zeros((n_blocks, n))
+        parts = list[RowPart]()
+        for i, station in enumerate(problem.stations):
+            local, before = problem.places[i], self.problem.places[i]
+            mine, ours = of_model[before[self.free[before]]], of_tested[local[free[local]]]
+            own_cross, own_inner, own_b = _room(cross, mine, ours), _room(inner, ours, ours), np.zeros((n_blocks, len(ours)))
+            linearised = _sorted(station, self.orders[i]).linearise_shared(values[local], free[local])
+            for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
+                added = jacobian.weighted(piece.whitening)
+                for k, some in piece.parts(n_blocks):
+                    part = added.poses(some)
+                    part.add_gram(piece.residuals[:, some], own_inner[k], own_b[k], candidate[ours])
+                    piece.jacobian.poses(some).add_products(part, own_cross[k])
+                whitened = Whitened.of(piece.jacobian, mine, n_model), Whitened.of(added, ours, n)
+                parts.append(RowPart(piece.rows, piece.residuals, *whitened))
+            b[:, ours] += own_b
+            _scatter(own_cross, mine, ours, cross)
+            _scatter(own_inner, ours, ours, inner)
+        columns = tuple(np.arange(a, b) for a, b in pairwise(ends))
+        rows = Rows(tuple(parts), np.arange(n_model), columns, np.zeros(n_model))
+        return Products(columns, cross, inner, b, rows, n_blocks == 1 and len(places) > 1)
+
+
+def _sorted(station: Station, order: np.ndarray | slice) -> Station:
+    """Return a station with its rows in another order."""
+    if isinstance(order, slice):
+        return station
+    conditions = part_of(station.conditions, order, ("sorted", order.tobytes()))
+    return replace(station.select(order), conditions=conditions)
+
+
+def _room(S: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return where to add up the products of a station: those of all, where it has all columns in their order."""
+    has_all = np.array_equal(rows, np.arange(S.shape[1])) and np.array_equal(columns, np.arange(S.shape[2]))
+    return S if has_all else np.zeros((len(S), len(rows), len(columns)))
+
+
+def _scatter(own: np.ndarray, rows: np.ndarray, columns: np.ndarray, S: np.ndarray) -> None:
+    """Add the products of a station's columns to those of all, at their places, if they are not there."""
+    for here, mine in _runs(rows) if own is not S else ():
+        for there, across in _runs(columns):
+            S[:, here, there] += own[:, mine, across]
+
+
+def _runs(places: np.ndarray) -> list[tuple[slice, slice]]:
+    """Return the stretches of places that follow each other, and where they stand in the list: slices need no copies."""
+    cuts = np.r_[0, np.flatnonzero(np.diff(places) != 1) + 1, len(places)]
+    return [(slice(int(places[a]), int(places[b - 1]) + 1), slice(int(a), int(b))) for a, b in pairwise(cuts) if a < b]
+
+
+def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:
+    """Return what effects are tested beside: errors of masses, and what a fit and they do not have of its bearings.
+
+    A bearing compliant elsewhere or in other directions than the drawing says is no effect that a name may stand for.
+    """
+    masses, named = MassError.of(*fit.arm), {effect.identity for effect in effects}
+    features = [feature for feature in missing_features(fit) if feature.identity not in named]
+    return [masses, *features] if masses else features
+
+
+@dataclass(frozen=True)
+class BesideNuisances:
+    """Tests effects against a fit with what is nobody's name projected out; what all tests share is made once.
+
+    Attributes:
+        fit: the fit.
+    """
+
+    fit: ModelFit
+    _tangents: dict[object, Tangent] = field(default_factory=dict, repr=False)
+
+    def __call__(
+        self, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
+    ) -> ScoreTests:
+        """Return the tests of candidates; arguments as of :func:`score_test`."""
+        beside = nuisances(self.fit, effects)
+        key = (tuple(effect.identity for effect in beside), None if groups is None else groups.tobytes())
+        if key not in self._tangents:
+            self._tangents[key] = Tangent.at(self.fit, beside, groups)
+        return self._tangents[key].tests(effects, wider=wider)
+
+
+def score_test_given_nuisances(
+    fit: ModelFit, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
+) -> ScoreTests:
+    """Test effects against a fit with what is nobody's name projected out, masses as far as they may be off.
+
+    See :func:`nuisances` and :func:`score_test`.
+    """
+    return BesideNuisances(fit)(effects, groups, wider=wider)
 
 
 def score_test(
-    fit: Fit,
-    candidates: Sequence[Effect],
-    nuisance: Sequence[Effect] = (),
-    groups: np.ndarray | None = None,
-    *,
-    wider: float = WIDER,
-    doubtful: Sequence[Effect] = (),
-    beliefs: Sequence[tuple[float, float]] = (),
+    fit: ModelFit, candidates: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
 ) -> ScoreTests:
     """Test candidates against a fit.
 
     Args:
         fit: the fitted model.
         candidates: effects to test, none of them in the model.
-        nuisance: effects that are projected out but not tested.
         groups: shape (N,), the block of each training row, for cross-validation; default: one block.
         wider: by how much wider than in the fit the priors of geometry are.
-        doubtful: those of the nuisance effects of whose parameters the sizes are in doubt.
-        beliefs: what these sizes may have to be multiplied by, and the cost of believing that, as an
-            information criterion; default: they are what they are.
     """
-    tangent = Tangent.at(fit, nuisance, groups)
-    return tests_beside(tangent, candidates, wider=wider, doubtful=doubtful, beliefs=beliefs)
-
-
-def tests_beside(
-    tangent: Tangent,
-    candidates: Sequence[Effect],
-    *,
-    wider: float = WIDER,
-    doubtful: Sequence[Effect] = (),
-    beliefs: Sequence[tuple[float, float]] = (),
-) -> ScoreTests:
-    """Test candidates against a fit, given the columns of the model; see :func:`score_test`."""
-    fit, found = tangent.fit, tangent.beside(candidates)
-    problem, model, known = found.problem, found.model, found.known
-    # Of nuisance parameters the sizes are priors as they are, whatever they move.
-    sizes, values = np.array([parameter.size for parameter in problem.parameters]), np.zeros(len(problem.parameters))
-    sizes[known], values[known] = fit.priors.sizes, fit.values
-    for effect in fit.problem.effects:
-        sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
-    alone = fit.problem.with_effects(candidates)
-    own = priors_of(alone, fit.options).sizes
-    for effect in candidates:
-        sizes[problem.places_at(effect)] = own[alone.places_at(effect)]
-    if wider not in tangent.information:
-        beyond, slope = problem.beyond_priors(model, values, sizes)
-        beyond.flat[:: len(beyond) + 1] += sizes[model] ** -2.0
-        pull = values[model] * sizes[model] ** -2.0 - slope
-        tangent.information[wider] = Information(tangent.S, tangent.b, beyond, pull)
-    unsure = [place for effect in doubtful for place in problem.places_at(effect)]
-    doubt = Doubt(np.isin(model, unsure), *zip(*beliefs, strict=True)) if unsure else None
-    counts = problem.counted_rows(fit.solution.weights)[problem.station_of_block]
-    return ScoreTests(
-        effects=tuple(candidates),
-        names=tuple(problem.parameters[i].name for i in model),
-        values=values[model],
-        sizes=sizes[np.concatenate([model, found.tested])],
-        model=tangent.information[wider],
-        products=found.products,
-        squares=tangent.squares,
-        readings=int(counts @ problem.block_sizes),
-        spent=fit.solution.effective,
-        doubt=doubt,
-    )
+    return Tangent.at(fit, (), groups).tests(candidates, wider=wider)

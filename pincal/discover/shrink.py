@@ -10,28 +10,24 @@ from typing import Any
 import numpy as np
 from msgspec.structs import asdict
 
-from pincal.calibration.rows import StationRows, errors_held_out, headline_of
-from pincal.discover.history import Change, History
+from pincal.calibration.held_out import StationRows, errors_held_out, headline_of
 from pincal.discover.levers import levers
-from pincal.identify.fit import Fit
+from pincal.discover.policy import WAVES
+from pincal.discover.steps import History, ModelChange
+from pincal.identify.fit import ModelFit
 from pincal.io.discovery_file import EffectName, Gap, Stage
-from pincal.model.conditions import COLUMN_UNITS, MOMENT, recorded_variable
+from pincal.model.conditions import MOMENT, recorded_variable
 from pincal.model.effect import Curve, Effect, Family
+from pincal.model.effect_bases import drive_unit
 from pincal.model.effects import Compliance
-from pincal.model.places import drive_unit
+from pincal.recorded import RECORDABLE
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
-# Periods that have to be seen, and the part of the excess that one tone has to explain, before a curve is called periodic.
-_PERIODS, _TONE = 1.8, 0.7
-# Chance that noise makes any tone of this strength.
-_CHANCE = 1e-3
-_FINEST = 0.25  # periods a row
 # Shapes that follow the position of the joint on which they act beside another's.
 _OF_BOTH = ("product", "map")
-_OVERSAMPLED = 8
 
 
-def gaps_of(fit: Fit, rows: Sequence[StationRows]) -> dict[str, Gap]:
+def gaps_of(fit: ModelFit, rows: Sequence[StationRows]) -> dict[str, Gap]:
     """Return the errors of a fit on the held-out rows of all stations, "test", and of each way in which they are held out.
 
     Where none are held out these are the errors on the fitted ones.
@@ -62,7 +58,7 @@ def stages_of(trail: History, rows: Sequence[StationRows]) -> tuple[Stage, ...]:
     return tuple(stages)
 
 
-def _words(change: Change) -> str:
+def _words(change: ModelChange) -> str:
     """Return what a change was."""
     entered, left = (", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left))
     if entered and left:
@@ -70,7 +66,7 @@ def _words(change: Change) -> str:
     if entered or left:
         return f"+ {entered}" if entered else f"- {left}"
     has_curves = any(isinstance(effect, Curve) for effect in change.fit.problem.effects)
-    return "all fitted again, curves as smooth as the rows tell" if has_curves else "all fitted again"
+    return "final fit, smoothness of curves estimated" if has_curves else "all fitted again"
 
 
 @dataclass(frozen=True)
@@ -128,13 +124,13 @@ def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
     return tuple(_joined([_of_station(s, part) for s in stations if e in s.fit.model.effects]) for e, part in pairs)
 
 
-def _shown(fit: Fit, effect: Effect) -> Effect:
+def _shown(fit: ModelFit, effect: Effect) -> Effect:
     """Return what is shown of an effect: of elasticity the joint that is surest to bend."""
     if not isinstance(effect, Compliance):
         return effect
     found = fit.estimate.take(fit.names_of([effect]))
-    surest = found.names[int(np.argmax(np.abs(found.values) / found.fitted_sigma))]
-    return replace(effect, joints=(surest.rsplit(".", 1)[0],))
+    surest = found.parameters[int(np.argmax(np.abs(found.values) / found.fitted_sigma))]
+    return replace(effect, joints=(surest.element,))
 
 
 def _joined(parts: Sequence[PartialResidual]) -> PartialResidual:
@@ -155,7 +151,7 @@ class _Whitened:
         effects: those that are shown.
     """
 
-    fit: Fit
+    fit: ModelFit
     effects: tuple[Effect, ...]
 
     @cached_property
@@ -214,7 +210,7 @@ def _of_station(seen: _Whitened, effect: Effect) -> PartialResidual:
     return PartialResidual(effect, variable, x_unit, x[rows], before, after, fitted, weights, unit, own)
 
 
-def _coordinate(fit: Fit, effect: Effect) -> int | None:
+def _coordinate(fit: ModelFit, effect: Effect) -> int | None:
     """Return the one coordinate that an effect moves, None if there are several."""
     chain = fit.model.chain
     first = np.zeros(1, int)
@@ -234,8 +230,8 @@ def _explaining(seen: _Whitened, effect: Effect) -> tuple[str, str, np.ndarray]:
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
         return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]
     name = at.follows or at.joint or names[0]
-    unit = drive_unit(chain, name) if name in names else COLUMN_UNITS.get(name)
-    return name, unit or "", recorded_variable(chain, conditions, name, joint=at.joint)
+    unit = drive_unit(chain, name) if name in names else RECORDABLE[name].unit if name in RECORDABLE else ""
+    return name, unit, recorded_variable(chain, conditions, name, joint=at.joint)
 
 
 def period_of(trace: PartialResidual) -> float | None:
@@ -246,22 +242,22 @@ def period_of(trace: PartialResidual) -> float | None:
     """
     x, y, w = trace.x, trace.before, trace.weights
     width = float(np.ptp(x))
-    if width <= 0.0 or len(x) < 20:
+    if width <= 0.0 or len(x) < WAVES.fewest:
         return None
     if (order := trace.effect.locus.order) is not None:
         period = 2.0 * np.pi / order
-        return float(period) if width >= _PERIODS * period else None
+        return float(period) if width >= WAVES.periods * period else None
     y = y - np.sum(w * y) / np.sum(w)
     squares = float(np.sum(w * y**2))
-    cycles = np.arange(_PERIODS, _FINEST * len(x), 1.0 / _OVERSAMPLED)
+    cycles = np.arange(WAVES.periods, WAVES.finest * len(x), 1.0 / WAVES.oversampled)
     if not len(cycles):
         return None
     gains = _tone_gains(2.0 * np.pi * (x - x.min()) / width, cycles, y, w)
     # Whitened, each row of noise adds 1 to the weighted squares, a tone of noise alone 2.
     excess = squares - len(y)
     best = int(np.argmax(gains))
-    sure = gains[best] > 2.0 * np.log(len(cycles) / _CHANCE)
-    return width / float(cycles[best]) if sure and gains[best] - 2.0 > _TONE * max(excess, 1e-9) else None
+    sure = gains[best] > 2.0 * np.log(len(cycles) / WAVES.period)
+    return width / float(cycles[best]) if sure and gains[best] - 2.0 > WAVES.tone * max(excess, 1e-9) else None
 
 
 def _tone_gains(angle: np.ndarray, cycles: np.ndarray, y: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -269,7 +265,7 @@ def _tone_gains(angle: np.ndarray, cycles: np.ndarray, y: np.ndarray, w: np.ndar
 
     The weighted sums of y e^(i c angle), e^(i c angle) and its square say it all; each tone is the one before, turned.
     """
-    tone, turn = np.exp(1j * cycles[0] * angle), np.exp(1j * angle / _OVERSAMPLED)
+    tone, turn = np.exp(1j * cycles[0] * angle), np.exp(1j * angle / WAVES.oversampled)
     sums = np.empty((len(cycles), 3), complex)
     for found in sums:
         found[:] = (w * y) @ tone, w @ tone, (w * tone) @ tone

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.export.formulas import Formulas, formulas_of
 from pincal.export.numpy_source import numpy_source, refuse_wrong
-from pincal.export.source import filled, header, identifier, notes_on, placed_in, plain
-from pincal.export.statements import Language, Number, Writer
+from pincal.export.source import as_comment, filled, header, identifier, notes_on, placed_in
+from pincal.export.statements import Language, written
 
 _C = Language(
     statement="    const double {} = {};",
@@ -52,15 +50,14 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
     return filled(
         f"model.{kind}.in",
         formulas,
+        frame=frame,
+        numbers=lambda values: ", ".join(repr(float(value)).replace("inf", "INFINITY") for value in values),
         header="\n".join(f" * {line}".rstrip() for line in header(formulas, frame=frame)),
         name=name,
         NAME=name.upper(),
-        joints=", ".join(plain(chain.robot.joint_names[i]) for i in formulas.joints),
-        targets=", ".join(map(plain, chain.targets)),
+        joints=", ".join(as_comment(chain.robot.joint_names[i]) for i in formulas.joints),
+        targets=", ".join(map(as_comment, chain.targets)),
         n_targets=str(len(chain.targets)),
-        lower=_numbers(chain.robot.lower[formulas.joints]),
-        upper=_numbers(chain.robot.upper[formulas.joints]),
-        frame=frame,
         n_moments=str(3 * chain.robot.n_joints),
         needs="".join(f", {name}" for name in formulas.inputs),
         curves=curves,
@@ -70,31 +67,27 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
 
 def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
     """Return the functions that evaluate the formulas, and the tables that they need."""
-    written, taken = [], ""
-    writer = Writer.of(_C, formulas.moments)
+    (lines, results), *parts, used = written(_C, formulas.moments, formulas.pose, formulas.columns)
+    functions, taken = [], ""
     if formulas.moments:
-        lines, results = writer.statements(formulas.moments)
         returned = [f"    taken[{i}] = {text};" for i, text in enumerate(results)]
         arguments = f"const {name}_state *state, const double moments[MOMENTS], double taken[MOMENTS]"
-        written.append("\n".join([f"static void moments_of({arguments})", "{", *lines, *returned, "}", ""]))
+        functions.append("\n".join([f"static void moments_of({arguments})", "{", *lines, *returned, "}", ""]))
         taken = _TAKEN
-    entries: tuple[Number, ...] = (*formulas.pose, *formulas.columns)
-    last = Writer.of(_C, entries)
-    last.curves = writer.curves
-    blocks = []
-    for target, part in (("pose", formulas.pose), ("columns", formulas.columns)):
-        lines, results = last.statements(part)
-        blocks.append([*lines, *(f"    {target}[{i}] = {text};" for i, text in enumerate(results))])
+    blocks = [
+        [*lines, *(f"    {target}[{i}] = {text};" for i, text in enumerate(results))]
+        for target, (lines, results) in zip(("pose", "columns"), parts, strict=True)
+    ]
     body = [*blocks[0], "    if (!columns)", "        return;", *blocks[1]]
     unused = [] if taken else ["    (void)moments;"]
-    written.append("\n".join([_EVALUATE.format(name=name, taken=taken), *unused, *body, "}", ""]))
+    functions.append("\n".join([_EVALUATE.format(name=name, taken=taken), *unused, *body, "}", ""]))
     tables = [
         f"static const double curve_{i}[{len(curve.pieces)}][4] = {{"
         + ", ".join("{" + ", ".join(map(repr, piece)) + "}" for piece in curve.pieces)
         + "};"
-        for i, curve in enumerate(last.curves)
+        for i, curve in enumerate(used)
     ]
-    return "\n".join(written), "\n".join([*tables, *([_CUBIC] if tables else [])])
+    return "\n".join(functions), "\n".join([*tables, *([_CUBIC] if tables else [])])
 
 
 _EVALUATE = """/*
@@ -131,7 +124,3 @@ static double cubic(double x, double first, double last, int pieces, const doubl
     return ((curve[i][3] * t + curve[i][2]) * t + curve[i][1]) * t + curve[i][0];
 }
 """
-
-
-def _numbers(values: np.ndarray) -> str:
-    return ", ".join(repr(float(value)).replace("inf", "INFINITY") for value in values)

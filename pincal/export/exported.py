@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from pincal.atomic import write_whole
+from pincal.atomic import write_atomic
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.errors import BadInputError, OutputError, nearest_first
 from pincal.plugins import Registry
@@ -46,7 +46,7 @@ class Exported:
                     Path(path).mkdir(parents=True, exist_ok=True)
                 except OSError as error:
                     raise OutputError(f"{path}: no folder ({error.strerror}); choose another one") from None
-            write_whole(Path(path, name) if name else path, content, advice="choose another place")
+            write_atomic(Path(path, name) if name else path, content, advice="choose another place")
 
 
 class Format(ABC):
@@ -97,6 +97,12 @@ def export_model(
     except TypeError as error:
         raise BadInputError(f"format {format!r}: {error}") from None
     exported = chosen.export(calibrated.robot_model() if chosen.of_robot else calibrated.to_model())
+    robot = calibrated.robot_model().model.chain.robot if chosen.of_robot else None
+    if robot is not None and robot.couplings:
+        coupled = ", ".join(dict.fromkeys(one.joint for one in robot.couplings))
+        exported = replace(
+            exported, notes=(*exported.notes, f"{coupled}: as in the URDF, not as reported by the controller")
+        )
     if path is not None:
         exported.write(path)
     return exported

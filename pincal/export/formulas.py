@@ -11,13 +11,13 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.model import walk
 from pincal.model.chain import Chain
-from pincal.model.conditions import COLUMN_UNITS, Conditions
+from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.model import Model
-from pincal.model.symbols import Symbol, either_way, multiply, symbols
+from pincal.model.symbols import Expression, Symbol, either_way, multiply, symbols
+from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
-Number = float | Symbol
 # Inputs that each joint has one of.
 _PER_JOINT = ("q", "approach")
 
@@ -35,9 +35,9 @@ class Formulas:
     """
 
     calibrated: CalibratedModel
-    moments: tuple[Number, ...]
-    pose: tuple[Number, ...]
-    columns: tuple[Number, ...]
+    moments: tuple[Expression, ...]
+    pose: tuple[Expression, ...]
+    columns: tuple[Expression, ...]
 
     @property
     def joints(self) -> np.ndarray:
@@ -55,7 +55,7 @@ class Formulas:
                 seen.add(id(node))
                 ahead += node.operands
                 found |= {node.about.split("[")[0]} if node.operation == "input" else set()
-        return tuple(name for name in (*COLUMN_UNITS, "target") if name in found)
+        return tuple(name for name in (*RECORDABLE, "target") if name in found)
 
 
 def formulas_of(calibrated: CalibratedModel) -> Formulas:
@@ -69,18 +69,21 @@ def formulas_of(calibrated: CalibratedModel) -> Formulas:
     at = _symbolic_conditions(chain, calibrated.payload_centre)
     bends = any(effect.uses_moments for effect in model.effects)
     rigid = _coordinates(model, values, conditions=at, moments=None)
-    moments: tuple[Number, ...] = ()
+    moments: tuple[Expression, ...] = ()
     x = rigid
     if bends:
         known = symbols(*(f"moments[{i}]" for i in range(3 * n)))
-        on_straight = walk.static_moments(layout, rigid, at.payload[0], at.payload_centre)
+        on_straight = walk.symbolic_moments(layout, rigid, at.payload[0], at.payload_centre)
         taken = known if model.equilibrium else np.array(on_straight, object)
         x = _coordinates(model, values, conditions=at, moments=taken[None])
         if model.equilibrium:
-            moments = tuple(walk.static_moments(layout, x, at.payload[0], at.payload_centre))
+            moments = tuple(walk.symbolic_moments(layout, x, at.payload[0], at.payload_centre))
     tool = _by_target(chain.tool_rotations, at.target[0])
     pose, columns = walk.tip_pose(layout, x, tool, [int(k) for k in chain.drives])
-    return Formulas(calibrated, moments, tuple(pose.ravel()), tuple(chain.robot.gathered(columns).ravel()))
+    columns, own = chain.robot.gathered(columns), chain.robot.own_joints
+    if chain.robot.couplings:
+        columns = columns @ chain.robot.combination[np.ix_(own, own)]
+    return Formulas(calibrated, moments, tuple(pose.ravel()), tuple(columns.ravel()))
 
 
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
@@ -89,7 +92,10 @@ def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions
     for name in _PER_JOINT:
         columns[name] = np.zeros((1, robot.n_joints), object)
         columns[name][0, robot.own_joints] = symbols(*(f"{name}[{i}]" for i in range(len(robot.own_joints))))
-    columns = {"q": robot.following(columns["q"]), "approach": sides_following(robot, columns["approach"])}
+    columns = {
+        "q": robot.from_reported(robot.following(columns["q"])),
+        "approach": sides_following(robot, columns["approach"]),
+    }
     columns |= {name: symbols(name) for name in ("payload", "temperature", "time")}
     target = symbols("target") if len(chain.targets) > 1 else np.zeros(1, int)
     return Conditions(**columns, target=target, payload_centre=np.asarray(payload_centre, float))
@@ -103,7 +109,9 @@ def sides_following(robot: Robot, sides: np.ndarray) -> np.ndarray:
     return out
 
 
-def _coordinates(model: Model, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None) -> list[Number]:
+def _coordinates(
+    model: Model, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None
+) -> list[Expression]:
     """Return the K coordinates: without moments those of the rigid arm."""
     x: list[Any] = [float(value) for value in model.chain.nominal]
     for span, effect in zip(model.spans, model.effects, strict=True):
@@ -118,7 +126,6 @@ def _coordinates(model: Model, values: np.ndarray, *, conditions: Conditions, mo
 def _changes(
     effect: Effect, chain: Chain, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None
 ) -> dict[int, Any]:
-    """Return what an effect adds to each coordinate."""
 
     def added() -> dict[int, Any]:
         found: dict[int, Any] = {}
@@ -136,7 +143,7 @@ def _changes(
         ) from error
 
 
-def _plain(value: Any) -> Number:
+def _plain(value: Any) -> Expression:
     return value if isinstance(value, Symbol) else float(value)
 
 

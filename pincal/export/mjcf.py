@@ -22,7 +22,7 @@ from pincal.model.augmented import joint_mounts, joint_placements
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family, Term
 from pincal.model.model import Model
-from pincal.robot.se3 import quaternions, rotation, translation
+from pincal.robot.se3 import exponentials, quaternions, rotation, rotation_matrices, transform, translation
 
 # MuJoCo has no bodies without mass or inertia [kg, kg m^2].
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
@@ -192,9 +192,9 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
     masses = model.layout(calibrated.model_values).masses
     below = [f"{name} ({mass:.3g} kg)" for name, mass in zip(robot.joint_names, masses, strict=True) if mass < 0.0]
     if below:
-        notes += (f"masses behind {', '.join(below)}: negative, which no body's is; left out, so that moments differ",)
+        notes += (f"masses behind {', '.join(below)}: negative, which is not physical; left out, so that moments differ",)
     if springs.refused:
-        notes += (f"{', '.join(springs.refused)}: negative, which no spring is; left out",)
+        notes += (f"{', '.join(springs.refused)}: negative, which is not physical; left out",)
     if np.any(springs.compliances):
         notes += (
             "springs have the arm's deflection at rest under its own weight; their armature and damping keep MuJoCo stable "
@@ -213,7 +213,9 @@ def _bent(calibrated: CalibratedModel) -> str:
     at = Conditions.at(q)
     straight, bent = (replace(own.model, equilibrium=e).predict(own.model_values, at)[:, :, 3] for e in (False, True))
     most = 1e3 * float(np.linalg.norm(straight - bent, axis=1).max())
-    return f"springs bend the arm until they balance, the model takes moments on the straight arm: up to {most:.4f} mm apart"
+    return (
+        f"springs deflect the arm to equilibrium, the model takes moments on the undeflected arm: up to {most:.4f} mm apart"
+    )
 
 
 def _error(model: Model, values: np.ndarray, text: str) -> float:
@@ -233,26 +235,17 @@ def _error(model: Model, values: np.ndarray, text: str) -> float:
 
 
 def _read(element: ET.Element) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(np.array(element.attrib["quat"].split(), float), scalar_first=True).as_matrix()
-    T[:3, 3] = np.array(element.attrib["pos"].split(), float)
-    return T
+    position, quaternion = (np.array(element.attrib[key].split(), float) for key in ("pos", "quat"))
+    return transform(rotation_matrices(np.roll(quaternion, -1)[None])[0], position)
 
 
 def _moved(joint: ET.Element, position: float) -> np.ndarray:
     """Return what a joint does to its body."""
-    from scipy.spatial.transform import Rotation
-
     axis, foot = (np.array(joint.attrib[key].split(), float) for key in ("axis", "pos"))
-    T = np.eye(4)
     if joint.get("type") == "slide":
-        T[:3, 3] = position * axis
-        return T
-    T[:3, :3] = Rotation.from_rotvec(position * axis / np.linalg.norm(axis)).as_matrix()
-    T[:3, 3] = foot - T[:3, :3] @ foot
-    return T
+        return translation(*(position * axis))
+    R = exponentials((position * axis / np.linalg.norm(axis))[None])[0]
+    return transform(R, foot - R @ foot)
 
 
 def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:

@@ -9,11 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.compensate.compensation import middle_of_range
+from pincal.compensate.robot_frames import nominal_in_instrument, nominal_robot
 from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.export.formulas import Formulas, formulas_of
-from pincal.export.source import checked_poses, filled, header, notes_on, placed_in
-from pincal.export.statements import Language, Number, Writer
+from pincal.export.source import as_comment, checked_poses, filled, header, notes_on, placed_in
+from pincal.export.statements import Language, written
+from pincal.units import SIZES, UNITS
 
 # Largest distance of the formulas' poses from the model's [m, and elements of the rotation matrix].
 TOLERANCE = 1e-12
@@ -43,6 +46,8 @@ _NUMPY = Language(
 class NumpySource(Format):
     """A Python file without dependencies but NumPy: forward kinematics and compensation of many poses at once.
 
+    It is a program, too, that corrects a table: ``python arm.py program.csv corrected.csv``.
+
     Attributes:
         frame: frame of the poses: "instrument" or "base".
     """
@@ -60,22 +65,39 @@ class NumpySource(Format):
 
 def numpy_source(formulas: Formulas, *, frame: str) -> str:
     """Return the text of the file."""
-    chain = formulas.calibrated.model.chain
+    found, chain = formulas.calibrated, formulas.calibrated.model.chain
     functions, curves = _functions(formulas)
+    nominal = formulas_of(nominal_robot(found) if frame == "base" else nominal_in_instrument(found))
+    functions += "\n\n\n" + _functions(nominal)[0].replace("def _evaluate(", "def _nominal(", 1)
     lines = header(formulas, frame=frame)
+    own = formulas.joints
+    program = filled(
+        "program.py.in",
+        formulas,
+        frame=frame,
+        numbers=str,
+        slides=repr([chain.robot.joint_types[i] == "prismatic" for i in own]),
+        start=repr(middle_of_range(chain.robot)[own].tolist()),
+        days=repr(
+            {name: float(found.covered.days[name][0]) for name in ("temperature", "time") if name in found.covered.days}
+        ),
+        units=repr({quantity: {unit: SIZES[unit] for unit in units} for quantity, units in UNITS.items()}),
+        names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
+        reach=repr(float(chain.robot.reach)),
+    )
     return filled(
         "model.py.in",
         formulas,
+        frame=frame,
+        numbers=lambda values: "[" + ", ".join(repr(float(value)).replace("inf", "np.inf") for value in values) + "]",
         header='"""' + "\n".join(lines) + '\n"""',
         joints=repr(tuple(chain.robot.joint_names[i] for i in formulas.joints)),
         targets=repr(chain.targets),
-        lower=_numbers(chain.robot.lower[formulas.joints]),
-        upper=_numbers(chain.robot.upper[formulas.joints]),
-        frame=frame,
         needs=", ".join(("q", *formulas.inputs)),
         needed=repr(tuple(name for name in formulas.inputs if name not in ("payload", "target"))),
         curves=curves,
         evaluate=functions,
+        program=program,
     )
 
 
@@ -104,31 +126,28 @@ def _error(calibrated: CalibratedModel, text: str) -> float:
     exec(compile(text, "<export>", "exec"), names)
     forward: Callable[..., np.ndarray] = names["forward"]
     at = checked_poses(calibrated)
-    own = calibrated.model.chain.robot.own_joints
+    robot = calibrated.model.chain.robot
+    own = robot.own_joints
     columns = {name: getattr(at, name) for name in ("payload", "temperature", "time", "target")}
     assert at.approach is not None
     columns["approach"] = at.approach[:, own]
-    return float(np.abs(forward(at.q[:, own], **columns) - calibrated.predict(at)).max())
+    return float(np.abs(forward(robot.as_reported(at.q)[:, own], **columns) - calibrated.predict(at)).max())
 
 
 def _functions(formulas: Formulas) -> tuple[str, str]:
     """Return the functions that evaluate the formulas, and the tables that they need."""
-    written, taken, m = [], "", 3 * formulas.calibrated.model.chain.robot.n_joints
-    writer = Writer.of(_NUMPY, formulas.moments)
+    moments, pose, columns, used = written(_NUMPY, formulas.moments, formulas.pose, formulas.columns)
+    functions, taken, m = [], "", 3 * formulas.calibrated.model.chain.robot.n_joints
     if formulas.moments:
-        lines, results = writer.statements(formulas.moments)
-        returned = f"    return _stacked([{', '.join(results)}], ({m},), len(q)).T"
-        written.append("\n".join([f"def _moments({_ARGUMENTS}, moments):", *lines, returned, ""]))
+        returned = f"    return _stacked([{', '.join(moments[1])}], ({m},), len(q)).T"
+        functions.append("\n".join([f"def _moments({_ARGUMENTS}, moments):", *moments[0], returned, ""]))
         taken = _TAKEN.format(n=m, arguments=_ARGUMENTS)
-    entries: tuple[Number, ...] = (*formulas.pose, *formulas.columns)
-    last = Writer.of(_NUMPY, entries)
-    last.curves = writer.curves
-    lines, results = last.statements(entries)
-    pose, columns = (", ".join(part) for part in (results[:12], results[12:]))
-    returned = f"    return _stacked([{pose}], (3, 4), len(q)), _stacked([{columns}], (6, {len(formulas.joints)}), len(q))"
-    written.append("\n".join([f"def _evaluate({_ARGUMENTS}):{taken}", *lines, returned]))
-    tables = [f"_CURVE_{i} = np.array({list(map(list, curve.pieces))})" for i, curve in enumerate(last.curves)]
-    return "\n\n".join(written), "\n".join(tables)
+    shapes = {"(3, 4)": pose, f"(6, {len(formulas.joints)})": columns}
+    stacks = [f"_stacked([{', '.join(results)}], {shape}, len(q))" for shape, (_, results) in shapes.items()]
+    returned = f"    return {', '.join(stacks)}"
+    functions.append("\n".join([f"def _evaluate({_ARGUMENTS}):{taken}", *pose[0], *columns[0], returned]))
+    tables = [f"_CURVE_{i} = np.array({list(map(list, curve.pieces))})" for i, curve in enumerate(used)]
+    return "\n\n".join(functions), "\n".join(tables)
 
 
 _TAKEN = """
@@ -137,7 +156,3 @@ _TAKEN = """
         before, moments = moments, _moments({arguments}, moments)
         if np.abs(moments - before).max(initial=0.0) <= 1e-11 * np.abs(moments).max(initial=0.0):
             break"""
-
-
-def _numbers(values: np.ndarray) -> str:
-    return "[" + ", ".join(repr(float(value)).replace("inf", "np.inf") for value in values) + "]"

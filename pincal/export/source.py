@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 from importlib.resources import files
@@ -12,7 +13,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import ORTHONORMAL
-from pincal.compensate.frames import in_base_frame
+from pincal.compensate.robot_frames import in_base_frame
 from pincal.errors import BadInputError
 from pincal.export.formulas import Formulas, sides_following
 from pincal.model.conditions import Conditions
@@ -24,7 +25,7 @@ _PAYLOAD, _WARM, _LONG = 20.0, (5.0, 45.0), 1e5
 
 NOTES = (
     "standard deviations and the parameters of the sensor itself are in model.json only",
-    "beyond the poses that were measured nobody has checked the model: pincal predict and compensate say which those are",
+    "the model is not validated outside the measured range: pincal predict and compensate report such poses",
 )
 
 
@@ -45,16 +46,21 @@ def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
 def notes_on(calibrated: CalibratedModel) -> tuple[str, ...]:
     """Return what source code can't carry of a calibrated model, in words."""
     read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
-    return (*NOTES, f"{read}: an error of what the instrument reads; it is in model.json only") if read else NOTES
+    return (*NOTES, f"{read}: an error of the instrument; it is in model.json only") if read else NOTES
 
 
-def filled(template: str, formulas: Formulas, **words: str) -> str:
-    """Return a template with the words that every language has, and others."""
+def filled(template: str, formulas: Formulas, *, frame: str, numbers: Callable[[np.ndarray], str], **words: str) -> str:
+    """Return a template with the words that every language has, and others; ``numbers`` writes a list of them."""
     robot = formulas.calibrated.model.chain.robot
+    # Positions as reported of such a joint have no limits of their own.
+    coupled = (robot.combination != np.eye(robot.n_joints)).any(axis=1)
     common = {
         "n": str(len(formulas.joints)),
         "length": repr(max(_LEVER * robot.reach, 1e-3)),
         "orthonormal": repr(ORTHONORMAL),
+        "lower": numbers(np.where(coupled, -np.inf, robot.lower)[formulas.joints]),
+        "upper": numbers(np.where(coupled, np.inf, robot.upper)[formulas.joints]),
+        "frame": frame,
         "payload_centre": "({:g}, {:g}, {:g})".format(*formulas.calibrated.payload_centre),
     }
     text = files("pincal.export").joinpath("templates", template).read_text(encoding="utf-8")
@@ -66,12 +72,12 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
     found = formulas.calibrated
     effects = ", ".join(dict.fromkeys(effect.name for effect in found.model.effects)) or "none"
     return [
-        f"{plain(found.model.chain.robot.name)}: the calibrated robot, written by pincal {version('pincal')}.",
+        f"{as_comment(found.model.chain.robot.name)}: the calibrated robot, written by pincal {version('pincal')}.",
         "",
         f"Poses of the target in the {frame} frame, with every effect of the model:",
         f"{effects}.",
         "",
-        "Not in it:",
+        "Not included:",
         *(f"- {note}" for note in NOTES),
     ]
 
@@ -82,7 +88,7 @@ def identifier(name: str) -> str:
     return found if found and not found[0].isdigit() else f"robot_{found}".rstrip("_")
 
 
-def plain(text: str) -> str:
+def as_comment(text: str) -> str:
     """Return a name as it may stand in a comment of any language."""
     return re.sub(r"[^\w .:;()'/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
 

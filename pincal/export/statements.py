@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pincal.model.cubic import Cubic
-from pincal.model.symbols import Symbol
+from pincal.model.symbols import Expression, Symbol
 
-Number = float | Symbol
 # How tightly an operation binds: what stands in another one that binds more tightly gets brackets.
 _SELECT, _COMPARISON, _SUM, _PRODUCT, _SIGN, _ATOM = range(6)
 _INFIX = {
@@ -63,14 +62,14 @@ class Writer:
     _named: int = 0
 
     @classmethod
-    def of(cls, language: Language, formulas: Sequence[Number]) -> Writer:
+    def of(cls, language: Language, formulas: Sequence[Expression]) -> Writer:
         """Return the writer of formulas, which are then written part by part."""
         uses = Counter(id(root) for root in formulas)
         for node in _in_order(formulas):
             uses.update(id(operand) for operand in _seen(node)[1])
         return cls(language, uses)
 
-    def statements(self, formulas: Sequence[Number]) -> tuple[list[str], list[str]]:
+    def statements(self, formulas: Sequence[Expression]) -> tuple[list[str], list[str]]:
         """Return the statements that are still needed for some of the formulas, and an expression for each of these."""
         lines = []
         for node in _in_order(formulas):
@@ -104,9 +103,22 @@ class Writer:
         name = language.functions.get(operation, operation)
         return f"{name}({', '.join(self._text(o, _SELECT) for o in operands)})", _ATOM
 
-    def _text(self, value: Number, level: int) -> str:
+    def _text(self, value: Expression, level: int) -> str:
         text, own = self._texts[id(value)] if isinstance(value, Symbol) else (repr(float(value)), _ATOM)
         return f"({text})" if own < level or (level == _ATOM and text.startswith("-")) else text
+
+
+WrittenPart = tuple[list[str], list[str]]
+"""Statements, and an expression for each formula."""
+
+
+def written(
+    language: Language, moments: Sequence[Expression], pose: Sequence[Expression], columns: Sequence[Expression]
+) -> tuple[WrittenPart, WrittenPart, WrittenPart, list[Cubic]]:
+    """Return moments, pose and columns in a language, and the curves that they need; what pose and columns share is once."""
+    first, last = Writer.of(language, moments), Writer.of(language, (*pose, *columns))
+    last.curves = first.curves
+    return first.statements(moments), last.statements(pose), last.statements(columns), last.curves
 
 
 def _seen(node: Symbol) -> tuple[str, tuple[Any, ...]]:
@@ -123,14 +135,14 @@ def _seen(node: Symbol) -> tuple[str, tuple[Any, ...]]:
     return node.operation, node.operands
 
 
-def _is_minus_one(value: Number) -> bool:
+def _is_minus_one(value: Expression) -> bool:
     return not isinstance(value, Symbol) and value == -1.0
 
 
-def _in_order(formulas: Sequence[Number]) -> Iterator[Symbol]:
+def _in_order(formulas: Sequence[Expression]) -> Iterator[Symbol]:
     """Yield the symbols of formulas, each once and after its operands."""
     done: set[int] = set()
-    ahead: list[tuple[Number, bool]] = [(formula, False) for formula in reversed(formulas)]
+    ahead: list[tuple[Expression, bool]] = [(formula, False) for formula in reversed(formulas)]
     while ahead:
         node, is_ready = ahead.pop()
         if not isinstance(node, Symbol) or id(node) in done:

@@ -11,12 +11,12 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format
-from pincal.export.source import plain
+from pincal.export.source import as_comment
 from pincal.io.urdf_export import calibrated_urdf, rigid_notes
 from pincal.io.urdf_text import read_origins
 from pincal.model.augmented import joint_mounts, joint_placements
 from pincal.robot.se3 import rotation_vectors
-from pincal.robot.urdf import parse_urdf
+from pincal.robot.urdf_file import parse_urdf
 
 # The six transforms of the yaml by the ends of the joints' names, and the link that the first stands on.
 _JOINTS = {
@@ -51,7 +51,7 @@ class UrKinematics(Format):
         digest = int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8]) >> 1
         lines.append(f"  hash: calib_{digest}")
         notes = (*rigid_notes(model, what="yaml of ur_description"), *_tip_note(calibrated))
-        text = "\n".join([*(f"# {plain(note)}" for note in notes), *lines]) + "\n"
+        text = "\n".join([*(f"# {as_comment(note)}" for note in notes), *lines]) + "\n"
         return Exported({"": text.encode()}, notes, found.max_error_m)
 
 
@@ -87,4 +87,4 @@ def _tip_note(calibrated: CalibratedModel) -> tuple[str, ...]:
     if max(np.abs(moved).max(), np.abs(turned).max()) <= _MOVED:
         return ()
     numbers = "x {:.6f} y {:.6f} z {:.6f} mm, rx {:.6f} ry {:.6f} rz {:.6f} mrad".format(*(1e3 * moved), *(1e3 * turned))
-    return (f"the tip has moved by {numbers} in its own axes, which the yaml has no place for; add it to the tool",)
+    return (f"the tip has moved by {numbers} in its own axes, which the yaml can't hold; add it to the tool",)

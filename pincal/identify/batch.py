@@ -18,6 +18,10 @@ from pincal.identify.station import PIECE, Station
 from pincal.measure.sensor import Grouped
 from pincal.model.effect import Family
 
+Task = tuple[Callable[..., Any], slice, np.ndarray, *tuple[Any, ...]]
+"""A function to call with stations as one and with where the rows of each begin and end, which of a problem's stations these
+are, their values as :meth:`Batch.together` wants them, and what else it takes."""
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -65,7 +69,7 @@ class Batch:
 
     def work(self, function: Callable[..., Any], values: np.ndarray, *rest: Any) -> Task:
         """Return the task to call a function with the stations, their values, given those of all, and further arguments."""
-        return Task(function, slice(self.first, self.first + len(self.stations)), self.values(values), rest)
+        return function, slice(self.first, self.first + len(self.stations)), self.values(values), *rest
 
     def residuals(self, values: np.ndarray) -> list[np.ndarray]:
         """Return reading minus prediction of each station, shape (m, its rows), for values of all parameters."""
@@ -76,23 +80,6 @@ class Batch:
         return _together(self.stations)
 
 
-@dataclass(frozen=True)
-class Task:
-    """A function to call with stations as one, where the rows of each begin and end, their values, and what else it takes.
-
-    Attributes:
-        function: as in :mod:`pincal.identify.sums`.
-        stations: which of a problem's.
-        values: as :meth:`Batch.together` wants them.
-        rest: further arguments.
-    """
-
-    function: Callable[..., Any]
-    stations: slice
-    values: np.ndarray
-    rest: tuple[Any, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class Work:
     """The stations of a problem, wherever tasks are done with them; they are much larger than these."""
@@ -101,8 +88,9 @@ class Work:
 
     def __call__(self, task: Task) -> Any:
         """Do a task."""
-        stations = self.stations[task.stations]
-        return task.function(_together(stations), _ends(stations), task.values, *task.rest)
+        function, which, *rest = task
+        stations = self.stations[which]
+        return function(_together(stations), _ends(stations), *rest)
 
 
 def _ends(stations: Sequence[Station]) -> np.ndarray:

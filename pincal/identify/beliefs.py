@@ -2,56 +2,113 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Callable
+from fnmatch import fnmatchcase
+
 import numpy as np
 
+from pincal.errors import BadInputError
+from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options, known_frames
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors
+from pincal.identify.station import Station
 from pincal.model.effects import LENGTH_SIZE
+from pincal.units import size_in
 
 # A point that seems farther away than this [m] was seen from too much the same side.
 _FARTHEST = 50.0
+# So many times as far as usual a parameter may move that is free.
+_FREE = 1e3
 
 
-def frames_of(problem: Problem) -> np.ndarray:
+def is_frame(problem: Problem) -> np.ndarray:
     """Return which parameters say where things are: base and tool, named points, a camera's pinhole, shape (P,)."""
-    return np.array([p.is_extrinsic for p in problem.local_parameters], bool)
+    return np.array([p.is_extrinsic for p in problem.parameters], bool)
+
+
+def of_stations(problem: Problem, mask_of: Callable[[Station], np.ndarray]) -> np.ndarray:
+    """Return which parameters are in the mask of any station, shape (P,)."""
+    found = np.zeros(len(problem.parameters), bool)
+    for station, places in zip(problem.stations, problem.places, strict=True):
+        found[places] |= mask_of(station)
+    return found
 
 
 def sensors_own(problem: Problem) -> np.ndarray:
     """Return which parameters belong to sensors, shape (P,): coordinates of named points, a camera's lens."""
-    own = np.zeros(problem.size, bool)
-    for station, places in zip(problem.stations, problem.places, strict=True):
-        local = np.zeros(len(places), bool)
-        station.split(local)[1][:] = True
-        own[places] |= local
-    return own
+    return of_stations(problem, Station.sensors)
+
+
+def given_sizes(problem: Problem, options: Options) -> np.ndarray:
+    """Return the standard deviations of the priors in ``options.priors``, shape (P,): 0 if held, nan if none is given.
+
+    Raises:
+        BadInputError: for a size that is not in the unit of its parameter.
+    """
+    sizes = np.full(len(problem.parameters), np.nan)
+    for pattern, size in options.priors.items():
+        for k in _named(problem, pattern):
+            name, unit = problem.parameters[k].name, problem.parameters[k].unit
+            try:
+                sizes[k] = size_in(size, unit) if isinstance(size, str) else size
+            except ValueError as error:
+                raise BadInputError(f"the prior of {name} is {error}, or with a unit") from error
+            if not sizes[k] >= 0.0:
+                raise BadInputError(f"the prior of {name} is {size}; expected a standard deviation, 0 to hold it")
+    return sizes
+
+
+def require_named(problem: Problem, options: Options) -> None:
+    """Refuse a prior of what is no parameter of the model.
+
+    Raises:
+        BadInputError: naming some that are alike.
+    """
+    known = [problem.parameters[k].local_name for k in _named(problem, "*")]
+    for pattern in options.priors:
+        if not _named(problem, pattern):
+            close = ", ".join(difflib.get_close_matches(pattern, dict.fromkeys(known), n=3, cutoff=0.0))
+            raise BadInputError(
+                f"a prior is given for {pattern!r}: no parameter of this model, those of base and targets left out; "
+                f"expected one such as {close}, or a pattern such as '*.theta'"
+            )
+
+
+def _named(problem: Problem, pattern: str) -> list[int]:
+    """Return where the parameters of this name or pattern stand, those left out that say where something stands."""
+    is_place = is_frame(problem) | sensors_own(problem)
+    names = [{p.name, p.local_name} for p in problem.parameters]
+    return [k for k, of in enumerate(names) if not is_place[k] and any(fnmatchcase(name, pattern) for name in of)]
 
 
 def released_of(problem: Problem, options: Options) -> np.ndarray:
-    """Return which parameters a fit may move: all but a known base, known tools and what sensors know of themselves."""
-    free = np.zeros(problem.size, bool)
-    for station, places in zip(problem.stations, problem.places, strict=True):
+    """Return which parameters a fit may move: all but a known base, known tools, what sensors know and what is held."""
+
+    def released(station: Station) -> np.ndarray:
         known = known_frames(options.at(station.name))
-        local = np.array([p.name not in known for p in station.parameters]) if known else np.ones(len(places), bool)
-        station.split(local)[1][:] = ~station.sensor.fixed
-        free[places] |= local
-    return free
+        free = np.array([p.name not in known for p in station.parameters]) if known else np.ones(len(station.is_own), bool)
+        station.split(free)[1][:] = ~station.sensor.fixed
+        return free
+
+    return np.asarray(of_stations(problem, released) & (given_sizes(problem, options) != 0.0))
 
 
 def excited_of(problem: Problem) -> np.ndarray:
     """Return which parameters act at all at the nominal geometry, or did so: not the compliance about a vertical axis."""
-    return np.asarray(problem.is_remembered | problem.largest_basis[1])
+    return np.asarray(problem.beliefs.is_remembered | problem.largest_basis[1])
 
 
 def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
-    sizes = np.array([parameter.size for parameter in problem.local_parameters]) / problem.largest_basis[0]
-    if problem.remembered is not None:
-        known, earlier = problem.remembered
-        sizes[known] = earlier.widened(sizes[known])
-    return Priors(sizes, bounds_of(problem, options))
+    sizes, given = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0], given_sizes(problem, options)
+    for pattern in options.zeros:
+        unknown = [fnmatchcase(p.local_name, f"{pattern}.theta") for p in problem.parameters]
+        sizes[np.array(unknown, bool)] = np.pi
+    # What no pose shows of a parameter that is free has to stay somewhere; what is held never moves, whatever its size.
+    given = np.where(np.isinf(given), np.maximum(_FREE * sizes, 1e-300), given)
+    return Priors(problem.beliefs.widened(np.where(given > 0.0, given, sizes)), bounds_of(problem, options))
 
 
 def bounds_of(problem: Problem, options: Options) -> np.ndarray:
@@ -59,14 +116,15 @@ def bounds_of(problem: Problem, options: Options) -> np.ndarray:
 
     The bound of lengths is meant for those of links; a length that is known less well may be off by as many times more.
     """
-    sizes = np.array([p.size if p.unit == "m" and np.isfinite(p.size) else np.inf for p in problem.local_parameters])
+    sizes, given = np.array([p.size for p in problem.parameters]), given_sizes(problem, options)
+    sizes = np.where([p.unit == "m" for p in problem.parameters], np.where(given > 0.0, given, sizes), np.inf)
     bounds = options.length_bound * np.maximum(sizes / LENGTH_SIZE, 1.0)
-    far = np.array([p.unit == "m" and p.is_extrinsic for p in problem.local_parameters])
+    far = np.array([p.unit == "m" and p.is_extrinsic for p in problem.parameters])
     bounds[sensors_own(problem) & far] = _FARTHEST
     return bounds
 
 
-def noise_of(problem: Problem, options: Options) -> Noise:
+def declared_noise(problem: Problem, options: Options) -> Noise:
     """Return the declared noise of each block of readings."""
     declared: list[float | None] = []
     for station in problem.stations:

@@ -7,31 +7,33 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from enum import Enum
+from fnmatch import filter as filter_names
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
-from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.bearings import called_for
-from pincal.identify.beliefs import excited_of, frames_of, noise_of, priors_of, released_of, sensors_own
+from pincal.errors import BadInputError, MeasurementError, nearest_first
+from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of, released_of
+from pincal.identify.block_scatter import with_blocks
+from pincal.identify.choices import best_of, required_features, some_rows_of
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import is_exact, rounding
-from pincal.identify.fit import Fit, Stage, carried
-from pincal.identify.gauge import along_gauge, weight_of
-from pincal.identify.initial import place
-from pincal.identify.moment_frames import best_of, some_rows_of
-from pincal.identify.noise import Noise
+from pincal.identify.fit import FitStage, ModelFit, Solution, carried
+from pincal.identify.found_masses import along_gauge, weight_of
+from pincal.identify.initial import begin
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
-from pincal.identify.solve import SETTLED, Priors, Solution, solve
+from pincal.identify.solve import SETTLED, Course, solve
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
 from pincal.measure.sensor import KnownParameters
-from pincal.measure.stations import stations_of
-from pincal.model.catalogue.bearings import without_idle_features
+from pincal.measure.table import stations_of
+from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
@@ -41,11 +43,6 @@ Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
 
 log = logging.getLogger(__name__)
 
-# Chance that sound data call for a parameter that is not there.
-_MISSED = 1e-6
-# Readings beyond the unknowns from which the noise is known to 30 %. Beside an earlier fit fewer won't do: the parameters
-# that it knows give way as far as the noise seems small, and the noise seems small as far as they give way.
-_FEWEST_LEFT = 6
 # How often the masses of an earlier fit are taken to what they weigh now, and the change that is none.
 _WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
 # The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
@@ -59,29 +56,29 @@ PAPER_STAGES: dict[str, tuple[str, ...]] = {
 _CLOSE = 5e-3
 
 
-class Until(Enum):
+class Tolerance(Enum):
     """How far a fit goes."""
 
-    ROUGH = "close to the end, outliers only weighed down"
-    CLOSE = "to within what a test notices, nothing else asked for"
-    SETTLED = "to the end, with what only the deviations excite if the data call for it"
+    ROUGH = "close to convergence, outliers only down-weighted"
+    CLOSE = "to within the resolution of a test, without further features"
+    SETTLED = "to convergence, with features excited only by deviations if the data require them"
 
 
 # The stages after those of a plan; the second one only where it is called for.
 _LAST_STAGES = {
-    Until.ROUGH: (),
-    Until.CLOSE: ("final",),
-    Until.SETTLED: ("final", "with what only the deviations excite"),
+    Tolerance.ROUGH: (),
+    Tolerance.CLOSE: ("final",),
+    Tolerance.SETTLED: ("final", "with features excited only by deviations"),
 }
 
 
-def calibrate(
+def fit_tables(
     robot: Robot, measurements: Tables, options: Options | None = None, *, executor: Executor | None = None
-) -> Fit:
+) -> ModelFit:
     """Identify a robot's deviations from measured poses.
 
     Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has base,
-    targets and noise of its own, and all have the robot in common.
+    targets and noise of its own, and all share the robot.
 
     Args:
         robot: the arm.
@@ -95,21 +92,21 @@ def calibrate(
         The fit; look at ``solution.exit``. See :func:`pincal.calibrate` for an example.
 
     Raises:
-        MeasurementError: if the rows are too few to tell the parameters and the noise.
+        MeasurementError: if the rows are too few to determine the parameters and the noise.
     """
     tables = _by_pose(measurements)
     options = _completed(robot, options, tables)
-    fit = with_bearings(_weighed_anew(_fitted(robot, tables, options, executor)))
-    _refuse_too_few(tables, fit.problem, fit.solution, fit.noise)
+    fit = with_bearings(_rescaled(_fitted(robot, tables, options, executor)))
+    _refuse_too_few(tables, fit)
     fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
-    return weighed_by_order(fit) if options.serial and is_dependent(fit) else fit
+    return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:
     """Return the rows of each station by its name; one that is alone needs none.
 
     Raises:
-        BadInputError: without any table, and as :func:`pincal.measure.stations.stations_of`.
+        BadInputError: without any table, and as :func:`pincal.measure.table.stations_of`.
     """
     if isinstance(measurements, Measurements):
         measurements = {"": measurements}
@@ -135,6 +132,10 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
         raise BadInputError(
             f"options are given for the station {sorted(unknown)[0]!r}; expected one of {', '.join(map(repr, tables))}"
         )
+    for pattern in options.zeros:
+        if not filter_names(robot.joint_names, pattern):
+            known = ", ".join(nearest_first([pattern], robot.joint_names))
+            raise BadInputError(f"zeros of the joint {pattern!r} are unknown; expected one of {known}")
     if len(tables) == 1:
         ((name, table),) = tables.items()
         options = options.at(name)
@@ -147,13 +148,12 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     return replace(options, stations=completed)
 
 
-def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None) -> Fit:
-    problem, nominal, priors, noise = _begin(robot, tables, options, executor)
-    fitted, stages = _fit(problem, problem.recalled(nominal.values), priors, noise, options, executor=executor)
-    return Fit(problem, nominal, fitted, priors, noise, stages, options)
+def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
+    fit = begin(robot, tables, options, executor)
+    return _solved(fit, fit.problem.beliefs.recalled(fit.values), executor=executor)
 
 
-def _weighed_anew(fit: Fit) -> Fit:
+def _rescaled(fit: ModelFit) -> ModelFit:
     """Return a fit beside an earlier one that found masses, the earlier one moved to what they weigh now."""
     earlier, problem, factor = fit.options.earlier, fit.problem, 1.0
     weight = 0.0 if earlier is None else weight_of(problem, earlier)
@@ -164,24 +164,24 @@ def _weighed_anew(fit: Fit) -> Fit:
         if not 0.1 < factor < 10.0 or abs(factor / before - 1.0) < _SAME_WEIGHT:
             break
         problem = replace(problem, earlier=Earlier.of(along_gauge(problem, earlier, factor)))
-        priors = priors_of(problem, fit.options)
-        fitted, stages = _fit(problem, problem.recalled(fit.values), priors, fit.noise, fit.options)
-        fit = replace(fit, problem=problem, solution=fitted, priors=priors, stages=stages)
+        fit = replace(fit, problem=problem, priors=priors_of(problem, fit.options))
+        fit = _solved(fit, problem.beliefs.recalled(fit.values))
     return fit
 
 
-def _without_outliers(fit: Fit, executor: Executor | None) -> Solution:
+def _without_outliers(fit: ModelFit, executor: Executor | None) -> Solution:
     """Return the fit of base and tool on the rows that the full fit found sound, so that "before" is judged fairly."""
     nominal, weights = fit.nominal, fit.solution.weights
     sound = weights > 0.0
     if sound.all():
         return nominal
     rows = fit.problem.select(sound)
-    again = solve(rows, nominal.values, nominal.free, fit.priors, fit.noise, loss="none", executor=executor)
+    course = Course("none", executor=executor)
+    again = solve(rows, nominal.values, nominal.free, fit.priors, fit.noise, course)
     return replace(again, weights=weights, iterations=nominal.iterations)
 
 
-def expected_fit(robot: Robot, measurements: Tables, options: Options | None = None) -> Fit:
+def expected_fit(robot: Robot, measurements: Tables, options: Options | None = None) -> ModelFit:
     """Return what a calibration could tell from these poses, before one is made.
 
     The solution stands at the nominal geometry; its posterior is what the poses and the noise allow. Noise that is not
@@ -197,13 +197,13 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
     # The expected data agree with the nominal geometry: nothing pulls away from it.
-    expected = replace(found, g=np.zeros_like(found.g), values=np.zeros_like(found.values))
+    expected = replace(found, form=replace(found.form, g=np.zeros_like(found.form.g)), values=np.zeros_like(found.values))
     nothing = np.zeros(len(free), bool)
     outlook = replace(fitted, values=nominal.values, equations=expected, free=free, at_bound=nothing)
     return replace(fit, solution=outlook)
 
 
-def _in_best_frame(fit: Fit) -> Fit:
+def _in_best_frame(fit: ModelFit) -> ModelFit:
     """Return a fit in the convention of moments that fits best, if the options leave it open and moments matter."""
     effects, frame = fit.options.effects, fit.problem.chain.moment_frame
     if fit.options.moment_frame != "auto":
@@ -221,13 +221,13 @@ def _in_best_frame(fit: Fit) -> Fit:
 
 
 def refit(
-    fit: Fit,
+    fit: ModelFit,
     effects: Sequence[Effect],
     *,
     moment_frame: MomentFrame | None = None,
     start: Mapping[Effect, np.ndarray] | None = None,
-    until: Until = Until.SETTLED,
-) -> Fit:
+    until: Tolerance = Tolerance.SETTLED,
+) -> ModelFit:
     """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
 
     Args:
@@ -241,16 +241,14 @@ def refit(
     effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
     problem = fit.problem.with_effects(effects, moment_frame=frame)
     options = replace(fit.options, effects=tuple(effects), moment_frame=frame)
-    priors = priors_of(problem, options)
-    near = carried(fit.solution, fit.problem, problem)
+    near, nominal = (carried(of, fit.problem, problem) for of in (fit.solution, fit.nominal))
     for effect, values in (start or {}).items():
         near.values[problem.places_at(effect)] = values
-    known = None if start is None else near
-    fitted, stages = _fit(problem, near.values, priors, fit.noise, options, near=known, until=until)
-    return Fit(problem, carried(fit.nominal, fit.problem, problem), fitted, priors, fit.noise, stages, options)
+    begun = replace(fit, problem=problem, nominal=nominal, priors=priors_of(problem, options), options=options)
+    return _solved(begun, near.values if start is None else near, until=until)
 
 
-def weighed_by_order(fit: Fit, until: Until = Until.SETTLED) -> Fit:
+def reweighted_by_order(fit: ModelFit, until: Tolerance = Tolerance.SETTLED) -> ModelFit:
     """Return a fit whose rows are weighed by the noise along their order that the fit leaves; perhaps by none."""
     found = serial_noise(fit)
     if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
@@ -258,90 +256,38 @@ def weighed_by_order(fit: Fit, until: Until = Until.SETTLED) -> Fit:
     return refit(with_serial(fit, found), fit.options.effects, start={}, until=until)
 
 
-def with_bearings(fit: Fit) -> Fit:
+def with_bearings(fit: ModelFit) -> ModelFit:
     """Return a fit with what the data call for of the features of its bearings, which may take further fits."""
-    more = called_for(fit).effects
+    more = required_features(fit).effects
     return with_bearings(refit(fit, (*fit.options.effects, *more), start={})) if more else fit
 
 
-def _begin(
-    robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None
-) -> tuple[Problem, Solution, Priors, Noise]:
-    """Return the problem, its fit of base and tool alone, the priors and the noise."""
-    if len(tables) == 1:
-        tables = {"": next(iter(tables.values()))}
-    placed = [
-        (_averaged(station, table, options.at(name)), local)
-        for (station, local), (name, table) in zip(place(robot, tables, options), tables.items(), strict=True)
-    ]
-    earlier = None if options.earlier is None else Earlier.of(options.earlier)
-    problem = Problem(tuple(station for station, _ in placed), earlier)
-    values = np.zeros(problem.size)
-    for (_, local), places in zip(placed, problem.places, strict=True):
-        values[places] = local
-    priors, noise = priors_of(problem, options), noise_of(problem, options)
-    released, frames = released_of(problem, options), frames_of(problem)
-    bent = frames | sensors_own(problem)
-    for free, label in ((frames & released, "base and tool"), (bent & released, "camera")):
-        if label == "base and tool" or np.any(free & ~frames):
-            nominal = solve(
-                problem, values, free, priors, noise, loss=options.loss, rough=True, label=label, executor=executor
-            )
-            values = nominal.values
-    return problem, nominal, priors, noise
-
-
-def _averaged(station: Station, table: Measurements, options: Options) -> Station:
-    """Return a station whose rows weigh as the means that they are, where the noise of a single reading is declared.
-
-    Where it is not, what poses differ by from the model may be as much their own, and each counts once.
-    """
-    if table.readings_per_row is None or options.sigma is None:
-        return station
-    return replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
-
-
-def _fit(
-    problem: Problem,
-    start: np.ndarray,
-    priors: Priors,
-    noise: Noise,
-    options: Options,
-    *,
-    near: Solution | None = None,
-    until: Until = Until.SETTLED,
-    executor: Executor | None = None,
-) -> tuple[Solution, tuple[Stage, ...]]:
+def _solved(
+    fit: ModelFit, start: np.ndarray | Solution, *, until: Tolerance = Tolerance.SETTLED, executor: Executor | None = None
+) -> ModelFit:
     """Go through the stages; each begins where the one before ended. The last are enough after a solution that is near."""
+    problem, options, stages = fit.problem, fit.options, list[FitStage]()
     released = released_of(problem, options)
     excited = released & excited_of(problem)
-    stages: list[Stage] = []
-    values, loss = start, options.loss
-    if near is not None:
-        fitted = replace(near, free=excited)
-    for name, free in _plan(problem, excited, options) if near is None else ():
-        fitted = solve(problem, values, free, priors, noise, loss=loss, rough=True, label=name, executor=executor)
-        values = fitted.values
-        stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
+
+    def solved(name: str, at: np.ndarray | Linearised, free: np.ndarray, **how: Any) -> Solution:
+        course = Course(options.loss, label=name, executor=executor, **how)
+        found = solve(problem, at, free, fit.priors, fit.noise, course)
+        stages.append(FitStage(name, found.iterations, float(found.estimated[0])))
+        return found
+
+    if isinstance(start, Solution):
+        fitted = replace(start, free=excited)
+    else:
+        for name, free in _plan(problem, excited, options):
+            fitted = solved(name, start, free, rough=True)
+            start = fitted.values
     for name in _LAST_STAGES[until]:
-        missed, begun = _is_missed(problem, fitted, released, priors)
+        missed, begun = _is_missed(replace(fit, solution=fitted), released)
         if missed or name == "final":
-            free, robust = released if missed else fitted.free, fitted.weights
-            fitted = solve(
-                problem,
-                fitted.values,
-                free,
-                priors,
-                noise,
-                loss=loss,
-                robust=robust,
-                label=name,
-                begun=begun,
-                short=_CLOSE if until is Until.CLOSE else SETTLED,
-                executor=executor,
-            )
-            stages.append(Stage(name, fitted.iterations, float(fitted.estimated[0])))
-    return fitted, tuple(stages)
+            short = _CLOSE if until is Tolerance.CLOSE else SETTLED
+            fitted = solved(name, begun, released if missed else fitted.free, short=short)
+    return replace(fit, solution=fitted, stages=tuple(stages))
 
 
 def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[str, np.ndarray]]:
@@ -349,56 +295,56 @@ def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[st
     if options.stages == "joint":
         return [("all", free)]
     effects = np.array([parameter.effect for parameter in problem.parameters])
-    frames = frames_of(problem)
+    frames = is_frame(problem)
     masks = {name: free & (frames | np.isin(effects, group)) for name, group in PAPER_STAGES.items()}
     return [(name, mask) for name, mask in masks.items() if np.any(mask & ~frames)] + [("4 all", free)]
 
 
-def _is_missed(problem: Problem, fitted: Solution, released: np.ndarray, priors: Priors) -> tuple[bool, Linearised | None]:
+def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
     """Return whether the data call for the parameters that the nominal geometry never excites (a score test).
 
     Such a parameter times a deviation makes a ridge along which a fit wanders, so it is let in only on request. The problem
-    at the fit is returned as well, where it had to be linearised.
+    at the fit is returned as well.
     """
+    problem, fitted, sizes = fit.problem, fit.solution, fit.priors.sizes
     # What only one of several stations has would be a matter of this station alone.
     held = released & ~fitted.free & problem.is_shared
+    found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
     if not held.any():
-        return False, None
-    found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, priors.sizes)
+        return False, found
     wide = found.equations(np.maximum(fitted.sigma, rounding(problem)))
-    if is_exact(wide.diagonal, priors.sizes[found.free]):
-        # The least deviation counts, and is lost in the rounding of G.
+    if is_exact(wide.whole, sizes[found.free]):
+        # The least deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
-    near = wide.of(fitted.free[found.free])
-    gain = wide.gain - near.gain
-    return bool(gain > chdtri(int(held.sum()), _MISSED)), found
+    gain = wide.gain(np.ones(len(wide.values), bool)) - wide.gain(fitted.free[found.free])
+    return bool(gain > chdtri(int(held.sum()), CRITERIA.unexcited)), found
 
 
-def doubts_of_known(fit: Fit) -> tuple[str, ...]:
+def doubts_of_known(fit: ModelFit) -> tuple[str, ...]:
     """Return what to say if the readings contradict what was given of the sensor, which the fit held (a score test)."""
-    problem = fit.problem
-    held = np.zeros(problem.size, bool)
-    doubts: list[str] = []
-    for station, places in zip(problem.stations, problem.places, strict=True):
-        if isinstance(station.sensor, KnownParameters) and station.sensor.is_given:
-            local = np.zeros(len(places), bool)
-            station.split(local)[1][:] = station.sensor.fixed
-            held[places] = local
-            doubts.append(station.sensor.doubt)
-    is_doubted = held.any() and _is_missed(problem, fit.solution, fit.solution.free | held, fit.priors)[0]
+    sensors = [station.sensor for station in fit.problem.stations]
+    doubts = [sensor.doubt for sensor in sensors if isinstance(sensor, KnownParameters) and sensor.is_given]
+    held = of_stations(fit.problem, _given)
+    is_doubted = held.any() and _is_missed(fit, fit.solution.free | held)[0]
     return tuple(dict.fromkeys(doubts)) if is_doubted else ()
 
 
-def _refuse_too_few(tables: dict[str, Measurements], problem: Problem, fitted: Solution, noise: Noise) -> None:
+def _given(station: Station) -> np.ndarray:
+    """Return which parameters of a station's sensor were given, shape (P,)."""
+    sensor = station.sensor
+    return station.sensors(sensor.fixed if isinstance(sensor, KnownParameters) and sensor.is_given else False)
+
+
+def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:
     """Refuse a fit through all readings: it leaves nothing to estimate the noise from."""
-    counts = problem.counted_rows(fitted.weights)
-    readings = int(counts[problem.station_of_block] @ problem.block_sizes)
+    problem, fitted = fit.problem, fit.solution
+    readings, rows = int(problem.readings(fitted.weights).sum()), np.count_nonzero(fitted.weights)
     spent = fitted.posterior.visible_rank
     if problem.earlier is not None:
-        spent = _FEWEST_LEFT + int(np.sum(fitted.free & ~problem.is_remembered))
-    if noise.declared[0] is None and spent >= readings:
+        spent = CRITERIA.readings_left + int(np.sum(fitted.free & ~problem.beliefs.is_remembered))
+    if fit.noise.declared[0] is None and spent >= readings:
         raise MeasurementError(
-            f"{', '.join(table.source for table in tables.values())}: {counts.sum()} training rows give {readings} "
-            "readings, no more than the parameters that they would fit, so nothing is left to tell the noise from; measure "
-            "more poses, declare the noise (--noise) or take the geometric model"
+            f"{', '.join(table.source for table in tables.values())}: {rows} training rows give {readings} "
+            "readings, no more than the parameters to be fitted, so the noise can't be estimated; measure more poses, "
+            "declare the noise (--noise) or take the geometric model"
         )

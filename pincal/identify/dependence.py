@@ -16,21 +16,18 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import OptimizeResult, minimize
 from scipy.special import expit
 
-from pincal.identify.fit import Fit
+from pincal.identify.criteria import CRITERIA
+from pincal.identify.fit import ModelFit
 from pincal.identify.serial import Serial
 from pincal.identify.station import Station
 
 # Bands of lags [rows] whose products of residuals are added up: noise that changes fast shows in the first, drifts in the
 # last.
 _BANDS = ((1, 1), (2, 5), (6, 20))
-# Standard deviations of such a sum, were rows independent, from which they are not: sound tables get there once in 10 000.
-_DEPENDENT = 4.0
 # Rows that are near each other in the order; and pairs of rows far apart in it, nearest in the joints, that tell.
 _NEAR, _NEAREST = 5, 500
 # Fewest rows that show it.
 _FEWEST = 20
-# Twice the log-likelihood that correlation has to gain: two parameters at a chance of 1e-4.
-_ENOUGH = 18.0
 # Readings by which it is estimated; and rows by which dependence is looked for.
 _READINGS, _ROWS = 2400, 4096
 # Where the search for share and correlation begins: fast, slow and a walk.
@@ -69,7 +66,7 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
     return max(found)
 
 
-def serial_noise(fit: Fit) -> tuple[Serial | None, ...]:
+def serial_noise(fit: ModelFit) -> tuple[Serial | None, ...]:
     """Return how the noise of each station of a fit is correlated along its rows; None where it is not.
 
     Rows that were weighed by it already are taken as they were read.
@@ -77,15 +74,15 @@ def serial_noise(fit: Fit) -> tuple[Serial | None, ...]:
     return tuple(map(_of_station, _seen(fit)))
 
 
-def with_serial(fit: Fit, found: tuple[Serial | None, ...]) -> Fit:
+def with_serial(fit: ModelFit, found: tuple[Serial | None, ...]) -> ModelFit:
     """Return a fit as it is whose rows are to be weighed by this noise."""
     stations = tuple(replace(s, serial=serial) for s, serial in zip(fit.problem.stations, found, strict=True))
     return replace(fit, problem=replace(fit.problem, stations=stations))
 
 
-def is_dependent(fit: Fit) -> bool:
+def is_dependent(fit: ModelFit) -> bool:
     """Return whether what a fit leaves, as it weighs it, depends on the order of the rows at any station."""
-    return any(seen.dependence > _DEPENDENT for seen in _seen(fit))
+    return any(seen.dependence > CRITERIA.dependent for seen in _seen(fit))
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,7 @@ class _Seen:
         left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
         left, position = left[:, self.counted], station.position[self.counted]
         by_rows = dependence(left, position)
-        pose = self.poses[self.counted] if by_rows > _DEPENDENT else np.arange(len(position))
+        pose = self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
         if len(np.unique(pose)) == len(pose):
             return by_rows
         # What is read in one pose, of several targets, shares what the robot does there.
@@ -129,10 +126,10 @@ class _Seen:
         return np.unique(self.station.conditions.q, axis=0, return_inverse=True)[1].ravel()
 
 
-def _seen(fit: Fit) -> Iterator[_Seen]:
+def _seen(fit: ModelFit) -> Iterator[_Seen]:
     problem, solution = fit.problem, fit.solution
     for (station, places, blocks), rows in zip(fit.stations, problem.rows, strict=True):
-        sigma = np.repeat(solution.estimated[blocks], problem.block_sizes[blocks])[:, None]
+        sigma = np.repeat(solution.estimated[blocks], station.block_sizes)[:, None]
         values, free, sizes = (vector[places] for vector in (solution.values, solution.free, fit.priors.sizes))
         yield _Seen(station, values, free, sizes, solution.weights[rows] > 0.0, sigma)
 
@@ -140,7 +137,7 @@ def _seen(fit: Fit) -> Iterator[_Seen]:
 def _of_station(seen: _Seen) -> Serial | None:
     seen = replace(seen, station=replace(seen.station, serial=None))
     station, free, position = seen.station, seen.free, seen.station.position
-    if position is None or station.sensor.is_whole or seen.dependence < _DEPENDENT:
+    if position is None or station.sensor.is_whole or seen.dependence < CRITERIA.dependent:
         return None
     if len(np.unique(seen.poses)) < len(station):
         # Several readings of a pose hang together by the pose, which is another noise.
@@ -220,22 +217,21 @@ def _likeliest(
         left = float(z[0] @ z[0]) / noise - gained
         return float(m * n * at[0] + serial.log_determinant + determinant + left)
 
+    def at_memory(memory: float, at: np.ndarray) -> float:
+        return misfit(np.append(at, memory))
+
     white = min(misfit(np.array([log, -30.0, 0.1])) for log in _SIZES)
     starts = [np.array([0.0, np.log(s / (1.0 - s)), -np.log(1.0 - phi)]) for s, phi in _STARTS]
     tried = [_least(misfit, start) for start in sorted(starts, key=misfit)[:2]]
     best = min(tried, key=lambda found: float(found.fun))
-    if white - float(best.fun) < _ENOUGH:
+    if white - float(best.fun) < CRITERIA.correlated:
         return None
     for memory in np.log(_MEMORIES).tolist():
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
-        longer = _least(partial(_at_memory, misfit, memory), best.x[:2])
+        longer = _least(partial(at_memory, memory), best.x[:2])
         if memory > best.x[2] and float(longer.fun) < float(best.fun) + _AS_LIKELY:
             return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
     return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
-
-
-def _at_memory(misfit: Callable[[np.ndarray], float], memory: float, at: np.ndarray) -> float:
-    return misfit(np.append(at, memory))
 
 
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:

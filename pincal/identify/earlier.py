@@ -1,20 +1,23 @@
-r"""What an earlier fit found of a robot, as one more term of a problem.
+r"""What is believed of parameters beyond a prior of each: what an earlier fit found, and that curves are smooth.
 
 With m the values and C the covariance that were found of the robot's parameters x, whatever belonged to the stations of that
 time left out, the term is :math:`(x - m)^T C^{-1} (x - m)`. It takes the place of these parameters' priors, which are in C
 already. For a linear model the fit of new rows beside it is the joint fit of old and new ones.
 
 A solver counts in units of priors, so the term is handed to it as what it says beyond them, :math:`C^{-1} - D^{-2}` for
-priors of sizes D. What the old rows did not see has only the priors then, as if the rows were there.
+priors of sizes D. What the old rows did not see has only the priors then, as if the rows were there. That a curve is smooth
+is such a term about zero, beside the priors of its heights.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identify.quadratic import Form
 from pincal.parameters import Estimate
 
 # Smallest standard deviation of a direction, in parts of the largest, each parameter in units of its own: below is rounding.
@@ -68,21 +71,78 @@ class Earlier:
         names = tuple(name for name, is_kept in zip(self.names, kept, strict=True) if is_kept)
         return Earlier(names, mean, H, np.sqrt(np.diag(C)))
 
+
+class Belief(NamedTuple):
+    """A term :math:`(x - m)^T H (x - m)` of a problem.
+
+    Attributes:
+        places: shape (K,), where the parameters x stand in the problem's table.
+        mean: shape (K,), m.
+        information: shape (K, K), H.
+        sigma: shape (K,), standard deviations of x, if the priors about zero are part of it already; None for a term beside
+            them.
+    """
+
+    places: np.ndarray
+    mean: np.ndarray
+    information: np.ndarray
+    sigma: np.ndarray | None = None
+
+    def taken_back(self, sizes: np.ndarray) -> np.ndarray:
+        """Return the sizes of the priors that are part of it, shape (K,), inf for none, given those of all parameters."""
+        return np.full(len(self.places), np.inf) if self.sigma is None else sizes[self.places]
+
+
+class Beliefs(NamedTuple):
+    """What is believed of a problem's parameters beyond the prior of each.
+
+    Attributes:
+        terms: no parameter is in two of them.
+        is_remembered: shape (P,), which parameters are known from an earlier fit.
+    """
+
+    terms: tuple[Belief, ...]
+    is_remembered: np.ndarray
+
+    def recalled(self, values: np.ndarray) -> np.ndarray:
+        """Return values, shape (P,), with those of an earlier fit where it has any."""
+        recalled = values.copy()
+        for term in self.terms:
+            if term.sigma is not None:
+                recalled[term.places] = term.mean
+        return recalled
+
     def widened(self, sizes: np.ndarray) -> np.ndarray:
-        """Return sizes of priors, shape (K,), no smaller than these, beyond which nothing here says less than nothing."""
-        wide = np.maximum(sizes, self.sigma)
-        least = float(np.linalg.eigvalsh(self.information * np.outer(wide, wide)).min(initial=1.0))
-        return np.asarray(wide / np.sqrt(np.clip(least, 1e-6, 1.0)))
-
-    def beyond(self, sizes: np.ndarray) -> np.ndarray:
-        """Return the information beyond that of priors about zero, shape (K, K)."""
-        return np.asarray(self.information - np.diag(sizes**-2.0))
-
-    def pull(self, values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-        """Return the slope at ``values`` towards the mean beyond that of priors about zero, shape (K,)."""
-        return np.asarray(self.information @ (self.mean - values) + values / sizes**2)
+        """Return sizes of priors, shape (P,), no smaller than these, beyond which no earlier fit says less than nothing."""
+        found = sizes.copy()
+        for places, _, information, sigma in self.terms:
+            if sigma is not None:
+                wide = np.maximum(sizes[places], sigma)
+                least = float(np.linalg.eigvalsh(information * np.outer(wide, wide)).min(initial=1.0))
+                found[places] = wide / np.sqrt(np.clip(least, 1e-6, 1.0))
+        return found
 
     def square(self, values: np.ndarray, sizes: np.ndarray) -> float:
-        """Return the square of what ``values`` are off, in units of the variances, beyond that of priors about zero."""
-        off = values - self.mean
-        return float(off @ self.information @ off - np.sum((values / sizes) ** 2))
+        """Return what they add to the sum of squares of the priors; arguments as of :meth:`beyond_priors`."""
+        total = 0.0
+        for term in self.terms:
+            here, off = values[term.places], values[term.places] - term.mean
+            total += float(off @ term.information @ off - np.sum((here / term.taken_back(sizes)) ** 2))
+        return total
+
+    def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> Form:
+        """Return what they add to the priors of some parameters.
+
+        Args:
+            kept: shape (K,), their places, ascending.
+            values: shape (P,), present values.
+            sizes: shape (P,), standard deviations of the priors.
+        """
+        information, slope = np.zeros((len(kept), len(kept))), np.zeros(len(kept))
+        for term in self.terms:
+            back, here = term.taken_back(sizes), values[term.places]
+            of = np.flatnonzero(np.isin(term.places, kept))
+            at = np.searchsorted(kept, term.places[of])
+            information[at[:, None], at] += (term.information - np.diag(back**-2.0))[of[:, None], of]
+            slope[at] += (term.information @ (term.mean - here) + here / back**2)[of]
+        return Form.of(information, slope)

@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 
+from pincal.identify.equations import Linearised
 from pincal.identify.normal import belief_rows
 from pincal.identify.problem import Problem
 
@@ -41,9 +42,7 @@ def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
     return bool(np.max(told, initial=0.0) > np.sqrt(_COARSE / np.finfo(float).eps))
 
 
-def polish(
-    problem: Problem, values: np.ndarray, free: np.ndarray, sizes: np.ndarray, bounds: np.ndarray, weights: list[np.ndarray]
-) -> tuple[np.ndarray, int]:
+def polish(point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, int]:
     """Go on from a fit that is nearly there.
 
     Priors have no say: a pull along directions that no reading sees, which are curved, would only keep the fit from getting
@@ -51,21 +50,20 @@ def polish(
     steps along the strong ones lead back to it (a second-order correction, Nocedal and Wright 2006, section 18.3).
 
     Args:
-        problem: model and readings.
-        values: shape (P,).
-        free: shape (P,), which of them may move.
-        sizes: shape (P,), of the priors, by which parameters are compared; inf for frames.
+        point: the problem at the values to begin with; of the priors only the sizes, by which parameters are compared.
         bounds: shape (P,), largest deviations.
-        weights: for each station, shape (m, N), of its readings, in units of their noise.
+        sigma: shape (blocks,), noise.
 
     Returns:
         The values, shape (P,), and the steps taken.
     """
-    sizes, bounds = sizes[free], bounds[free]
-    known = np.isfinite(sizes)
-    each = np.repeat(_EXACT * rounding(problem), problem.block_sizes)
-    ends = np.cumsum([len(part) for part in weights])
-    floor = [np.sum((e[:, None] * w) ** 2) for e, w in zip(np.split(each, ends[:-1]), weights, strict=True)]
+    problem, values, free = point.problem, point.values, point.free
+    sizes, bounds = point.sizes[free], bounds[free]
+    known, weights, floor = np.isfinite(sizes), [], 0.0
+    for station, rows, span in zip(problem.stations, problem.rows, problem.block_spans, strict=True):
+        noise, exact = (np.repeat(of[span], station.block_sizes) for of in (sigma, _EXACT * rounding(problem)))
+        weights.append(station.weights * point.robust[rows] / noise[:, None])
+        floor += float(np.sum((exact[:, None] * weights[-1]) ** 2))
     J, r = _whitened(problem, values, free, weights)
     for k in range(1, _POLISHING + 1):
         norms = np.maximum(np.linalg.norm(J, axis=1), 1e-300)
@@ -89,7 +87,7 @@ def polish(
             return values, k
         values = trial
         J, r = _whitened(problem, values, free, weights)
-        if r @ r < sum(floor):
+        if r @ r < floor:
             return values, k
     return values, _POLISHING
 

@@ -13,26 +13,20 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpstrf
 
-from pincal.identify.fit import Fit
+from pincal.identify.criteria import CRITERIA
+from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.options import known_frames
-from pincal.identify.posterior import NULL, unseen_directions
+from pincal.identify.posterior import posterior
 from pincal.identify.problem import Problem
+from pincal.identify.quadratic import NULL, Form
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.identify.station import Station
-from pincal.measure.rows import some_rows
+from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import KnownParameters
 from pincal.model.effects import BaseFrame
 from pincal.parameters import Parameter
 
-# Ratio of posterior to prior standard deviation below which a parameter counts as identified: at 0.5 the data hold three
-# times the information of the prior (1 / 0.25 - 1).
-_IDENTIFIED = 0.5
-# The same ratio above which the data count as adding nothing: no prior's size is known to 3 %.
-_NARROWED = 0.97
-# Share in directions that no reading sees above which a parameter is not identifiable by itself: far above
-# rounding, far below any share that matters.
-_UNSEEN = 1e-3
 # Part of a column's square that other columns may leave and still have the same effect: 1e-4 of the column itself, far
 # below what any instrument resolves and far above rounding.
 _SAME = 1e-8
@@ -47,7 +41,7 @@ _TOGETHER = 8
 
 
 @dataclass(frozen=True)
-class Finding:
+class ParameterFinding:
     """What became of one parameter.
 
     Attributes:
@@ -61,7 +55,7 @@ class Finding:
     reason: Reason = IDENTIFIED
 
 
-def explain(fit: Fit) -> tuple[Finding, ...]:
+def explain(fit: ModelFit) -> tuple[ParameterFinding, ...]:
     """Return a finding on every parameter of a fit."""
     nominals = _nominals(fit)
     variance = np.zeros(len(fit.values))
@@ -72,10 +66,10 @@ def explain(fit: Fit) -> tuple[Finding, ...]:
         _of_frame(parameter, frames[i], variance[i]) if i in frames else _of_inner(fit, nominals, i, float(ratio[i]))
         for i, parameter in enumerate(fit.problem.parameters)
     )
-    return tuple(Finding(p.name, *why) for p, why in zip(fit.problem.parameters, found, strict=True))
+    return tuple(ParameterFinding(p.name, *why) for p, why in zip(fit.problem.parameters, found, strict=True))
 
 
-def _frame_variances(fit: Fit) -> dict[int, float]:
+def _frame_variances(fit: ModelFit) -> dict[int, float]:
     """Return, for each free coordinate of bases and tools, its variance with all that hides behind it at the nominal."""
     found, free = fit.solution.posterior, fit.solution.free
     frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
@@ -103,12 +97,12 @@ def _frame_variances(fit: Fit) -> dict[int, float]:
 
 def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Status, Reason]:
     """Frames of base and tool are known as well as the parameters that they absorb."""
-    if known > (1.0 - _IDENTIFIED**2) * variance:
+    if known > (1.0 - CRITERIA.identified**2) * variance:
         return Status.IDENTIFIED, IDENTIFIED
     return Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(known)), unit=parameter.unit)
 
 
-def _of_inner(fit: Fit, nominals: list[_Nominal], i: int, ratio: float) -> tuple[Status, Reason]:
+def _of_inner(fit: ModelFit, nominals: list[_Nominal], i: int, ratio: float) -> tuple[Status, Reason]:
     parameter, size = fit.problem.parameters[i], float(fit.priors.sizes[i])
     if fit.solution.at_bound[i]:
         return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
@@ -116,28 +110,28 @@ def _of_inner(fit: Fit, nominals: list[_Nominal], i: int, ratio: float) -> tuple
         return _not_free(fit, parameter)
     if parameter.name in _masses(fit):
         # At the nominal geometry nothing bends, and neither a mass nor the place of a bearing shows.
-        return (Status.PRIOR, Reason(Cause.MASS)) if ratio >= _IDENTIFIED else (Status.IDENTIFIED, IDENTIFIED)
+        return (Status.PRIOR, Reason(Cause.MASS)) if ratio >= CRITERIA.identified else (Status.IDENTIFIED, IDENTIFIED)
     views = [(nominal, nominal.index[parameter.name]) for nominal in nominals if parameter.name in nominal.index]
     unseen = min(nominal.unseen[k] for nominal, k in views)
-    if unseen > _UNSEEN and (ratio >= _IDENTIFIED or not np.isfinite(size)):
+    if unseen > CRITERIA.unseen and (ratio >= CRITERIA.identified or not np.isfinite(size)):
         nominal, k = views[0]
         reason = nominal.counterpart(k)
-        # Where a bearing sits shows as far as it gives way, which at the nominal it does not.
-        if reason.cause is not Cause.NOT_OBSERVED or ratio >= _NARROWED:
+        # Where a bearing sits shows as far as it is compliant, which at the nominal it does not.
+        if reason.cause is not Cause.NOT_OBSERVED or ratio >= CRITERIA.narrowed:
             return Status.UNIDENTIFIABLE, replace(reason, moment=_largest_moment(fit, parameter))
-    if ratio >= _IDENTIFIED:
-        cause, moment = Cause.WEAK if ratio < _NARROWED else Cause.UNINFORMED, _largest_moment(fit, parameter)
+    if ratio >= CRITERIA.identified:
+        cause, moment = Cause.WEAK if ratio < CRITERIA.narrowed else Cause.UNINFORMED, _largest_moment(fit, parameter)
         return Status.PRIOR, Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment)
     return Status.IDENTIFIED, IDENTIFIED
 
 
-def _masses(fit: Fit) -> set[str]:
+def _masses(fit: ModelFit) -> set[str]:
     """Return the names of the parameters that masses depend on."""
     model, _ = fit.arm
     return {model.names[body.parameter] for body in model.bodies}
 
 
-def _not_free(fit: Fit, parameter: Parameter) -> tuple[Status, Reason]:
+def _not_free(fit: ModelFit, parameter: Parameter) -> tuple[Status, Reason]:
     """Return why a parameter took no part in the fit."""
     name = parameter.local_name
     if name in known_frames(fit.options.at(parameter.station)):
@@ -146,27 +140,27 @@ def _not_free(fit: Fit, parameter: Parameter) -> tuple[Status, Reason]:
         held = {p.name for p, is_fixed in zip(sensor.parameters, sensor.fixed, strict=True) if is_fixed}
         if isinstance(sensor, KnownParameters) and name in held:
             return Status.FIXED, Reason(Cause.GIVEN if sensor.is_given else Cause.NOT_NEEDED)
-    if parameter.unit.endswith("/(N m)"):
+    if parameter.is_compliance:
         return Status.UNIDENTIFIABLE, Reason(Cause.NO_MOMENT, axis=parameter.name[-1])
     return Status.UNIDENTIFIABLE, Reason(Cause.NOT_EXCITED)
 
 
-def _largest_moment(fit: Fit, parameter: Parameter) -> float | None:
+def _largest_moment(fit: ModelFit, parameter: Parameter) -> float | None:
     """Return the largest static moment that a joint's compliance answers to in these poses [N m]; None for all else."""
     stations = fit.problem.stations[:_TOGETHER]
     joints = stations[0].model.chain.robot.joint_names
-    joint, symbol = parameter.name.rsplit(".", 1)
-    if not parameter.unit.endswith("/(N m)") or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
+    joint, symbol = parameter.element, parameter.symbol
+    if not parameter.is_compliance or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
         return None
     largest, column = [], 3 * joints.index(joint) + "xyz".index(symbol[-1])
     for station in stations:
-        conditions = station.conditions.select(some_rows(len(station), _ROWS))
+        conditions = station.conditions.select(sample_rows(len(station), _ROWS))
         moments = station.model.static_moments(np.zeros(station.model.n_parameters), conditions)
         largest.append(float(np.abs(moments[:, column]).max()))
     return max(largest)
 
 
-def _nominals(fit: Fit) -> list[_Nominal]:
+def _nominals(fit: ModelFit) -> list[_Nominal]:
     """Return the normal equations at the nominal geometry, of some stations at a time so that they stay small."""
     stations = fit.problem.stations
     cuts = list(range(0, max(len(stations) - 1, 1), _TOGETHER))
@@ -180,41 +174,41 @@ class _Nominal:
     Attributes:
         parameters: the P parameters.
         unknowns: what the sensors' own parameters describe, in words.
-        G: shape (P, P), scaled to a unit diagonal; zero rows for what has no effect.
+        H: shape (P, P), scaled to a unit diagonal; zero rows for what has no effect.
         scale: shape (P,), by which columns were divided.
         unseen: shape (P,), each parameter's share in the directions that no reading sees.
     """
 
     parameters: tuple[Parameter, ...]
     unknowns: str
-    G: np.ndarray
+    H: np.ndarray
     scale: np.ndarray
     unseen: np.ndarray
 
     @classmethod
-    def of(cls, fit: Fit, stations: tuple[Station, ...]) -> _Nominal:
+    def of(cls, fit: ModelFit, stations: tuple[Station, ...]) -> _Nominal:
         problem = fit.problem if len(stations) == len(fit.problem.stations) else Problem(stations)
         chosen = fit.estimate.places(p.name for p in problem.parameters)
         free, n = fit.solution.free[chosen], len(chosen)
-        G = np.zeros((n, n))
+        H = np.zeros((n, n))
         sigma = {s.name: fit.solution.sigma[b] for s, b in zip(fit.problem.stations, fit.problem.block_spans, strict=True)}
         for station, places in zip(problem.stations, problem.places, strict=True):
-            rows = some_rows(len(station), _ROWS // len(stations))
+            rows = sample_rows(len(station), _ROWS // len(stations))
             everything = np.ones(len(places), bool)
             nominal = fit.nominal.values[chosen][places]
             normal = accumulate(station.select(rows), nominal, everything, np.ones(len(rows)))
-            G[places[:, None], places] += normal.at(sigma[station.name])[0]
-        has_prior, null = unseen_directions(G[np.ix_(free, free)], fit.priors.sizes[chosen][free])
+            H[places[:, None], places] += normal.at(sigma[station.name]).H
+        found = posterior(Form.of(H[np.ix_(free, free)]), fit.priors.sizes[chosen][free])
         unseen = np.zeros(n)
-        unseen[np.flatnonzero(free)[has_prior]] = np.sum(null**2, axis=1)
-        scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
-        G = np.where(np.outer(free, free), G / np.outer(scale, scale), 0.0)
+        unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(found.directions[:, found.information == 0.0] ** 2, axis=1)
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+        H = np.where(np.outer(free, free), H / np.outer(scale, scale), 0.0)
         unknowns = " and ".join(dict.fromkeys(filter(None, (s.sensor.unknowns for s in stations))))
-        return cls(problem.parameters, unknowns, G, scale, unseen)
+        return cls(problem.parameters, unknowns, H, scale, unseen)
 
     def counterpart(self, i: int) -> Reason:
         """Return what has the same effect as parameter ``i``: the smallest set of parameters that does."""
-        if self.G[i, i] < NULL:
+        if self.H[i, i] < NULL:
             return Reason(Cause.NOT_OBSERVED)
         for others, cause in self._candidates(i):
             share = self._shares(i, others)
@@ -233,16 +227,16 @@ class _Nominal:
 
     def _candidates(self, i: int) -> Iterator[tuple[list[int], Cause]]:
         """Yield sets of parameters that may have the same effect, the plainest first, with the cause if they do."""
-        symbol = self.names[i].rsplit(".", 1)[1]
+        symbol = self.parameters[i].symbol
         base = [j for j in self._extrinsic if self.parameters[j].effect == BaseFrame.name]
         tool = [j for j in self._extrinsic if self.parameters[j].effect != BaseFrame.name]
-        inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.G[j, j] > 0]
+        inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.H[j, j] > 0]
         alike = [j for j in inner if self.names[j].endswith("." + symbol)]
         yield base, Cause.BASE
         yield tool, Cause.TOOL
-        for j in self._same(self.G, i, alike):
+        for j in self._same(self.H, i, alike):
             yield [j], Cause.PARALLEL_AXES if symbol == "d" else Cause.COMBINATION
-        for j in self._same(self.G, i, inner):
+        for j in self._same(self.H, i, inner):
             yield [j], Cause.COMBINATION
         yield base + tool, Cause.FRAMES if base else Cause.TOOL
         for j in self._same(self._beside_frames, i, inner):
@@ -269,39 +263,34 @@ class _Nominal:
     @cached_property
     def _element(self) -> list[int]:
         """Which joint, counted from the base, each parameter belongs to."""
-        owners = [name.rsplit(".", 1)[0] for name in self.names]
+        owners = [(parameter.station, parameter.element) for parameter in self.parameters]
         place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
         return [place[owner] for owner in owners]
 
     @cached_property
     def _beside_frames(self) -> np.ndarray:
-        """G with what base and tool absorb taken out."""
-        frames = self._extrinsic
-        inverse = np.linalg.pinv(self.G[np.ix_(frames, frames)], rcond=_RANK, hermitian=True)
-        return np.asarray(self.G - self.G[:, frames] @ inverse @ self.G[frames])
+        """H with what base and tool absorb taken out."""
+        across = self.H[:, self._extrinsic] @ Form.of(self.H).root(np.array(self._extrinsic, int), _RANK)
+        return np.asarray(self.H - across @ across.T)
 
     @staticmethod
-    def _same(G: np.ndarray, i: int, others: list[int]) -> list[int]:
+    def _same(H: np.ndarray, i: int, others: list[int]) -> list[int]:
         """Return those of the others that may do by themselves what parameter i does; a quick sieve."""
         j = np.array(others, int)
-        own = np.maximum(np.diag(G)[j], 1e-300)
-        return [int(k) for k in j[G[i, i] - G[i, j] ** 2 / own < 10.0 * _SAME]]
+        own = np.maximum(np.diag(H)[j], 1e-300)
+        return [int(k) for k in j[H[i, i] - H[i, j] ** 2 / own < 10.0 * _SAME]]
 
     def _shares(self, i: int, others: Iterable[int]) -> np.ndarray | None:
         """Return the coefficients by which ``others`` reproduce column i, scaled columns; None if they can't."""
         j = list(others)
         if not j or not self._may_share(i, j):
             return None
-        values, vectors = np.linalg.eigh(self.G[np.ix_(j, j)])
-        seen = values > _RANK * max(values[-1], 1e-300)
-        U = vectors[:, seen]
-        share = (U / values[seen]) @ (U.T @ self.G[j, i])
-        left = self.G[i, i] - share @ self.G[j, i]
-        return np.asarray(share) if left < _SAME else None
+        share, _ = Form.of(self.H, self.H[:, i]).estimate(np.array(j), _RANK)
+        return share if self.H[i, i] - share @ self.H[j, i] < _SAME else None
 
     def _may_share(self, i: int, others: list[int]) -> bool:
         """Return whether ``others`` may reproduce column i; a quick sieve, which counts more of their directions."""
-        factor, pivots, rank, _ = dpstrf(self.G[np.ix_(others, others)], tol=_RANK, lower=1)
+        factor, pivots, rank, _ = dpstrf(self.H[np.ix_(others, others)], tol=_RANK, lower=1)
         seen = np.array(others)[pivots[:rank] - 1]
-        along = solve_triangular(factor[:rank, :rank], self.G[seen, i], lower=True, check_finite=False)
-        return bool(self.G[i, i] - along @ along < 10.0 * _SAME)
+        along = solve_triangular(factor[:rank, :rank], self.H[seen, i], lower=True, check_finite=False)
+        return bool(self.H[i, i] - along @ along < 10.0 * _SAME)

@@ -4,24 +4,113 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
+from pincal.errors import BadInputError
 from pincal.identify.equations import Equations, Linearised
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors, Solution
 from pincal.identify.station import Station, station_of
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
 
+# Steps that a fit takes at most.
+MOST_STEPS = 40
+
+
+class Ending(Enum):
+    """How a fit ended."""
+
+    SETTLED = "the last step changed predictions by far less than the noise"
+    ROUGH = "it came close enough for the next fit"
+    EXACT = "the readings are exact, and the model was fitted to rounding"
+    STUCK = "no step reduced the residuals although the solution was not yet stationary"
+    BUDGET = f"it did not finish within {MOST_STEPS} steps"
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the fit ended well."""
+        return self in (Ending.SETTLED, Ending.ROUGH, Ending.EXACT)
+
 
 @dataclass(frozen=True)
-class Stage:
+class Priors:
+    """What is believed before measuring, and how far lengths may go.
+
+    Attributes:
+        sizes: shape (P,), standard deviations about the nominal; inf for none.
+        bounds: shape (P,), largest deviations; inf for none.
+    """
+
+    sizes: np.ndarray
+    bounds: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A fit.
+
+    Attributes:
+        values: shape (P,).
+        equations: what data and priors say about the free parameters at ``values``.
+        sigma: shape (blocks,), standard deviations that the fit used, one station's blocks after the other's.
+        estimated: shape (blocks,), those of its residuals.
+        weights: shape (N,), robust weights: 0 for an outlier.
+        chi2: weighted sum of squares over the declared variances (the estimated, where none are declared).
+        degrees: its degrees of freedom.
+        iterations: Gauss-Newton steps taken.
+        exit: how it ended.
+        at_bound: shape (P,), parameters held at their bound.
+        free: shape (P,), parameters that were fitted.
+        wide: what is known of the parameters where more than the noise is in doubt; default: what the equations say.
+        of_blocks: how many times as large variances are, and stated, as blocks of consecutive rows tell.
+    """
+
+    values: np.ndarray
+    equations: Equations
+    sigma: np.ndarray
+    estimated: np.ndarray
+    weights: np.ndarray
+    chi2: float
+    degrees: float
+    iterations: int
+    exit: Ending
+    at_bound: np.ndarray
+    free: np.ndarray
+    wide: Posterior | None = None
+    of_blocks: float = 1.0
+
+    @property
+    def posterior(self) -> Posterior:
+        """What is known of the free parameters."""
+        return self.equations.posterior if self.wide is None else self.wide
+
+    @property
+    def effective(self) -> float:
+        """Number of parameters that the data spend, priors counted: :attr:`Posterior.effective` in a fifth of the time."""
+        shared, own = self.equations.spent
+        return shared + sum(own)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit ended well."""
+        return self.exit.is_good
+
+    @property
+    def cost(self) -> float:
+        """Mean square of the residuals in units of the noise."""
+        return float(self.chi2 / max(self.degrees, 1.0))
+
+
+@dataclass(frozen=True)
+class FitStage:
     """One stage of an identification.
 
     Attributes:
@@ -36,7 +125,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Fit:
+class ModelFit:
     """A calibrated model.
 
     Attributes:
@@ -54,7 +143,7 @@ class Fit:
     solution: Solution
     priors: Priors
     noise: Noise
-    stages: tuple[Stage, ...]
+    stages: tuple[FitStage, ...]
     options: Options
 
     @property
@@ -64,7 +153,13 @@ class Fit:
         Raises:
             BadInputError: if there are several.
         """
-        return self.problem.station
+        stations = self.problem.stations
+        if len(stations) > 1:
+            names = ", ".join(station.name for station in stations)
+            raise BadInputError(
+                f"this needs a single station, and there are {len(stations)}: {names}; choose one with fit.at(NAME)"
+            )
+        return stations[0]
 
     @property
     def model(self) -> Model:
@@ -99,23 +194,24 @@ class Fit:
 
     def names_of(self, effects: Iterable[Effect]) -> tuple[str, ...]:
         """Return the names of the parameters of some effects of the fit, those of all stations."""
-        order = {id(effect): i for i, effect in enumerate(self.problem.effects)}
-        index = [order.get(id(effect), self.problem.effects.index(effect)) for effect in effects]
-        return tuple(self.problem.parameters[i].name for k in index for i in self.problem.places_of(k))
+        known = self.problem.effects
+        order = {id(effect): i for i, effect in enumerate(known)}
+        index = [order.get(id(effect), known.index(effect)) for effect in effects]
+        return tuple(self.problem.parameters[i].name for k in index for i in self.problem.places_at(known[k]))
 
     @cached_property
-    def alone(self) -> tuple[Fit, ...]:
+    def alone(self) -> tuple[ModelFit, ...]:
         """Each station as a fit of its own, as it stands: where its rows are looked at one by one."""
         return (self,) if len(self.problem.stations) == 1 else tuple(self._stations_alone())
 
-    def _stations_alone(self) -> Iterator[Fit]:
+    def _stations_alone(self) -> Iterator[ModelFit]:
         for (station, places, blocks), rows in zip(self.stations, self.problem.rows, strict=True):
             problem, options = Problem((replace(station, name=""),)), self.options.at(station.name)
             nominal, solution = (_part(of, places, blocks, rows) for of in (self.nominal, self.solution))
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
             noise = Noise(self.noise.declared[blocks])
             solution = replace(solution, equations=equations_of(problem, solution, priors))
-            yield Fit(problem, nominal, solution, priors, noise, self.stages, options)
+            yield ModelFit(problem, nominal, solution, priors, noise, self.stages, options)
 
     @property
     def arm(self) -> tuple[Model, np.ndarray]:
@@ -164,7 +260,7 @@ def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
     )
 
 
-def without(fit: Fit, effect: Effect) -> Fit:
+def without(fit: ModelFit, effect: Effect) -> ModelFit:
     """Return a fit as it stands with one effect taken out, nothing fitted again: the place to test the effect from."""
     problem = fit.problem.with_effects([e for e in fit.problem.effects if e is not effect])
     sizes, bounds = (fit.problem.carried_over(of, problem) for of in (fit.priors.sizes, fit.priors.bounds))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.beliefs import bounds_of, frames_of, noise_of, released_of
+from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, priors_of, released_of, require_named, sensors_own
+from pincal.identify.earlier import Earlier
+from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem, effects_at
-from pincal.identify.solve import Priors, most_probable
+from pincal.identify.solve import Course, likeliest_values, solve
 from pincal.identify.station import Station, station_of
 from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.measurements import Measurements
@@ -28,6 +31,54 @@ _SETTLED_ROWS = 500
 _FEWEST_SETTLED_ROWS = 40
 # Starts that leave as much but for this factor end in the same place; rounding does not choose among them.
 _ALIKE = 1.0 + 1e-6
+
+
+def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
+    """Return the fit of base and tool alone.
+
+    Args:
+        robot: the arm, taken as nominal.
+        tables: each station's table by its name.
+        options: how to calibrate.
+        executor: computes what each of several stations contributes; default: one after the other, here.
+    """
+    if len(tables) == 1:
+        tables = {"": next(iter(tables.values()))}
+    placed = place(robot, tables, options)
+    stations = [
+        _averaged(station, table, options.at(name))
+        for (station, _), (name, table) in zip(placed, tables.items(), strict=True)
+    ]
+    problem = Problem(tuple(stations), None if options.earlier is None else Earlier.of(options.earlier))
+    require_named(problem, options)
+    values = _joined(problem, placed)
+    priors, noise = priors_of(problem, options), declared_noise(problem, options)
+    released, frames = released_of(problem, options), is_frame(problem)
+    course = Course(options.loss, rough=True, executor=executor)
+    nominal = solve(problem, values, frames & released, priors, noise, replace(course, label="base and tool"))
+    lens = sensors_own(problem) & released
+    if np.any(lens & ~frames):
+        free = frames & released | lens
+        nominal = solve(problem, nominal.values, free, priors, noise, replace(course, label="camera"))
+    return ModelFit(problem, nominal, nominal, priors, noise, (), options)
+
+
+def _averaged(station: Station, table: Measurements, options: Options) -> Station:
+    """Return a station whose rows weigh as the means that they are, where the noise of a single reading is declared.
+
+    Where it is not, what poses differ by from the model may be as much their own, and each counts once.
+    """
+    if table.readings_per_row is None or options.sigma is None:
+        return station
+    return replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
+
+
+def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> np.ndarray:
+    """Return the values of all parameters of a problem, shape (P,), given those of each station."""
+    values = np.zeros(len(problem.parameters))
+    for (_, local), places in zip(placed, problem.places, strict=True):
+        values[places] = local
+    return values
 
 
 def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
@@ -173,11 +224,9 @@ def _settled(starts: list[tuple[Station, np.ndarray]], options: Options) -> list
     most = min(_SETTLED_ROWS, max(_FEWEST_SETTLED_ROWS, _ROWS // len(starts)))
     samples = [station.sample(most) for station, _ in starts]
     problem = Problem(tuple(samples))
-    values = np.zeros(problem.size)
-    for (_, local), places in zip(starts, problem.places, strict=True):
-        values[places] = local
-    free = released_of(problem, options) & frames_of(problem)
+    values = _joined(problem, starts)
+    free = released_of(problem, options) & is_frame(problem)
     priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
-    values = most_probable(problem, values, free, priors, noise_of(problem, options), loss="huber")
+    values = likeliest_values(problem, values, free, priors, declared_noise(problem, options), Course("huber"))
     left = [np.linalg.norm(residuals, axis=0) for batch in problem.batches for residuals in batch.residuals(values)]
     return [(float(np.median(size)), values[places]) for size, places in zip(left, problem.places, strict=True)]

@@ -19,7 +19,7 @@ from pincal.model.sparse_basis import (
     add_product,
     dense_rows,
     mirror,
-    some_rows,
+    some_functions,
     sparse_across,
     sparse_times,
     sparse_times_dense,
@@ -109,25 +109,18 @@ class Jacobian:
             moved += by_pose[:, None] * family.column
         return moved
 
-    def grams(
-        self, residuals: np.ndarray, ends: np.ndarray, weights: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return J W^2 J^T, shape (S, F, F), and J W^2 r, shape (S, F), of each of S parts of the poses.
+    def add_grams(
+        self, residuals: np.ndarray, ends: np.ndarray, G: np.ndarray, g: np.ndarray, *, weights: np.ndarray | None = None
+    ) -> None:
+        """Add J W^2 J^T to G, shape (S, F, F), and J W^2 r to g, shape (S, F), of each of S parts of the poses.
 
         Args:
             residuals: shape (m, n).
             ends: shape (S + 1,), where the parts begin and end.
+            G: what is added to.
+            g: likewise.
             weights: shape (n,), W; default: 1.
         """
-        n_parts = len(ends) - 1
-        G, g = np.zeros((n_parts, self.size, self.size)), np.zeros((n_parts, self.size))
-        self.add_grams(residuals, ends, G, g, weights=weights)
-        return G, g
-
-    def add_grams(
-        self, residuals: np.ndarray, ends: np.ndarray, G: np.ndarray, g: np.ndarray, *, weights: np.ndarray | None = None
-    ) -> None:
-        """Add what :meth:`grams` returns to G, shape (S, F, F), and g, shape (S, F)."""
         for some in self._at_once(np.diff(ends)):
             here = slice(int(ends[some.start]), int(ends[some.stop]))
             A, r = self.poses(here), residuals[:, here]
@@ -171,17 +164,17 @@ class Jacobian:
         dense, apart = np.ascontiguousarray(self.dense), self.places
         A, group = dense.reshape(len(dense), residuals.size), np.zeros(self.size, int) if groups is None else groups
         for at in _stretches(group[apart]):
-            own = _span(apart[at])
-            G[_block(own, own)] += A[at] @ A[at].T
-        g[_span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
-        spans = [_span(family.places) for family in self.families]
+            own = span(apart[at])
+            G[block(own, own)] += A[at] @ A[at].T
+        g[span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
+        spans = [span(family.places) for family in self.families]
         meant = [set(group[family.places].tolist()) for family in self.families]
         for i, (family, rows, mine) in enumerate(zip(self.families, spans, meant, strict=True)):
             g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[:, 0]
             near = slice(None) if groups is None else np.flatnonzero(np.isin(group[apart], list(mine)))
-            columns, part = _span(apart[near]), family.times_dense(dense[near])
-            G[_block(rows, columns)] += part
-            G[_block(columns, rows)] += part.T
+            columns, part = span(apart[near]), family.times_dense(dense[near])
+            G[block(rows, columns)] += part
+            G[block(columns, rows)] += part.T
             for other, columns, others in zip(self.families[: i + 1], spans, meant, strict=False):
                 if not mine.isdisjoint(others):
                     _add_products(G, family, rows, other, columns)
@@ -192,20 +185,20 @@ class Jacobian:
     def add_products(self, others: Jacobian, S: np.ndarray) -> None:
         """Add J K^T to S, shape (F, F'), given K, other columns of the same readings."""
         dense, theirs = (np.ascontiguousarray(of.dense) for of in (self, others))
-        mine, columns = _span(self.places), _span(others.places)
+        mine, columns = span(self.places), span(others.places)
         size = dense.shape[1] * dense.shape[2]
-        S[_block(mine, columns)] += dense.reshape(len(dense), size) @ theirs.reshape(len(theirs), size).T
+        S[block(mine, columns)] += dense.reshape(len(dense), size) @ theirs.reshape(len(theirs), size).T
         for family in self.families:
-            S[_block(_span(family.places), columns)] += family.times_dense(theirs)
+            S[block(span(family.places), columns)] += family.times_dense(theirs)
         for other in others.families:
-            across = _span(other.places)
-            S[_block(mine, across)] += other.times_dense(dense).T
+            across = span(other.places)
+            S[block(mine, across)] += other.times_dense(dense).T
             for family in self.families:
                 weights = np.sum(family.column * other.column, axis=0)
                 if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
                     add_product(S, family.places, family.basis, weights, other.places, other.basis, False)
                 else:
-                    S[_block(_span(family.places), across)] += _product(family.basis, weights, other.basis)
+                    S[block(span(family.places), across)] += _product(family.basis, weights, other.basis)
 
     def only(self, columns: np.ndarray) -> Jacobian:
         """Return the part of some columns, in this order."""
@@ -233,14 +226,14 @@ def _stretches(groups: np.ndarray) -> Iterator[slice]:
     yield from (slice(a, b) for a, b in pairwise(cuts) if a < b)
 
 
-def _span(places: np.ndarray) -> slice | np.ndarray:
+def span(places: np.ndarray) -> slice | np.ndarray:
     """Return places as a slice if they follow each other, since slices need no copies."""
     if len(places) and places[-1] - places[0] == len(places) - 1 and np.all(np.diff(places) == 1):
         return slice(int(places[0]), int(places[-1]) + 1)
     return places
 
 
-def _block(rows: slice | np.ndarray, columns: slice | np.ndarray) -> tuple[slice | np.ndarray, slice | np.ndarray]:
+def block(rows: slice | np.ndarray, columns: slice | np.ndarray) -> tuple[slice | np.ndarray, slice | np.ndarray]:
     """Return the index of a block of a matrix."""
     if isinstance(rows, np.ndarray) and isinstance(columns, np.ndarray):
         return np.ix_(rows, columns)  # type: ignore[return-value]
@@ -255,7 +248,7 @@ def _poses(basis: Basis, rows: slice) -> Basis:
 
 def _functions(basis: Basis, which: np.ndarray) -> Basis:
     """Return some functions of a basis, in this order."""
-    return some_rows(basis, which) if isinstance(basis, SparseBasis) else basis[which]
+    return some_functions(basis, which) if isinstance(basis, SparseBasis) else basis[which]
 
 
 def _add_products(
@@ -267,9 +260,9 @@ def _add_products(
         add_product(G, family.places, family.basis, weights, other.places, other.basis, True)
         return
     part = _product(family.basis, weights, other.basis)
-    G[_block(rows, columns)] += part
+    G[block(rows, columns)] += part
     if other is not family:
-        G[_block(columns, rows)] += part.T
+        G[block(columns, rows)] += part.T
 
 
 def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:

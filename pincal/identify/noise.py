@@ -9,16 +9,13 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
 from pincal.identify.exact import rounding
 from pincal.identify.problem import Problem
 
 Loss = Literal["screen", "huber", "none"]
 
-# Probability that screening takes any sound row of a table for an outlier.
-_FALSE_OUTLIER = 0.01
-# Declared noise is replaced by the residuals' own when these exceed it by this many standard deviations of chi-square.
-_MISFIT = 4.0
 # Part of the readings that parameters spend at most, while a fit has not yet told how many it does spend.
 _MOST_SPENT = 0.9
 
@@ -36,7 +33,7 @@ class Noise:
 
     def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
         """Return what to use, shape (blocks,): the declared unless residuals with these degrees of freedom are too large."""
-        misfit = self.known * (1.0 + _MISFIT / np.sqrt(2.0 * degrees))
+        misfit = self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
         return np.where(np.isnan(self.known) | (estimated > misfit), estimated, self.known)
 
 
@@ -57,7 +54,7 @@ class Judgement:
 
 def outlier_limit(rows: int, size: int) -> float:
     """Return the sum of squares, in units of the noise, beyond which a row of ``size`` readings is screened."""
-    return float(chdtri(size, _FALSE_OUTLIER / rows))
+    return float(chdtri(size, CRITERIA.outlier / rows))
 
 
 @dataclass(frozen=True)
@@ -86,15 +83,13 @@ class Judge:
         robust = point.robust
         counted = self.counted(robust)
         if self.loss == "none" or (hard and self.loss == "screen"):
-            shared = int(np.sum(self.free & self.problem.is_shared & ~self.problem.is_remembered))
-            own = [
-                int(np.sum(self.free[places[own]]))
-                for places, own in zip(self.problem.places, self.problem.eliminated, strict=True)
-            ]
+            is_shared = self.problem.is_shared
+            shared = int(np.sum(self.free & is_shared & ~self.problem.beliefs.is_remembered))
+            own = [int(np.sum((self.free & ~is_shared)[places])) for places in self.problem.places]
             spent = self._spread(counted, shared, own, most=_MOST_SPENT)
             estimated = np.sqrt(point.squares / np.maximum(counted - spent, 1.0))
         else:
-            middle = np.array([chdtri(size, 0.5) for size in self.problem.block_sizes])
+            middle = np.array([chdtri(block.size, 0.5) for block in self.problem.blocks])
             medians = _medians(point.row_squares)
             estimated = np.sqrt(medians / middle)
         estimated = np.maximum(estimated, rounding(self.problem))
@@ -103,8 +98,7 @@ class Judge:
 
     def counted(self, robust: np.ndarray) -> np.ndarray:
         """Return the number of readings that count in each block, shape (blocks,)."""
-        counts = np.maximum(self.problem.counted_rows(robust), 1)
-        return np.asarray(counts[self.problem.station_of_block] * self.problem.block_sizes)
+        return np.asarray(np.maximum(self.problem.readings(robust), [block.size for block in self.problem.blocks]))
 
     def degrees(self, robust: np.ndarray, shared: float, own: tuple[float, ...]) -> np.ndarray:
         """Return the degrees of freedom that a fit leaves to each block, shape (blocks,).
@@ -122,7 +116,8 @@ class Judge:
         self, counted: np.ndarray, shared: float, own: list[int] | tuple[float, ...], *, most: float = np.inf
     ) -> np.ndarray:
         """Return how many parameters each block pays for: its part of the shared ones and of those of its station."""
-        of = self.problem.station_of_block
+        spans = self.problem.block_spans
+        of = np.repeat(np.arange(len(spans)), [span.stop - span.start for span in spans])
         whole = np.bincount(of, counted)
         numbers = np.zeros(len(whole))
         numbers[: len(own)] = own
@@ -136,8 +131,8 @@ class Judge:
         pairs = zip(point.row_squares, spans, strict=True)
         distance2 = np.concatenate([np.einsum("b,bn->n", sigma[span] ** -2.0, rows) for rows, span in pairs])
         counts = [rows.shape[1] for rows in point.row_squares]
-        sizes = np.add.reduceat(self.problem.block_sizes, [span.start for span in spans])
-        limits = [outlier_limit(n, int(size)) if n else np.inf for n, size in zip(counts, sizes, strict=True)]
+        sizes = [int(station.block_sizes.sum()) for station in self.problem.stations]
+        limits = [outlier_limit(n, size) if n else np.inf for n, size in zip(counts, sizes, strict=True)]
         limit2 = np.repeat(limits, counts)
         lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
         return np.where((distance2 > limit2) & ~self._trusted, lighter, 1.0)

@@ -26,7 +26,7 @@ LENGTH_BOUND = 0.01
 
 @dataclass(frozen=True)
 class StationOptions:
-    """What one station has different from the others; None for what it has in common with them.
+    """Options that differ at one station; None for the common ones.
 
     Attributes are those of :class:`Options` by the same names.
     """
@@ -48,11 +48,11 @@ class Options:
     """How to calibrate.
 
     Attributes:
-        effects: what may deviate, beside base and tool.
+        effects: what may deviate, in addition to base and tool.
         sigma: standard deviation of one component of a position, or of a distance [m], of an image [px]; estimated where
             None.
         sigma_orientation: likewise of one component of an orientation [rad].
-        moment_frame: where moments are taken and bend the arm, see :class:`pincal.Chain`; "auto" for where it fits best,
+        moment_frame: where moments are taken and deflect the arm, see :class:`pincal.Chain`; "auto" for where it fits best,
             as in the paper among equals.
         equilibrium: moments on the bent arm instead of the straight one.
         gravity: shape (3,), in the robot's base frame [m/s^2]; default: along -z of the URDF's root.
@@ -66,8 +66,12 @@ class Options:
         stations: station name -> what it has different, where there are several.
         instrument: the noise of positions by range and direction, in place of ``sigma``: positions are in the instrument's
             own frame then.
-        earlier: what an earlier fit found of the robot's own parameters; it takes the place of their priors.
-        serial: whether noise that is correlated along the rows is looked for, and rows are weighed by it.
+        earlier: estimate of the robot's parameters from an earlier fit; it replaces their priors.
+        priors: name of a parameter, or a pattern such as ``"*.theta"`` -> standard deviation from its value in the URDF, in
+            its own SI unit or with another (0.001, "1mrad", "0.2urad/Nm"); 0 holds it there, inf leaves it free. Of several
+            that match, the last counts.
+        zeros: joints with unknown zeros, by names or patterns such as ``"*"``.
+        serial: whether to test for noise that is correlated along the rows, and weight rows accordingly.
     """
 
     effects: tuple[Effect, ...] = ELASTIC
@@ -86,6 +90,8 @@ class Options:
     stations: Mapping[str, StationOptions] = field(default_factory=dict)
     instrument: InstrumentNoise | None = None
     earlier: Estimate | None = None
+    priors: Mapping[str, float | str] = field(default_factory=dict)
+    zeros: tuple[str, ...] = ()
     serial: bool = True
 
     def __post_init__(self) -> None:

@@ -1,12 +1,12 @@
 r"""What normal equations say together with priors, and how a station's own parameters are eliminated from them.
 
-With G = J^T W J, g = J^T W r and priors of size D on some parameters, the step that the posterior wants is found in the
+With H = J^T W J, g = J^T W r and priors of size D on some parameters, the step that the posterior wants is found in the
 eigenvectors of the prior-scaled Schur complement: the frames of base and tool, which have no prior, are eliminated first.
 An eigenvalue lambda is the information of the data in units of the prior's. Directions with lambda far above 1 follow the
 data alone, those far below 1 the prior alone, and those that the data can't see at all (lambda below rounding) stay at the
 prior's centre, whatever the noise: so predictions never depend on the choice of gauge.
 
-G squares the condition number. That costs nothing here: steps only have to point well enough to converge, the residuals
+H squares the condition number. That costs nothing here: steps only have to point well enough to converge, the residuals
 they act on are exact, and a direction below 1e-7 of the largest moves predictions by less than 1e-10 m.
 
 Of several stations, each with the Jacobian [R F] by the robot's parameters and its own, these own parameters are eliminated
@@ -22,17 +22,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dpotri, dpstrf
+from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg.lapack import dpotri
 
+from pincal.identify.quadratic import NULL, Form
 from pincal.parameters import Covariance, root_of
 
-# Eigenvalues below this part of the largest are rounding: the data do not see such a direction.
-NULL = 1e-13
 # Information that rounding makes up, in units of the prior's, below which it may be left in a solve.
 _ROUNDING = 1e-3
-# How many times as much as rounding parameters may show, one after the other, where directions among them may be unseen.
-_NEARLY = 1e4
 
 
 @dataclass(frozen=True)
@@ -121,20 +118,26 @@ class Eliminated:
     """The E parameters of one station, or of each of S stations (leading axis S), that were eliminated.
 
     Attributes:
+        balance: what the station says of them and their priors if the shared parameters stay where they are.
+        carried: shape (E, C), K F'WR: how far a step of the C shared parameters moves them the other way.
         places: shape (E,), where they stand among all free parameters.
         shared: shape (C,), where the parameters that these stations share with others stand among the shared ones.
-        information: shape (E, E), F'WF + P.
-        carried: shape (E, C), K F'WR: how far a step of the shared parameters moves them the other way.
-        alone: what the station says of them if the shared parameters stay where they are.
-        precision: shape (E,), P.
     """
 
+    balance: Balance
+    carried: np.ndarray
     places: np.ndarray
     shared: np.ndarray
-    information: np.ndarray
-    carried: np.ndarray
-    alone: Posterior
-    precision: np.ndarray
+
+    @property
+    def precision(self) -> np.ndarray:
+        """P, shape (E,)."""
+        return np.asarray(self.balance.sizes**-2.0)
+
+    @property
+    def alone(self) -> Posterior:
+        """What both say together."""
+        return self.balance.posterior
 
     def step(self, shared_step: np.ndarray) -> np.ndarray:
         """Return their step, shape (E,), once the step of all shared parameters is known."""
@@ -143,7 +146,8 @@ class Eliminated:
     def square(self, step: np.ndarray, shared_step: np.ndarray) -> float:
         """Return what they add to the square of a step, shape (E,), measured by the information of the data alone."""
         along = step + self.carried @ shared_step[self.shared]
-        return float(np.sum(along * _times(self.information, along)) - np.sum(self.precision * step**2))
+        data = along * _times(self.balance.form.H, along)
+        return float(np.sum(data + self.precision * (along**2 - step**2)))
 
     def effective(self, covariance: np.ndarray) -> np.ndarray:
         """Return how many parameters the data spend on them, shape () or (S,), for the covariance of all shared ones."""
@@ -153,191 +157,174 @@ class Eliminated:
         return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
 
 
-def posterior(
-    G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarray, *, diagonal: np.ndarray | None = None
-) -> Posterior:
-    """Combine normal equations (in units of the noise) with priors.
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """What readings say of F parameters, in units of the noise, and their priors; of each of S stations with a leading axis.
 
-    Args:
-        G: shape (F, F).
-        g: shape (F,).
-        sizes: shape (F,), standard deviations of the priors; inf for none.
-        offsets: shape (F,), present values minus the priors' centres.
-        diagonal: shape (F,), the diagonal of G before anything was eliminated from it, by which rounding is judged.
-    """
-    found, loose = _determined(G, g, sizes, offsets, np.diag(G) if diagonal is None else diagonal)
-    return _with_loose(found, loose)
-
-
-def posterior_step(
-    G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarray, *, diagonal: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the step of :func:`posterior` alone, in a tenth of the time where rounding lets a Cholesky solve do."""
-    has_prior = np.isfinite(sizes)
-    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
-    floor = _floor(np.diag(G) if diagonal is None else diagonal, sizes)
-    if floor > _ROUNDING or not len(prior):
-        return posterior(G, g, sizes, offsets, diagonal=diagonal).step
-    D = sizes[prior]
-    inverse, _, _ = _invert_frames(G[frames[:, None], frames])
-    F = inverse @ G[frames[:, None], prior]
-    S = _reduced(G, prior, G[prior[:, None], frames] @ F, D)
-    reduced = (g[prior] - F.T @ g[frames]) * D - offsets[prior] / D
-    step = np.empty(len(g))
-    step[prior] = D * cho_solve(cho_factor(S, overwrite_a=True, check_finite=False), reduced, check_finite=False)
-    step[frames] = inverse @ g[frames] - F @ step[prior]
-    return step
-
-
-def posterior_covariance(G: np.ndarray, sizes: np.ndarray, *, diagonal: np.ndarray, unseen: np.ndarray) -> np.ndarray:
-    """Return the covariance of :func:`posterior` alone, in a fifth of the time where rounding lets a Cholesky factor do.
-
-    Args:
-        G: shape (F, F).
-        sizes: shape (F,), standard deviations of the priors; inf for none.
-        diagonal: shape (F,), as there.
-        unseen: shape (H, K), directions that are known to be unseen: what rounding makes up along them is left out.
-    """
-    has_prior = np.isfinite(sizes)
-    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
-    D, failed = sizes[prior], True
-    inverse, _, loose = _invert_frames(G[frames[:, None], frames])
-    F = inverse @ G[frames[:, None], prior]
-    if len(prior) and _floor(diagonal, sizes) <= _ROUNDING:
-        S = _reduced(G, prior, G[prior[:, None], frames] @ F, D)
-        made_up = S @ unseen - unseen
-        S -= (across := made_up @ unseen.T) + across.T - unseen @ (unseen.T @ made_up) @ unseen.T
-        half, failed = dpotri(cholesky(S, lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1)
-    if failed:
-        nothing = np.zeros(len(G))
-        return posterior(G, nothing, sizes, nothing, diagonal=diagonal).covariance
-    C = np.tril(half)
-    C += np.tril(half, -1).T
-    C *= np.outer(D, D)
-    return _with_frames(C, F, inverse + loose, prior, frames)
-
-
-def unseen_directions(G: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the directions of :func:`posterior` that the data do not see at all, in a tenth of the time.
-
-    Returns:
-        Which parameters have a prior, shape (F,), and the directions, shape (H, K), over those that do, as columns.
-    """
-    has_prior = np.isfinite(sizes)
-    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
-    acts = np.diag(G)[prior] > 0.0
-    shown, idle = prior[acts], np.eye(len(prior))[:, ~acts]
-    if not len(shown):
-        return has_prior, idle
-    inverse, _, _ = _invert_frames(G[frames[:, None], frames])
-    across = G[shown[:, None], frames]
-    S = (G[shown[:, None], shown] - across @ inverse @ across.T) * _outer(sizes[shown])
-    floor = max(float(_floor(np.diag(G), sizes)), NULL * 1e-300)
-    # Once the parameters are known of which most is seen, one after the other, little is seen of the others' directions.
-    factor, pivots, rank, _ = dpstrf(S, tol=_NEARLY * floor, lower=1)
-    known, others = np.split(pivots - 1, [rank])
-    nearly = np.zeros((len(S), len(others)))
-    nearly[others] = np.eye(len(others))
-    nearly[known] = -solve_triangular(factor[:rank, :rank], factor[rank:, :rank].T, lower=True, trans="T")
-    nearly, _ = np.linalg.qr(nearly)
-    information, axes = np.linalg.eigh(nearly.T @ S @ nearly)
-    directions = np.zeros((len(prior), int(np.count_nonzero(information <= floor))))
-    directions[acts] = nearly @ axes[:, information <= floor]
-    return has_prior, np.hstack([idle, directions])
-
-
-def spent_parameters(G: np.ndarray, sizes: np.ndarray, believed: np.ndarray | None = None) -> float | None:
-    """Return :attr:`Posterior.shared_effective` alone, in a tenth of the time; None where rounding forbids.
-
-    Args:
-        G: shape (F, F).
-        sizes: shape (F,), standard deviations of the priors; inf for none.
-        believed: shape (F, F), the part of G that is no data; default: none of it.
-    """
-    has_prior = np.isfinite(sizes)
-    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
-    if _floor(np.diag(G), sizes) > _ROUNDING or not len(prior) or (believed is not None and np.any(believed[frames])):
-        return None
-    D = sizes[prior]
-    inverse, frame_rank, _ = _invert_frames(G[frames[:, None], frames])
-    F = G[frames[:, None], prior]
-    S = _reduced(G, prior, F.T @ inverse @ F, D)
-    C, failed = dpotri(cholesky(S, lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1)
-    if failed:
-        return None
-    spent = float(frame_rank) + float(np.sum(1.0 - np.diag(C)))
-    if believed is None:
-        return spent
-    known = believed[prior[:, None], prior] * np.outer(D, D)
-    return spent - float(2.0 * np.sum(np.tril(C, -1) * known) + np.diag(C) @ np.diag(known))
-
-
-def _reduced(G: np.ndarray, prior: np.ndarray, absorbed: np.ndarray, D: np.ndarray) -> np.ndarray:
-    """Return information in units of the priors plus that of these, what frames absorb taken out; column-major for LAPACK.
-
-    Of large matrices, the time goes into moving them: as few copies as can be are made.
-    """
-    S = np.take(np.take(G, prior, axis=0), prior, axis=1)
-    S -= absorbed
-    S *= D
-    S *= D[:, None]
-    S.flat[:: len(S) + 1] += 1.0
-    return S.T
-
-
-@dataclass(frozen=True)
-class Contribution:
-    """What a station says of the C parameters that it shares with others, its E own ones eliminated.
+    Where rounding lets a Cholesky factor do, the step and the number of parameters spent are found by it, in a tenth of the
+    time that the eigenvectors of :attr:`posterior` take.
 
     Attributes:
-        G: shape (C, C), of several stations their sum.
-        g: shape (C,), likewise.
-        diagonal: shape (C + E,), of the normal equations before, in the order of the station's free parameters; that of each
-            of several, shape (S, C + E).
-        information: shape (E, E), see :class:`Eliminated`; so are the others.
-        carried: shape (E, C).
-        alone: of the own parameters.
-        precision: shape (E,).
+        form: of the F parameters; rounding is judged by what it was before anything was eliminated.
+        sizes: shape (F,), standard deviations of the priors; inf for none.
+        offsets: shape (F,), present values minus the priors' centres.
     """
 
-    G: np.ndarray
-    g: np.ndarray
-    diagonal: np.ndarray
-    information: np.ndarray
-    carried: np.ndarray
-    alone: Posterior
-    precision: np.ndarray
+    form: Form
+    sizes: np.ndarray
+    offsets: np.ndarray
 
-    def eliminated(self, places: np.ndarray, shared: np.ndarray) -> Eliminated:
-        """Return the own parameters by their places among those of all stations."""
-        return Eliminated(places, shared, self.information, self.carried, self.alone, self.precision)
+    def part(self, at: np.ndarray) -> Balance:
+        """Return that of some parameters, by their places, the others held."""
+        return Balance(self.form.part(at), self.sizes[..., at], self.offsets[..., at])
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """What they say together."""
+        found = self.determined
+        if not (loose := self._frames[2]).any():
+            return found
+        covariance, frames = found.covariance.copy(), self._parts[1]
+        covariance[..., frames[:, None], frames] += loose
+        return replace(found, covariance=covariance)
+
+    @cached_property
+    def determined(self) -> Posterior:
+        """The same over what is determined: frames' directions that nothing determines have no variance."""
+        (prior, frames), (inverse, frame_rank, _), F = self._parts, self._frames, self._follow
+        H, g, D = self.form.H, self.form.g, self.sizes[..., prior]
+        S = (H[..., prior[:, None], prior] - H[..., prior[:, None], frames] @ F) * _outer(D)
+        reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
+        information, V = np.linalg.eigh(0.5 * (S + _turned(S)))
+        floor = np.maximum(self._floor, NULL * 1e-300)
+        information = np.where(information > floor[..., None], information, 0.0)
+        data = np.where(information > 0.0, _times(_turned(V), reduced), 0.0)
+        shift = D * _times(V, (data - _times(_turned(V), self.offsets[..., prior] / D)) / (information + 1.0))
+        step = np.empty_like(g)
+        step[..., prior] = shift
+        step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
+        C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
+        covariance, carried = np.empty(H.shape), F @ C
+        covariance[..., prior[:, None], prior] = C
+        covariance[..., frames[:, None], prior] = -carried
+        covariance[..., prior[:, None], frames] = -_turned(carried)
+        covariance[..., frames[:, None], frames] = inverse + carried @ _turned(F)
+        return Posterior(step, covariance, information, V, frame_rank, self.has_prior)
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """The step of the posterior, shape (F,)."""
+        (prior, frames), (inverse, _, _), F = self._parts, self._frames, self._follow
+        if self._is_rounded:
+            return self.posterior.step
+        D, g = self.sizes[prior], self.form.g
+        reduced = (g[prior] - F.T @ g[frames]) * D - self.offsets[prior] / D
+        factor = cho_factor(self._reduced(), overwrite_a=True, check_finite=False)
+        step = np.empty(len(g))
+        step[prior] = D * cho_solve(factor, reduced, check_finite=False)
+        step[frames] = inverse @ g[frames] - F @ step[prior]
+        return step
+
+    def spent(self, believed: np.ndarray | None = None) -> float | None:
+        """Return :attr:`Posterior.shared_effective` alone; None where rounding forbids.
+
+        Args:
+            believed: shape (F, F), the part of H that is no data; default: none of it.
+        """
+        prior, frames = self._parts
+        if self._is_rounded or (believed is not None and np.any(believed[frames])):
+            return None
+        C, failed = dpotri(
+            cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1
+        )
+        if failed:
+            return None
+        spent = float(self._frames[1]) + float(np.sum(1.0 - np.diag(C)))
+        if believed is None:
+            return spent
+        known = believed[prior[:, None], prior] * _outer(self.sizes[prior])
+        return spent - float(2.0 * np.sum(np.tril(C, -1) * known) + np.diag(C) @ np.diag(known))
+
+    @cached_property
+    def has_prior(self) -> np.ndarray:
+        """Which parameters have a prior, shape (F,); of all stations the same."""
+        return np.asarray(np.isfinite(self.sizes if self.sizes.ndim == 1 else self.sizes[0]))
+
+    @cached_property
+    def _parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the parameters with a prior stand, and frames, which have none."""
+        return np.flatnonzero(self.has_prior), np.flatnonzero(~self.has_prior)
+
+    @cached_property
+    def _frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of frames' H the inverse over what is determined, its rank, and variances of (1 m, 1 rad)^2 along the rest."""
+        frames = self._parts[1]
+        H = self.form.H[..., frames[:, None], frames]
+        scale = 1.0 / np.sqrt(np.maximum(_diagonal(H), 1e-300))
+        values, vectors = np.linalg.eigh(H * _outer(scale))
+        seen = (values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None])[..., None, :]
+        axes = scale[..., :, None] * vectors
+        inverse = np.where(seen, axes, 0.0) / np.where(seen, values[..., None, :], 1.0)
+        rest = np.where(seen, 0.0, axes)
+        rest = rest / np.maximum(np.abs(rest).max(axis=-2, keepdims=True, initial=0.0), 1e-300)
+        return inverse @ _turned(axes), np.sum(seen, axis=(-2, -1)), rest @ _turned(rest)
+
+    @cached_property
+    def _follow(self) -> np.ndarray:
+        """How far the parameters with a prior move the frames the other way."""
+        prior, frames = self._parts
+        return np.asarray(self._frames[0] @ self.form.H[..., frames[:, None], prior])
+
+    @cached_property
+    def _floor(self) -> np.ndarray:
+        """The information, in units of the priors', below which a direction may be made up by rounding."""
+        known = np.where(np.isfinite(self.sizes), self.sizes, 0.0)
+        return np.asarray(NULL * np.max(self.form.whole * known**2, axis=-1, initial=0.0))
+
+    @property
+    def _is_rounded(self) -> bool:
+        """Whether a Cholesky factor would not do."""
+        return bool(self._floor > _ROUNDING) or not len(self._parts[0])
+
+    def _reduced(self) -> np.ndarray:
+        """Return information in units of the priors plus that of these, without what frames absorb; column-major for LAPACK.
+
+        Of large matrices, the time goes into moving them: as few copies as can be are made.
+        """
+        prior, frames = self._parts
+        D = self.sizes[prior]
+        S = np.take(np.take(self.form.H, prior, axis=0), prior, axis=1)
+        S -= self.form.H[prior[:, None], frames] @ self._follow
+        S *= D
+        S *= D[:, None]
+        S.flat[:: len(S) + 1] += 1.0
+        return S.T
 
 
-def eliminate(G: np.ndarray, g: np.ndarray, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarray) -> Contribution:
-    """Eliminate parameters from the normal equations of one station, or of each of S stations (leading axis S).
+def posterior(form: Form, sizes: np.ndarray, offsets: np.ndarray | None = None) -> Posterior:
+    """Combine what readings say with priors; arguments as of :class:`Balance`, default of offsets: none."""
+    return Balance(form, sizes, np.zeros(len(sizes)) if offsets is None else offsets).posterior
+
+
+def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarray) -> tuple[Form, Eliminated]:
+    """Eliminate parameters from what one station says, or each of S stations (leading axis S).
 
     Args:
-        G: shape (F, F).
-        g: shape (F,).
+        form: of F parameters.
         own: shape (F,), which parameters to eliminate; of all stations the same.
         sizes: shape (F,), standard deviations of the priors; inf for none. Only those of eliminated parameters matter.
         offsets: shape (F,), present values minus the priors' centres.
+
+    Returns:
+        What is left of the C others, of several stations their sum, and the eliminated ones.
     """
     shared, own = np.flatnonzero(~own), np.flatnonzero(own)
-    inner, across = G[..., own[:, None], own], G[..., own[:, None], shared]
-    precision = sizes[..., own] ** -2.0
-    alone, loose = _determined(inner, g[..., own], sizes[..., own], offsets[..., own], _diagonal(inner))
-    carried = alone.covariance @ across
-    several = tuple(range(G.ndim - 2))
-    return Contribution(
-        G=np.sum(G[..., shared[:, None], shared] - _turned(across) @ carried, axis=several),
-        g=np.sum(g[..., shared] - _times(_turned(across), alone.step), axis=several),
-        diagonal=_diagonal(G).copy(),
-        information=inner + precision[..., None] * np.eye(len(own)),
-        carried=carried,
-        alone=_with_loose(alone, loose),
-        precision=precision,
-    )
+    left, balance, across = form.part(shared), Balance(form, sizes, offsets).part(own), form.H[..., own[:, None], shared]
+    carried = across
+    if len(own):
+        carried, step = balance.determined.covariance @ across, balance.determined.step
+        left = replace(left, H=left.H - _turned(across) @ carried, g=left.g - _times(_turned(across), step))
+    return left.sum(), Eliminated(balance, carried, own, np.arange(len(shared)))
 
 
 def _diagonal(matrix: np.ndarray) -> np.ndarray:
@@ -354,64 +341,3 @@ def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 def _outer(vector: np.ndarray) -> np.ndarray:
     return np.asarray(vector[..., :, None] * vector[..., None, :])
-
-
-def _determined(
-    G: np.ndarray, g: np.ndarray, sizes: np.ndarray, offsets: np.ndarray, diagonal: np.ndarray
-) -> tuple[Posterior, np.ndarray]:
-    """Return the posterior over what is determined, and the variances of the frames' directions that nothing determines."""
-    has_prior = np.isfinite(sizes if sizes.ndim == 1 else sizes[0])
-    prior, frames = np.flatnonzero(has_prior), np.flatnonzero(~has_prior)
-    D = sizes[..., prior]
-    inverse, frame_rank, loose = _invert_frames(G[..., frames[:, None], frames])
-    F = inverse @ G[..., frames[:, None], prior]
-    S = (G[..., prior[:, None], prior] - G[..., prior[:, None], frames] @ F) * _outer(D)
-    reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
-    information, V = np.linalg.eigh(0.5 * (S + _turned(S)))
-    floor = np.maximum(_floor(diagonal, sizes), NULL * 1e-300)
-    information = np.where(information > floor[..., None], information, 0.0)
-    data = np.where(information > 0.0, _times(_turned(V), reduced), 0.0)
-    shift = D * _times(V, (data - _times(_turned(V), offsets[..., prior] / D)) / (information + 1.0))
-    step = np.empty_like(g)
-    step[..., prior] = shift
-    step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
-    C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
-    covariance = _with_frames(C, F, inverse, prior, frames)
-    return Posterior(step, covariance, information, V, frame_rank, has_prior), loose
-
-
-def _with_frames(C: np.ndarray, F: np.ndarray, inverse: np.ndarray, prior: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Return the covariance of all parameters, given that of those with a prior, which frames follow by -F."""
-    n = len(prior) + len(frames)
-    covariance, carried = np.empty((*C.shape[:-2], n, n)), F @ C
-    covariance[..., prior[:, None], prior] = C
-    covariance[..., frames[:, None], prior] = -carried
-    covariance[..., prior[:, None], frames] = -_turned(carried)
-    covariance[..., frames[:, None], frames] = inverse + carried @ _turned(F)
-    return covariance
-
-
-def _with_loose(found: Posterior, loose: np.ndarray) -> Posterior:
-    if not loose.any():
-        return found
-    covariance, frames = found.covariance.copy(), np.flatnonzero(~found.has_prior)
-    covariance[..., frames[:, None], frames] += loose
-    return replace(found, covariance=covariance)
-
-
-def _floor(diagonal: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Return the information, in units of the priors', below which a direction may be made up by rounding."""
-    known = np.where(np.isfinite(sizes), sizes, 0.0)
-    return np.asarray(NULL * np.max(diagonal * known**2, axis=-1, initial=0.0))
-
-
-def _invert_frames(G: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the inverse over what is determined, its rank, and variances of (1 m, 1 rad)^2 along the rest."""
-    scale = 1.0 / np.sqrt(np.maximum(_diagonal(G), 1e-300))
-    values, vectors = np.linalg.eigh(G * _outer(scale))
-    seen = (values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None])[..., None, :]
-    axes = scale[..., :, None] * vectors
-    inverse = np.where(seen, axes, 0.0) / np.where(seen, values[..., None, :], 1.0)
-    rest = np.where(seen, 0.0, axes)
-    rest = rest / np.maximum(np.abs(rest).max(axis=-2, keepdims=True, initial=0.0), 1e-300)
-    return inverse @ _turned(axes), np.sum(seen, axis=(-2, -1)), rest @ _turned(rest)

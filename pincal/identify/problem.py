@@ -17,12 +17,12 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.batch import Batch, Work, runs
-from pincal.identify.earlier import Earlier
+from pincal.identify.earlier import Belief, Beliefs, Earlier
 from pincal.identify.station import Station
-from pincal.measure.rows import some_rows
+from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
-from pincal.model.conditions import Conditions, joined, part_of
+from pincal.model.conditions import Conditions, joined_conditions, part_of
 from pincal.model.effects import BaseFrame, Effect, ToolFrame
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
@@ -49,24 +49,10 @@ class Problem:
         if not names:
             raise BadInputError("a problem without stations; expected one or more")
         if len(names) > 1 and (len(set(names)) < len(names) or not all(names)):
-            raise BadInputError(f"stations are called {', '.join(map(repr, names))}; expected a name of its own for each")
+            raise BadInputError(f"stations are called {', '.join(map(repr, names))}; expected a different name for each")
 
     def __len__(self) -> int:
         return sum(len(station) for station in self.stations)
-
-    @property
-    def station(self) -> Station:
-        """The only station.
-
-        Raises:
-            BadInputError: if there are several.
-        """
-        if len(self.stations) > 1:
-            names = ", ".join(station.name for station in self.stations)
-            raise BadInputError(
-                f"this is asked of one station, and there are {len(self.stations)}: {names}; choose one with fit.at(NAME)"
-            )
-        return self.stations[0]
 
     @property
     def chain(self) -> Chain:
@@ -76,34 +62,23 @@ class Problem:
     @cached_property
     def conditions(self) -> Conditions:
         """The poses of all stations, targets and payload's centre those of the first; columns that all of them have."""
-        return joined([station.conditions for station in self.stations])
+        return joined_conditions([station.conditions for station in self.stations])
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All P parameters."""
-        if len(self.stations) == 1:
-            return self.station.parameters
-        found = list(self.local_parameters)
-        for station, places in zip(self.stations, self.places, strict=True):
-            for i in places[station.is_own].tolist():
-                found[i] = found[i].at(station.name)
-        return tuple(found)
-
-    @property
-    def local_parameters(self) -> tuple[Parameter, ...]:
-        """The same by their names within their stations."""
+        """All P parameters; those of one of several stations have its name before their own."""
         first = self.stations[0]
         if len(self.stations) == 1:
             return first.parameters
         # Of all stations the robot's parameters are the same, in the same order.
-        own = (p for station in self.stations for p in compress(station.parameters, station.is_own))
+        own = (p.at(station.name) for station in self.stations for p in compress(station.parameters, station.is_own))
         return (*compress(first.parameters, ~first.is_own), *own)
 
     @cached_property
     def places(self) -> tuple[np.ndarray, ...]:
         """For each station, where its parameters stand in the table."""
         if len(self.stations) == 1:
-            return (np.arange(len(self.station.parameters)),)
+            return (np.arange(len(self.stations[0].parameters)),)
         end = int(np.count_nonzero(~self.stations[0].is_own))
         places = []
         for station in self.stations:
@@ -115,102 +90,36 @@ class Problem:
         return tuple(places)
 
     @cached_property
-    def size(self) -> int:
-        """Number P of parameters."""
-        return 1 + max(int(places.max(initial=-1)) for places in self.places)
-
-    @cached_property
-    def index(self) -> dict[str, int]:
+    def _index(self) -> dict[str, int]:
         """The place of each parameter by its name."""
         return {parameter.name: i for i, parameter in enumerate(self.parameters)}
 
     @cached_property
-    def eliminated(self) -> tuple[np.ndarray, ...]:
-        """For each station, which parameters are eliminated before stations are added: its own, if there are others."""
-        alone = len(self.stations) == 1
-        return tuple(np.zeros(len(s.parameters), bool) if alone else s.is_own for s in self.stations)
-
-    @cached_property
     def is_shared(self) -> np.ndarray:
-        """Which parameters are left when these are eliminated, shape (P,)."""
-        found = np.ones(self.size, bool)
-        for places, own in zip(self.places, self.eliminated, strict=True):
-            found[places[own]] = False
+        """Which parameters are left when those of single stations among several are eliminated, shape (P,)."""
+        found = np.ones(len(self.parameters), bool)
+        for station, places in zip(self.stations, self.places, strict=True):
+            found[places] = ~station.is_own | (len(self.stations) == 1)
         return found
 
     @cached_property
-    def remembered(self) -> tuple[np.ndarray, Earlier] | None:
-        """Where the parameters known from an earlier fit stand in the table, and what is known; None for nothing."""
-        if self.earlier is None:
-            return None
-        absent = np.array([name not in self.index for name in self.earlier.names], bool)
-        known = self.earlier.known_zero(absent)
-        return np.array([self.index[name] for name in known.names], int), known
+    def beliefs(self) -> Beliefs:
+        """What is believed of parameters beyond the prior of each.
 
-    def recalled(self, values: np.ndarray) -> np.ndarray:
-        """Return values, shape (P,), with those of an earlier fit where it has any."""
-        if self.remembered is None:
-            return values
-        places, earlier = self.remembered
-        recalled = values.copy()
-        recalled[places] = earlier.mean
-        return recalled
-
-    @cached_property
-    def smooth(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """The places of parameters that are believed to know of each other, and this information beyond their priors.
-
-        What is known from an earlier fit has it already; a station's own parameters are not known that well.
+        What is known from an earlier fit has the smoothness of curves already; a station's own are not known that well.
         """
-        found = []
+        terms, is_remembered = [], np.zeros(len(self.parameters), bool)
+        if self.earlier is not None:
+            known = self.earlier.known_zero(np.array([name not in self._index for name in self.earlier.names], bool))
+            places = np.array([self._index[name] for name in known.names], int)
+            terms.append(Belief(places, known.mean, known.information, known.sigma))
+            is_remembered[places] = True
         for effect in self.effects:
-            information = effect.smoothness()
-            places = np.zeros(0, int) if information is None else self.places_at(effect)
-            if information is not None and np.all(self.is_shared[places] & ~self.is_remembered[places]):
-                found.append((places, information))
-        return tuple(found)
-
-    @property
-    def has_beliefs(self) -> bool:
-        """Whether anything is believed of parameters beyond the priors of each."""
-        return self.earlier is not None or bool(self.smooth)
-
-    def beliefs_squared(self, values: np.ndarray, sizes: np.ndarray) -> float:
-        """Return what these beliefs add to the sum of squares of the priors; arguments as of :meth:`beyond_priors`."""
-        total = sum(float(values[at] @ information @ values[at]) for at, information in self.smooth)
-        if self.remembered is not None:
-            places, earlier = self.remembered
-            total += earlier.square(values[places], sizes[places])
-        return total
-
-    def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return information and slope that these beliefs add to priors of some parameters, shape (K, K) and (K,).
-
-        Args:
-            kept: shape (K,), their places.
-            values: shape (P,), present values.
-            sizes: shape (P,), standard deviations of the priors.
-        """
-        information, slope = np.zeros((len(kept), len(kept))), np.zeros(len(kept))
-        if self.remembered is not None:
-            places, earlier = self.remembered
-            at, of = np.nonzero(kept[:, None] == places)
-            information[at[:, None], at] = earlier.beyond(sizes[places])[of[:, None], of]
-            slope[at] = earlier.pull(values[places], sizes[places])[of]
-        for places, smooth in self.smooth:
-            of = np.flatnonzero(np.isin(places, kept))
-            at = np.searchsorted(kept, places[of])
-            information[at[:, None], at] += smooth[of[:, None], of]
-            slope[at] -= (smooth @ values[places])[of]
-        return information, slope
-
-    @cached_property
-    def is_remembered(self) -> np.ndarray:
-        """Which parameters are known from an earlier fit, shape (P,)."""
-        found = np.zeros(self.size, bool)
-        if self.remembered is not None:
-            found[self.remembered[0]] = True
-        return found
+            if (information := effect.smoothness()) is not None:
+                places = self.places_at(effect)
+                if np.all(self.is_shared[places] & ~is_remembered[places]):
+                    terms.append(Belief(places, np.zeros(len(places)), information))
+        return Beliefs(tuple(terms), is_remembered)
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
@@ -226,7 +135,7 @@ class Problem:
                 slice(self.rows[run[0]].start, self.rows[run[-1]].stop),
                 slice(self.block_spans[run[0]].start, self.block_spans[run[-1]].stop),
                 np.array(self.places[run.start : run.stop]),
-                self.eliminated[run[0]],
+                ~self.is_shared[self.places[run[0]]],
                 run[0],
             )
             for run in runs(self.stations)
@@ -243,29 +152,26 @@ class Problem:
         return tuple(block for station in self.stations for block in station.sensor.blocks)
 
     @cached_property
-    def block_sizes(self) -> np.ndarray:
-        """Components of each block of readings, shape (blocks,)."""
-        return np.array([block.size for block in self.blocks])
-
-    @cached_property
     def block_spans(self) -> tuple[slice, ...]:
         """For each station, where its blocks stand among all blocks."""
         return _spans(len(station.sensor.blocks) for station in self.stations)
 
-    @cached_property
-    def station_of_block(self) -> np.ndarray:
-        """The station that each block of readings belongs to, shape (blocks,)."""
-        return np.repeat(np.arange(len(self.stations)), [len(station.sensor.blocks) for station in self.stations])
+    def readings(self, robust: np.ndarray) -> np.ndarray:
+        """Return how many readings of each block count by robust weights of all rows, shape (blocks,)."""
+        counts, (station, size) = robust > 0.0, self._of_blocks
+        return np.asarray(np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size)
 
-    def counted_rows(self, robust: np.ndarray) -> np.ndarray:
-        """Return how many rows of each station count by robust weights of all rows, shape (stations,)."""
-        counts = robust > 0.0
-        return np.array([np.count_nonzero(counts[rows]) for rows in self.rows])
+    @cached_property
+    def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of each block of readings its station, by number, and its components, shape (blocks,)."""
+        pairs = [(k, block.size) for k, station in enumerate(self.stations) for block in station.sensor.blocks]
+        station, size = np.array(pairs).T
+        return station, size
 
     @cached_property
     def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
         """How far a unit of each parameter moves its coordinate at most, and whether it does at all, shape (P,)."""
-        largest, excited = np.zeros(self.size), np.zeros(self.size, bool)
+        largest, excited = np.zeros(len(self.parameters)), np.zeros(len(self.parameters), bool)
         for batch in self.batches:
             sample = replace(batch, stations=tuple(map(_sample, batch.stations)))
             model = sample.stations[0].model
@@ -313,8 +219,6 @@ class Problem:
 
     def select(self, rows: np.ndarray) -> Problem:
         """Return the problem of some rows (a mask over all rows, or indices)."""
-        if len(self.stations) == 1:
-            return replace(self, stations=(self.station.select(rows),))
         if rows.dtype == bool:
             parts = [rows[span] for span in self.rows]
         else:
@@ -323,24 +227,8 @@ class Problem:
         pairs = zip(self.stations, parts, whole, strict=True)
         return replace(self, stations=tuple(s if is_whole else s.select(part) for s, part, is_whole in pairs))
 
-    def extended(self, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
-        """Return the problem with further effects, and where its parameters stand in the new table, shape (P,)."""
-        models = [s.model.with_effects([*s.model.effects, *effects_at(effects, s.name)]) for s in self.stations]
-        wider = replace(self, stations=tuple(s.with_model(m) for s, m in zip(self.stations, models, strict=True)))
-        known = np.empty(len(self.parameters), int)
-        for i, (station, other) in enumerate(zip(self.stations, wider.stations, strict=True)):
-            (of_model, of_sensor), (model, sensor) = station.split(self.places[i]), other.split(wider.places[i])
-            known[of_model], known[of_sensor] = model[: len(of_model)], sensor
-        return wider, known
-
-    def places_of(self, effect: int) -> np.ndarray:
-        """Return where the parameters of an effect stand, given its number among ``effects``: those of all stations."""
-        return self.places_at(self.effects[effect])
-
     def places_at(self, effect: Effect) -> np.ndarray:
         """Return where the parameters of an effect of the problem, this very object, stand: those of all stations."""
-        if len(self.stations) == 1:
-            return self.places[0][self._spans[0].get(id(effect), slice(0))]
         found: dict[int, None] = {}
         for spans, places in zip(self._spans, self.places, strict=True):
             found |= dict.fromkeys(places[spans.get(id(effect), slice(0))].tolist())
@@ -348,7 +236,18 @@ class Problem:
 
     def carried_over(self, vector: np.ndarray, other: Problem) -> np.ndarray:
         """Return what a vector over this table says of another problem's, by name; zero (or False) where it says nothing."""
-        return carried_over(vector, self.index, other.parameters)
+        return carried_over(vector, self._index, other.parameters)
+
+
+def extended(problem: Problem, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
+    """Return a problem with further effects, and where its parameters stand in the new table, shape (P,)."""
+    models = [s.model.with_effects([*s.model.effects, *effects_at(effects, s.name)]) for s in problem.stations]
+    wider = replace(problem, stations=tuple(s.with_model(m) for s, m in zip(problem.stations, models, strict=True)))
+    known = np.empty(len(problem.parameters), int)
+    for i, (station, other) in enumerate(zip(problem.stations, wider.stations, strict=True)):
+        (of_model, of_sensor), (model, sensor) = station.split(problem.places[i]), other.split(wider.places[i])
+        known[of_model], known[of_sensor] = model[: len(of_model)], sensor
+    return wider, known
 
 
 def effects_at(effects: Iterable[Effect], station: str) -> list[Effect]:
@@ -365,5 +264,5 @@ def _sample(station: Station) -> Station:
     """Return the station with rows spread over the table, enough to judge sizes by."""
     if len(station) <= _ROWS:
         return station
-    rows = some_rows(len(station), _ROWS)
+    rows = sample_rows(len(station), _ROWS)
     return replace(station.select(rows), conditions=part_of(station.conditions, rows, (_ROWS,)))

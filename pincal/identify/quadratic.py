@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtrc
 
 # Part of the information of parameters, before anything was eliminated, below which nothing is seen of a direction. Two
@@ -27,90 +28,39 @@ from scipy.special import chdtrc
 SEEN = 1e-5
 # The same where all that matters is that rounding, some 1e-16 of the largest entry, is taken for nothing.
 ROUNDING = 1e-12
+# The same where directions are found that data do not see at all, so that what they see faintly still counts: a hundred to a
+# thousand times the rounding of a sum over the rows.
+NULL = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Quadratic:
-    """Squares about a point: square - 2 g x + x H x, over F named parameters x, in units of the noise.
+class Form:
+    """What squares say of F parameters, by their places; of several forms, as of stations, with a leading axis.
 
     Attributes:
-        names: the parameters.
         H: shape (F, F), their information.
-        g: shape (F,), half of the slope down which the squares fall.
-        square: the squares at x = 0.
-        degrees: number of readings and priors less that of directions that were eliminated.
+        g: shape (F,), half of the negative gradient of the sum of squares.
         whole: shape (F,), the diagonal of H before anything was eliminated.
     """
 
-    names: tuple[str, ...]
     H: np.ndarray
     g: np.ndarray
-    square: float
-    degrees: float
     whole: np.ndarray
 
     @classmethod
-    def of_rows(cls, names: Sequence[str], J: np.ndarray, r: np.ndarray) -> Self:
-        """Return that of R rows: J of shape (R, F) and r of shape (R,), both in units of the noise."""
-        H = J.T @ J
-        return cls(tuple(names), H, J.T @ r, float(r @ r), float(len(r)), np.diag(H).copy())
+    def of(cls, H: np.ndarray, g: np.ndarray | None = None) -> Form:
+        """Return that of information from which nothing was eliminated; default: at its least."""
+        whole = np.diagonal(H, axis1=-2, axis2=-1)
+        return Form(H, np.zeros(whole.shape) if g is None else g, whole)
 
-    @classmethod
-    def of_prior(cls, names: Sequence[str], sizes: np.ndarray, offsets: np.ndarray | None = None) -> Self:
-        """Return that of independent priors.
+    def part(self, at: np.ndarray) -> Form:
+        """Return that of some parameters, by their places, shape (n,), the others held."""
+        return Form(self.H[..., at[:, None], at], self.g[..., at], self.whole[..., at])
 
-        Args:
-            names: F parameters.
-            sizes: shape (F,), standard deviations; inf for none.
-            offsets: shape (F,), the point minus the priors' centres; default: zero.
-        """
-        precision = np.asarray(sizes, float) ** -2.0
-        at = np.zeros(len(precision)) if offsets is None else offsets
-        known = float(np.count_nonzero(precision))
-        return cls(tuple(names), np.diag(precision), -precision * at, float(precision @ at**2), known, precision)
-
-    def __add__(self, other: Quadratic) -> Quadratic:
-        """Return the sum of what both say, parameter by name: what one of them does not have it says nothing of."""
-        names = tuple(dict.fromkeys((*self.names, *other.names)))
-        place = {name: i for i, name in enumerate(names)}
-        H, g, whole = np.zeros((len(names),) * 2), np.zeros(len(names)), np.zeros(len(names))
-        for form in (self, other):
-            at = np.array([place[name] for name in form.names], int)
-            H[np.ix_(at, at)] += form.H
-            g[at] += form.g
-            whole[at] += form.whole
-        return Quadratic(names, H, g, self.square + other.square, self.degrees + other.degrees, whole)
-
-    def places(self, names: Sequence[str]) -> np.ndarray:
-        """Return where some parameters stand, shape (n,)."""
-        place = {name: i for i, name in enumerate(self.names)}
-        return np.array([place[name] for name in names], int)
-
-    def at(self, values: np.ndarray) -> Quadratic:
-        """Return the same squares about another point, ``values`` of shape (F,) away."""
-        square = self.square - 2.0 * float(self.g @ values) + float(values @ self.H @ values)
-        return replace(self, g=self.g - self.H @ values, square=square)
-
-    def held(self, at: np.ndarray) -> Quadratic:
-        """Return what is left if some parameters, by their places, stay where they are."""
-        kept = np.setdiff1d(np.arange(len(self.names)), at)
-        names = tuple(self.names[i] for i in kept)
-        return replace(self, names=names, H=self.H[np.ix_(kept, kept)], g=self.g[kept], whole=self.whole[kept])
-
-    def released(self, at: np.ndarray, tolerance: float = SEEN) -> Quadratic:
-        """Return what is left of all parameters once some of them, by their places, are anything.
-
-        Those keep their places, and nothing is known of them any more; :meth:`held` takes them away.
-        """
-        root = self.root(at, tolerance)
-        across, along = self.H[:, at] @ root, root.T @ self.g[at]
-        return replace(
-            self,
-            H=self.H - across @ across.T,
-            g=self.g - across @ along,
-            square=self.square - float(along @ along),
-            degrees=self.degrees - len(along),
-        )
+    def sum(self) -> Form:
+        """Return the sum over leading axes."""
+        several = tuple(range(self.g.ndim - 1))
+        return Form(*(np.sum(of, axis=several) if several else of for of in (self.H, self.g, self.whole)))
 
     def gain(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[float, int]:
         """Return what some parameters, the others held, take off the squares, and the rank of what is seen of them.
@@ -133,6 +83,128 @@ class Quadratic:
     def root(self, at: np.ndarray, tolerance: float = SEEN) -> np.ndarray:
         """Return the root of the covariance of some parameters, the others held, over what is seen of them, (n, rank)."""
         return root_of_inverse(self.H[np.ix_(at, at)], self.whole[at], tolerance)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Quadratic(Form):
+    """Squares about a point: square - 2 g x + x H x, over F named parameters x, in units of the noise.
+
+    Attributes:
+        names: the parameters.
+        square: the squares at x = 0.
+        degrees: number of readings and priors less that of directions that were eliminated.
+    """
+
+    names: tuple[str, ...]
+    square: float
+    degrees: float
+
+    @classmethod
+    def of_rows(cls, names: Sequence[str], J: np.ndarray, r: np.ndarray) -> Self:
+        """Return that of R rows: J of shape (R, F) and r of shape (R,), both in units of the noise."""
+        H = J.T @ J
+        return cls(H, J.T @ r, np.diag(H), names=tuple(names), square=float(r @ r), degrees=float(len(r)))
+
+    @classmethod
+    def of_prior(cls, names: Sequence[str], sizes: np.ndarray, offsets: np.ndarray | None = None) -> Self:
+        """Return that of independent priors.
+
+        Args:
+            names: F parameters.
+            sizes: shape (F,), standard deviations; inf for none.
+            offsets: shape (F,), the point minus the priors' centres; default: zero.
+        """
+        precision = np.asarray(sizes, float) ** -2.0
+        at = np.zeros(len(precision)) if offsets is None else offsets
+        square, known = float(precision @ at**2), float(np.count_nonzero(precision))
+        return cls(np.diag(precision), -precision * at, precision, names=tuple(names), square=square, degrees=known)
+
+    def __add__(self, other: Quadratic) -> Quadratic:
+        """Return the sum of what both say, parameter by name: what one of them does not have it says nothing of."""
+        names = tuple(dict.fromkeys((*self.names, *other.names)))
+        place = {name: i for i, name in enumerate(names)}
+        H, g, whole = np.zeros((len(names),) * 2), np.zeros(len(names)), np.zeros(len(names))
+        for form in (self, other):
+            at = np.array([place[name] for name in form.names], int)
+            H[np.ix_(at, at)] += form.H
+            g[at] += form.g
+            whole[at] += form.whole
+        square, degrees = self.square + other.square, self.degrees + other.degrees
+        return Quadratic(H, g, whole, names=names, square=square, degrees=degrees)
+
+    def places(self, names: Sequence[str]) -> np.ndarray:
+        """Return where some parameters stand, shape (n,)."""
+        place = {name: i for i, name in enumerate(self.names)}
+        return np.array([place[name] for name in names], int)
+
+    def at(self, values: np.ndarray) -> Quadratic:
+        """Return the same squares about another point, ``values`` of shape (F,) away."""
+        square = self.square - 2.0 * float(self.g @ values) + float(values @ self.H @ values)
+        return replace(self, g=self.g - self.H @ values, square=square)
+
+    def taking(self, at: np.ndarray) -> Quadratic:
+        """Return what is left if all parameters but some, by their places, stay where they are."""
+        return replace(self, **vars(self.part(at)), names=tuple(self.names[i] for i in at))
+
+    def held(self, at: np.ndarray) -> Quadratic:
+        """Return what is left if some parameters, by their places, stay where they are."""
+        return self.taking(np.setdiff1d(np.arange(len(self.names)), at))
+
+    def released(self, at: np.ndarray, tolerance: float = SEEN) -> Quadratic:
+        """Return what is left of all parameters once some of them, by their places, are anything.
+
+        Those keep their places, and nothing is known of them any more; :meth:`held` takes them away.
+        """
+        root = self.root(at, tolerance)
+        across, along = self.H[:, at] @ root, root.T @ self.g[at]
+        return replace(
+            self,
+            H=self.H - across @ across.T,
+            g=self.g - across @ along,
+            square=self.square - float(along @ along),
+            degrees=self.degrees - len(along),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Cholesky factor of information H that priors make definite, for many parameters: H = L L^T / (scale scale^T).
+
+    Attributes:
+        scale: shape (F,).
+        L: shape (F, F), lower; that of H scaled to a diagonal of 1, and a little more for rounding.
+    """
+
+    scale: np.ndarray
+    L: np.ndarray
+
+    @classmethod
+    def of(cls, H: np.ndarray) -> Factor:
+        """Return that of H, shape (F, F), symmetric, which is overwritten."""
+        scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
+        H *= scale
+        H *= scale[:, None]
+        H.flat[:: len(H) + 1] += ROUNDING
+        # Column-major, which spares LAPACK a copy.
+        return cls(scale, cholesky(H.T, lower=True, overwrite_a=True, check_finite=False))
+
+    @property
+    def log_det(self) -> float:
+        """Log of the determinant of H."""
+        return 2.0 * float(np.sum(np.log(np.diag(self.L) / self.scale)))
+
+    def half(self, right: np.ndarray) -> np.ndarray:
+        """Return X, shape (F,) or (F, n), with X^T X = right^T H^-1 right."""
+        scaled = (right.T * self.scale).T
+        return np.asarray(solve_triangular(self.L, scaled, lower=True, check_finite=False))
+
+    def back(self, half: np.ndarray) -> np.ndarray:
+        """Return H^-1 right for :meth:`half` of it."""
+        return np.asarray((solve_triangular(self.L, half, lower=True, trans="T", check_finite=False).T * self.scale).T)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Return H^-1 right, shape (F,) or (F, n)."""
+        return np.asarray((cho_solve((self.L, True), (right.T * self.scale).T, check_finite=False).T * self.scale).T)
 
 
 def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.ndarray:

@@ -25,7 +25,7 @@ class Cause(Enum):
     GIVEN = "given by the user"
     NOT_NEEDED = "fixed at zero: most lenses need no higher terms"
     AT_BOUND = "stopped at its bound of {size}"
-    ABSORBS = "±{size} if the parameters it absorbs are held at the values found"
+    ABSORBS = "±{size} if the parameters it absorbs are held at their estimates"
     NO_MOMENT = "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no mass beyond it)"
     NOT_EXCITED = "not excited by any of these poses"
     NOT_OBSERVED = "has no influence on the measured target"
@@ -36,7 +36,7 @@ class Cause(Enum):
     COMBINATION = "only {combination} is identifiable"
     ALIASED = "indistinguishable from {aliases}{together}"
     HIDDEN = "indistinguishable from a combination of many other parameters"
-    MASS = "only its product with the compliances shows; the shape of the arm holds the factor"
+    MASS = "only its product with the compliances is identifiable; the shape of the arm sets the factor"
     WEAK = "the data narrow the prior of ±{size} only to ±{narrowed}"
     UNINFORMED = "the data add nothing to the prior of ±{size}"
 

@@ -6,6 +6,7 @@ says which executors there are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,12 +14,12 @@ from functools import partial
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.calibrate import calibrate
-from pincal.identify.fit import Fit
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit, Priors, Solution
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors, Solution, solve
+from pincal.identify.solve import Course, solve
 from pincal.identify.split import Split, row_groups
 from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
@@ -72,7 +73,7 @@ def cross_validate(
 
 
 def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
-    fit = calibrate(robot, table.select(fold != k), options)
+    fit = fit_tables(robot, table.select(fold != k), options)
     held = table.select(fold == k)
     known = scorable(held, fit.options.setup)
     residuals = np.full((sum(block.size for block in fit.station.sensor.blocks), len(held)), np.nan)
@@ -80,31 +81,36 @@ def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fol
     return residuals
 
 
-def bootstrap(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+def bootstrap(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
     """Refit rows drawn with replacement; the spread of the values needs no model of the noise.
 
     Args:
         fit: the calibration.
         draws: how many refits; as many small tasks for an executor.
-        seed: of all draws, each of which has one of its own.
+        seed: of all draws, from which the seed of each is derived.
         executor: runs the refits; default: one after the other, here.
 
     Returns:
         Shape (draws, P).
     """
-    run = partial(_refit_drawn_rows, fit)
+    return _drawn(partial(_refit_drawn_rows, fit), draws, seed, executor)
+
+
+def _drawn(
+    refit: Callable[[np.random.SeedSequence], np.ndarray], draws: int, seed: int, executor: Executor | None
+) -> np.ndarray:
     seeds = np.random.SeedSequence(seed).spawn(draws)
-    return np.array(list(spread(run, seeds, label="draw", executor=executor)))
+    return np.array(list(spread(refit, seeds, label="draw", executor=executor)))
 
 
-def _refit_drawn_rows(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
+def _refit_drawn_rows(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
     n = len(fit.problem)
     rows = np.random.default_rng(seed).integers(0, n, n)
     return _refit(fit, fit.problem.select(rows)).values
 
 
-def bootstrap_stations(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit stations drawn with replacement: what differs from day to day spreads the values, too, which rows do not show.
+def bootstrap_stations(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+    """Refit stations drawn with replacement: their spread includes variation from day to day, unlike resampled rows.
 
     Arguments as those of :func:`bootstrap`.
 
@@ -116,12 +122,10 @@ def bootstrap_stations(fit: Fit, *, draws: int, seed: int = 0, executor: Executo
     """
     if len(fit.problem.stations) < 2:
         raise BadInputError("a bootstrap over stations of one station; expected several, or bootstrap() over its rows")
-    run = partial(_refit_drawn_stations, fit)
-    seeds = np.random.SeedSequence(seed).spawn(draws)
-    return np.array(list(spread(run, seeds, label="draw", executor=executor)))
+    return _drawn(partial(_refit_drawn_stations, fit), draws, seed, executor)
 
 
-def _refit_drawn_stations(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
+def _refit_drawn_stations(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
     problem, n = fit.problem, len(fit.problem.stations)
     drawn = np.random.default_rng(seed).integers(0, n, n)
     stations = tuple(replace(problem.stations[j], name=f"{k} {problem.stations[j].name}") for k, j in enumerate(drawn))
@@ -136,14 +140,14 @@ def _refit_drawn_stations(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
     priors = Priors(carried(fit.priors.sizes), carried(fit.priors.bounds))
     noise = Noise(tuple(sigma for j in drawn for sigma in fit.noise.declared[problem.block_spans[j]]))
     values, free = carried(fit.values), carried(fit.solution.free)
-    solution = solve(again, values, free, priors, noise, loss=fit.options.loss)
+    solution = solve(again, values, free, priors, noise, Course(fit.options.loss))
     out = np.full(len(fit.values), np.nan)
     for j, places in zip(drawn, again.places, strict=True):
         out[problem.places[j]] = solution.values[places]
     return out
 
 
-def monte_carlo(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+def monte_carlo(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
     """Refit simulated readings of the calibrated model with the noise of the fit: the parametric bootstrap.
 
     Arguments as those of :func:`bootstrap`.
@@ -151,21 +155,19 @@ def monte_carlo(fit: Fit, *, draws: int, seed: int = 0, executor: Executor | Non
     Returns:
         Shape (draws, P).
     """
-    run = partial(_refit_simulated, fit)
-    seeds = np.random.SeedSequence(seed).spawn(draws)
-    return np.array(list(spread(run, seeds, label="draw", executor=executor)))
+    return _drawn(partial(_refit_simulated, fit), draws, seed, executor)
 
 
-def _refit_simulated(fit: Fit, seed: np.random.SeedSequence) -> np.ndarray:
+def _refit_simulated(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
     rng = np.random.default_rng(seed)
     problem, stations = fit.problem, []
     for station, places, span in zip(problem.stations, problem.places, problem.block_spans, strict=True):
-        sigma = np.repeat(fit.solution.sigma[span], problem.block_sizes[span])
+        sigma = np.repeat(fit.solution.sigma[span], station.block_sizes)
         noise = rng.normal(size=(len(sigma), len(station))) * sigma[:, None] / station.weights
         sensor = station.sensor.shifted(station.coloured(noise) - station.residuals(fit.values[places]))
         stations.append(replace(station, sensor=sensor))
     return _refit(fit, replace(problem, stations=tuple(stations))).values
 
 
-def _refit(fit: Fit, problem: Problem) -> Solution:
-    return solve(problem, fit.values, fit.solution.free, fit.priors, fit.noise, loss=fit.options.loss)
+def _refit(fit: ModelFit, problem: Problem) -> Solution:
+    return solve(problem, fit.values, fit.solution.free, fit.priors, fit.noise, Course(fit.options.loss))

@@ -1,25 +1,28 @@
-"""One solver for every fit: Gauss-Newton on the posterior, with robust weights, estimated noise and bounds."""
+"""One solver for every fit: Gauss-Newton on the posterior, with robust weights, estimated noise and bounds.
+
+Where two parameters multiply each other and the readings hardly tell them apart, such as a bearing's compliance and its
+place, what Gauss-Newton wants along this bent ridge leads far off it. A step is then damped by the priors, and what such a
+one did wrong all the same is put right from where it led to, by what the readings are surest of. A step that is halved
+instead creeps along the ridge.
+"""
 
 from __future__ import annotations
 
 import logging
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.identify.equations import Equations, Linearised
+from pincal.identify.equations import Linearised
 from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
+from pincal.identify.fit import MOST_STEPS, Ending, Priors, Solution
 from pincal.identify.noise import Judge, Judgement, Loss, Noise
-from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
-from pincal.identify.trials import Memory, trials
 from pincal.units import readable_unit
 
 log = logging.getLogger(__name__)
 
-MAX_ITERATIONS = 40
 # A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still. So
 # does one that had to be halved down to this: along a bent ridge there is nothing left to gain.
 SETTLED = 1e-3
@@ -31,141 +34,104 @@ _ROUNDED = 0.03
 _STEADY = 0.05
 # Robust weights that change by less are settled.
 _SETTLED = 1e-3
-
-
-class Exit(Enum):
-    """How a fit ended."""
-
-    SETTLED = "the last step moved predictions by far less than the noise"
-    ROUGH = "it came close enough for the fit that follows it"
-    EXACT = "the readings are exact, and the model was fitted to rounding"
-    STUCK = "no step made things better although a long one was still called for"
-    BUDGET = f"it was not done after {MAX_ITERATIONS} steps"
-
-    @property
-    def is_good(self) -> bool:
-        """Whether the fit ended well."""
-        return self in (Exit.SETTLED, Exit.ROUGH, Exit.EXACT)
+# Steps remembered, and the ratio of successive steps above which they are put to use.
+_MEMORY = 4
+_SLOW = 0.3
+# Damping of the first step that is damped, in priors; how much more of it each refusal brings, how much less a success;
+# and after how many refusals steps are halved instead.
+_FIRST, _MORE, _LESS, _MOST = 3.0, 4.0, 2.0, 6
+# How much more a step is damped that puts right what another one did wrong.
+_REPAIR = 10.0
+# Halvings of a step that made things worse, before the fit is taken to stand still.
+_HALVINGS = 10
 
 
 @dataclass(frozen=True)
-class Priors:
-    """What is believed before measuring, and how far lengths may go.
+class Course:
+    """How a fit is done.
 
     Attributes:
-        sizes: shape (P,), standard deviations about the nominal; inf for none.
-        bounds: shape (P,), largest deviations; inf for none.
+        loss: "screen" weighs rows beyond the range of the noise down and leaves them out at the end; "huber" only
+            weighs them down; "none" takes every row as it is.
+        rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
+        short: how far a step that ends the fit may move predictions, root mean square, in units of the noise.
+        label: what the fit is called in the log; it is not logged without a name.
+        executor: computes what stations contribute, where there are several; default: one after the other, here.
     """
 
-    sizes: np.ndarray
-    bounds: np.ndarray
-
-
-@dataclass(frozen=True)
-class Solution:
-    """A fit.
-
-    Attributes:
-        values: shape (P,).
-        equations: what data and priors say about the free parameters at ``values``.
-        sigma: shape (blocks,), standard deviations that the fit used, one station's blocks after the other's.
-        estimated: shape (blocks,), those of its residuals.
-        weights: shape (N,), robust weights: 0 for an outlier.
-        chi2: weighted sum of squares over the declared variances (the estimated, where none are declared).
-        degrees: its degrees of freedom.
-        iterations: Gauss-Newton steps taken.
-        exit: how it ended.
-        at_bound: shape (P,), parameters held at their bound.
-        free: shape (P,), parameters that were fitted.
-        wide: what is known of the parameters where more than the noise is in doubt; default: what the equations say.
-    """
-
-    values: np.ndarray
-    equations: Equations
-    sigma: np.ndarray
-    estimated: np.ndarray
-    weights: np.ndarray
-    chi2: float
-    degrees: float
-    iterations: int
-    exit: Exit
-    at_bound: np.ndarray
-    free: np.ndarray
-    wide: Posterior | None = None
-
-    @property
-    def posterior(self) -> Posterior:
-        """What is known of the free parameters."""
-        return self.equations.posterior if self.wide is None else self.wide
-
-    @property
-    def effective(self) -> float:
-        """Number of parameters that the data spend, priors counted: :attr:`Posterior.effective` in a fifth of the time."""
-        shared, own = self.equations.spent
-        return shared + sum(own)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the fit ended well."""
-        return self.exit.is_good
-
-    @property
-    def cost(self) -> float:
-        """Mean square of the residuals in units of the noise."""
-        return float(self.chi2 / max(self.degrees, 1.0))
+    loss: Loss = "screen"
+    rough: bool = False
+    short: float = SETTLED
+    label: str = ""
+    executor: Executor | None = None
 
 
 def solve(
     problem: Problem,
-    start: np.ndarray,
+    start: np.ndarray | Linearised,
     free: np.ndarray,
     priors: Priors,
     noise: Noise,
-    *,
-    loss: Loss = "screen",
-    rough: bool = False,
-    label: str = "",
-    robust: np.ndarray | None = None,
-    begun: Linearised | None = None,
-    short: float = SETTLED,
-    executor: Executor | None = None,
+    course: Course = Course(),
 ) -> Solution:
     """Find the most probable values of the free parameters.
 
     Args:
         problem: model and readings.
-        start: shape (P,), where to begin; the others keep these values.
+        start: shape (P,), where to begin; the others keep these values. Or the problem at such values with the robust
+            weights of an earlier fit, whose outliers are then known, and perhaps more free parameters.
         free: shape (P,), parameters to fit.
         priors: about the nominal, zero.
         noise: declared standard deviations.
-        loss: "screen" weighs rows beyond the range of the noise down and leaves them out at the end; "huber" only
-            weighs them down; "none" takes every row as it is.
-        rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
-        label: what this fit is called in the log; it is not logged without a name.
-        robust: shape (N,), robust weights of an earlier fit to begin with; its outliers are then known.
-        begun: the problem at ``start`` with these robust weights, and perhaps more free parameters; default: nobody knows.
-        short: how far a step that ends the fit may move predictions, root mean square, in units of the noise.
-        executor: computes what stations contribute, where there are several; default: one after the other, here.
+        course: what to do with outliers, how far to go, and where.
 
     Returns:
         The fit; ``exit`` tells how it ended.
     """
-    fit = _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough, executor, begun, short)
-    return fit.finish(*fit.run(start, robust, label))
+    fit = _Fit(problem, free, priors, Judge(problem, free, noise, course.loss), course)
+    return fit.finish(*fit.run(start))
 
 
-def most_probable(
-    problem: Problem,
-    start: np.ndarray,
-    free: np.ndarray,
-    priors: Priors,
-    noise: Noise,
-    *,
-    loss: Loss,
-    rough: bool = False,
+def likeliest_values(
+    problem: Problem, start: np.ndarray, free: np.ndarray, priors: Priors, noise: Noise, course: Course = Course()
 ) -> np.ndarray:
     """Return the values of :func:`solve` alone, shape (P,), without what is known of them."""
-    return _Fit(problem, free, priors, Judge(problem, free, noise, loss), rough).run(start)[0].point.values
+    return _Fit(problem, free, priors, Judge(problem, free, noise, course.loss), course).run(start)[0].point.values
+
+
+class _Memory:
+    """What earlier steps of a fit tell of the next one.
+
+    Anderson's acceleration of a slowly converging fit (Walker and Ni 2011), over the last few steps: where residuals are
+    large against what a direction is known by, Gauss-Newton overshoots it again and again by almost the same amount; two
+    such steps tell where it settles. A fit that converges fast is left alone.
+
+    Attributes:
+        damping: of the last step that was taken, less what its success is worth; 0 while whole steps do.
+        was_refused: whether the last point had steps that made things worse.
+    """
+
+    def __init__(self) -> None:
+        self.damping = 0.0
+        self.was_refused = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._points: list[np.ndarray] = []
+        self._steps: list[np.ndarray] = []
+
+    def accelerate(self, at: np.ndarray, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
+        """Return the step to take at the point ``at``, where Gauss-Newton wants ``step``; all of shape (F,)."""
+        self._points = [*self._points[-_MEMORY:], at.copy()]
+        self._steps = [*self._steps[-_MEMORY:], step.copy()]
+        if self.damping or len(self._steps) < 3:
+            return step
+        if np.linalg.norm(metric * step) < _SLOW * np.linalg.norm(metric * self._steps[-2]):
+            return step
+        dx, ds = np.diff(self._points, axis=0).T, np.diff(self._steps, axis=0).T
+        mix = np.linalg.lstsq(metric[:, None] * ds, metric * step, rcond=1e-8)[0]
+        return np.asarray(step - (dx + ds) @ mix)
 
 
 @dataclass(frozen=True)
@@ -202,9 +168,9 @@ class _Step:
     is_short: bool
     held: np.ndarray
 
-    def end(self, done: Exit) -> Exit:
+    def end(self, done: Ending) -> Ending:
         """Return how a fit ended that can go no further: ``done``, unless it still had far to go."""
-        return done if self.wanted < _ROUGH else Exit.STUCK
+        return done if self.wanted < _ROUGH else Ending.STUCK
 
 
 @dataclass(frozen=True)
@@ -215,39 +181,38 @@ class _Fit:
     free: np.ndarray
     priors: Priors
     judge: Judge
-    rough: bool = False
-    executor: Executor | None = None
-    begun: Linearised | None = None
-    short: float = SETTLED
+    course: Course
 
-    def run(self, start: np.ndarray, robust: np.ndarray | None = None, label: str = "") -> tuple[_State, _Step, int, Exit]:
+    def run(self, start: np.ndarray | Linearised) -> tuple[_State, _Step, int, Ending]:
         """Return the last point, the step to it, the number of steps and how they ended; arguments as of :func:`solve`."""
-        state, memory, ended = self.begin(start.astype(float), robust), Memory(), None
-        for iteration in range(1, MAX_ITERATIONS + 1):
+        state, memory, ended = self.begin(start), _Memory(), None
+        for iteration in range(1, MOST_STEPS + 1):
             state, step = self.advance(state, memory)
-            if label:
+            if label := self.course.label:
                 size = self.readable(state.judged)
                 log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, size, step.wanted)
             ended = self.exit_of(state, step)
             if ended is not None:
                 break
-            state = self.weighed_anew(state, step)
-        if not self.rough and self.is_beyond_normal_equations(state):
-            state, extra = self.polished(state)
-            return state, step, iteration + extra, Exit.EXACT
-        return state, step, iteration, ended or Exit.BUDGET
+            state = self.reweighted(state, step)
+        if not self.course.rough and self.is_beyond_normal_equations(state):
+            values, extra = polish(state.point, self.priors.bounds, state.judged.sigma)
+            point = self._linearised(values, state.point.robust, state.judged.sigma)
+            return replace(state, point=point), step, iteration + extra, Ending.EXACT
+        return state, step, iteration, ended or Ending.BUDGET
 
-    def begin(self, values: np.ndarray, robust: np.ndarray | None) -> _State:
+    def begin(self, start: np.ndarray | Linearised) -> _State:
         """Return the first point; outliers are known if robust weights are."""
-        hard = robust is not None
-        known = self.judge.noise.known if hard else None
-        if self.begun is not None and hard and len(self.problem.stations) == 1:
-            point = self.begun.narrowed(self.free)
+        if not isinstance(start, Linearised):
+            point = self._linearised(start.astype(float), np.ones(len(self.problem)), None)
+        elif len(self.problem.stations) == 1:
+            point = start.narrowed(self.free)
         else:
-            point = self._linearised(values, np.ones(len(self.problem)) if robust is None else robust, known)
+            point = self._linearised(start.values, start.robust, self.judge.noise.known)
+        hard = isinstance(start, Linearised)
         return _State(point, self.judge.at(point, hard=hard), hard)
 
-    def advance(self, state: _State, memory: Memory) -> tuple[_State, _Step]:
+    def advance(self, state: _State, memory: _Memory) -> tuple[_State, _Step]:
         """Return the next point and the step to it."""
         free, values = self.free, state.point.values
         equations = state.point.equations(state.judged.sigma)
@@ -255,30 +220,30 @@ class _Fit:
         longer = memory.accelerate(values[free], step, equations.metric)
         wanted = self._length(equations.square(step), state.judged.robust)
         del equations
-        point = self._moved(state, [longer, step], memory)
+        point = self._moved(state, longer, step, memory)
         judged = self.judge.at(point, hard=state.hard)
         refused = longer is not step and not np.array_equal(point.values[free], values[free] + longer)
         if refused or np.max(np.abs(judged.sigma / state.judged.sigma - 1.0)) > _STEADY:
             memory.forget()
-        shortest = self.short if np.any(judged.sigma > rounding(self.problem)) else _ROUNDED
+        shortest = self.course.short if np.any(judged.sigma > rounding(self.problem)) else _ROUNDED
         is_short = wanted < shortest
         if not is_short:
             taken = point.equations(judged.sigma).square(point.values[free] - values[free])
             is_short = self._length(taken, judged.robust) < shortest
         return _State(point, judged, state.hard), _Step(wanted, is_short, held)
 
-    def exit_of(self, state: _State, step: _Step) -> Exit | None:
+    def exit_of(self, state: _State, step: _Step) -> Ending | None:
         """Return how the fit has ended, None if it goes on."""
-        if self.rough and (step.is_short or step.wanted < _ROUGH):
-            return step.end(Exit.ROUGH)
+        if self.course.rough and (step.is_short or step.wanted < _ROUGH):
+            return step.end(Ending.ROUGH)
         if self.is_beyond_normal_equations(state):
-            return step.end(Exit.ROUGH if self.rough else Exit.EXACT)
+            return step.end(Ending.ROUGH if self.course.rough else Ending.EXACT)
         screened = self.judge.loss == "screen" and not state.hard and np.any(state.point.robust != 1.0)
         if step.is_short and state.is_steady and not screened:
-            return step.end(Exit.SETTLED)
+            return step.end(Ending.SETTLED)
         return None
 
-    def weighed_anew(self, state: _State, step: _Step) -> _State:
+    def reweighted(self, state: _State, step: _Step) -> _State:
         """Return the same point with the robust weights that its residuals call for, hard ones once nothing else moves."""
         judged, hard = state.judged, state.hard
         if step.is_short and state.is_steady:
@@ -293,23 +258,12 @@ class _Fit:
 
         What is believed beyond the priors of each parameter has no part in J.
         """
-        if self.problem.has_beliefs:
+        if self.problem.beliefs.terms:
             return False
-        diagonal = state.point.equations(state.judged.sigma).diagonal
-        return is_exact(diagonal, self.priors.sizes[self.free]) and len(self.problem) * len(diagonal) <= MOST_EXACT
+        whole = state.point.equations(state.judged.sigma).whole
+        return is_exact(whole, self.priors.sizes[self.free]) and len(self.problem) * len(whole) <= MOST_EXACT
 
-    def polished(self, state: _State) -> tuple[_State, int]:
-        """Return the point that exact readings lead to, and the steps taken."""
-        point, problem = state.point, self.problem
-        noise = [np.repeat(state.judged.sigma[span], problem.block_sizes[span]) for span in problem.block_spans]
-        weights = [
-            station.weights * point.robust[rows] / sigma[:, None]
-            for station, rows, sigma in zip(problem.stations, problem.rows, noise, strict=True)
-        ]
-        values, steps = polish(problem, point.values, self.free, self.priors.sizes, self.priors.bounds, weights)
-        return _State(self._linearised(values, point.robust, state.judged.sigma), state.judged, state.hard), steps
-
-    def finish(self, state: _State, step: _Step, iterations: int, ended: Exit) -> Solution:
+    def finish(self, state: _State, step: _Step, iterations: int, ended: Ending) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
         point, noise = state.point, self.judge.noise
         spent = point.equations(self.judge.at(point, hard=True).sigma).spent
@@ -344,7 +298,9 @@ class _Fit:
     ) -> Linearised:
         """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be again."""
         likely = sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
-        return Linearised(self.problem, values, self.free, robust, self.priors.sizes, self.executor, likely, is_doubtful)
+        return Linearised(
+            self.problem, values, self.free, robust, self.priors.sizes, self.course.executor, likely, is_doubtful
+        )
 
     def _length(self, square: float, robust: np.ndarray) -> float:
         """Return how far a step of this square moves the predictions, root mean square, in units of the noise."""
@@ -352,35 +308,76 @@ class _Fit:
 
     def _readings(self, robust: np.ndarray) -> float:
         """Return the number of readings that count, 1 if none does."""
-        counts = self.problem.counted_rows(robust)[self.problem.station_of_block]
-        return max(float(counts @ self.problem.block_sizes), 1.0)
+        return max(float(self.problem.readings(robust).sum()), 1.0)
 
-    def _moved(self, state: _State, steps: list[np.ndarray], memory: Memory) -> Linearised:
-        """Take the first of the steps that does not make things worse; see :func:`pincal.identify.trials.trials`.
+    def _moved(self, state: _State, longer: np.ndarray, step: np.ndarray, memory: _Memory) -> Linearised:
+        """Return the point of the first step that does not make things worse, the largest first.
 
-        Stations that share nothing that is free are fits of their own: each takes what does not make it worse.
+        Args:
+            state: the point to leave.
+            longer: the accelerated step, shape (F,).
+            step: Gauss-Newton's own.
+            memory: of the fit; its damping is kept up to date.
         """
-        here, sigma, free = state.point, state.judged.sigma, self.free
+        here, sigma, bounds = state.point, state.judged.sigma, self.priors.bounds[self.free]
         spare = 1e-6 * self._readings(here.robust)
-        limits = here.objectives(sigma) * (1.0 + 1e-9) + spare
+        trial = _Trial(self, here, sigma, here.objectives(sigma) * (1.0 + 1e-9) + spare, memory)
         # Few steps lead back here.
         here.release()
-        group = here.group_of[free]
-        values, is_open, is_refused = here.values.copy(), np.ones(len(limits), bool), False
-        tried = trials(here, sigma, self.priors.bounds[free], steps, memory)
-        step: np.ndarray | None = next(tried)
-        while step is not None:
-            values = values.copy()
-            values[free] = np.where(is_open[group], here.values[free] + step, values[free])
-            there = self._linearised(values, here.robust, sigma, is_doubtful=is_refused or memory.was_refused)
-            is_open &= there.objectives(sigma) > limits
-            if not is_open.any():
-                memory.was_refused = is_refused
-                return there
-            is_refused = True
-            try:
-                step = tried.send(there)
-            except StopIteration:
-                step = None
-        values[free] = np.where(is_open[group], here.values[free], values[free])
-        return here if is_open.all() else self._linearised(values, here.robust, sigma)
+        if longer is not step and trial.succeeds(longer):
+            return trial.there
+        damping = memory.damping
+        for _ in range(_MOST if np.isfinite(here.sizes[here.free]).any() else 0):
+            if damping:
+                step = here.equations(sigma).step(bounds, damping)[0]
+            memory.damping = damping / _LESS if damping > _FIRST else 0.0
+            if trial.succeeds(step):
+                return trial.there
+            # From where a whole step led to, putting it right may lead on into another valley.
+            if damping:
+                there, worse = trial.there, trial.there.objective(sigma) / max(here.objective(sigma), 1e-300)
+                if trial.succeeds(
+                    step + there.equations(sigma).step(bounds, _REPAIR * (1.0 + damping) * max(worse, 1.0))[0]
+                ):
+                    return trial.there
+            damping = max(_FIRST, _MORE * damping)
+        memory.damping = damping
+        if any(trial.succeeds(step * 0.5**k) for k in range(_HALVINGS)):
+            return trial.there
+        return trial.given_up()
+
+
+class _Trial:
+    """Steps from a point, tried one after the other until none makes things worse.
+
+    Stations that share nothing that is free are fits of their own: each takes what does not make it worse.
+
+    Attributes:
+        there: the latest point.
+    """
+
+    def __init__(self, fit: _Fit, here: Linearised, sigma: np.ndarray, limits: np.ndarray, memory: _Memory) -> None:
+        self._fit, self._here, self._sigma, self._limits, self._memory = fit, here, sigma, limits, memory
+        self._group, self._is_open, self._is_refused = here.group_of[fit.free], np.ones(len(limits), bool), False
+        self.there = here
+
+    def succeeds(self, step: np.ndarray) -> bool:
+        """Try a step, shape (F,); return whether all fits have one now that does not make them worse."""
+        doubtful = self._is_refused or self._memory.was_refused
+        self.there = self._at(step, is_doubtful=doubtful)
+        self._is_open &= self.there.objectives(self._sigma) > self._limits
+        if self._is_open.any():
+            self._is_refused = True
+            return False
+        self._memory.was_refused = self._is_refused
+        return True
+
+    def given_up(self) -> Linearised:
+        """Return the point where those fits stay that no step made better."""
+        return self._here if self._is_open.all() else self._at(np.zeros(len(self._group)))
+
+    def _at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:
+        """Return the point where the fits that still look for a step take this one."""
+        here, free, values = self._here, self._fit.free, self.there.values.copy()
+        values[free] = np.where(self._is_open[self._group], here.values[free] + step, values[free])
+        return self._fit._linearised(values, here.robust, self._sigma, is_doubtful=is_doubtful)

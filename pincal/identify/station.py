@@ -11,11 +11,10 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.serial import Serial
-from pincal.identify.whitening import whitened
+from pincal.identify.whitening import whitened_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
-from pincal.measure.measurements import Measurements
-from pincal.measure.rows import some_rows
-from pincal.measure.sensing import sensor_of
+from pincal.measure.measurements import Measurements, sensor_of
+from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
 from pincal.model.conditions import part_of
@@ -25,6 +24,10 @@ from pincal.parameters import Parameter
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
 PIECE = 4096
+
+
+# What is recorded of each joint in units of its position; the side that it arrived from is that of its drive.
+_MOVED = ("droop", "move")
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,12 @@ class Station:
         of_model = self.model.own(vector)
         return of_model, vector[len(of_model) :]
 
+    def sensors(self, mask: np.ndarray | bool = True) -> np.ndarray:
+        """Return which parameters are the sensor's, shape (P,), or those of them in a mask."""
+        found = np.zeros(len(self.parameters), bool)
+        self.split(found)[1][:] = mask
+        return found
+
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """The model's parameters, then the sensor's."""
@@ -70,6 +79,11 @@ class Station:
     def is_own(self) -> np.ndarray:
         """Which parameters are the station's own, shape (P,); the others are the robot's."""
         return np.concatenate([self.model.of_station, np.ones(len(self.sensor.parameters), bool)])
+
+    @cached_property
+    def block_sizes(self) -> np.ndarray:
+        """Components of each block of readings, shape (blocks,)."""
+        return np.array([block.size for block in self.sensor.blocks])
 
     def __len__(self) -> int:
         return len(self.conditions)
@@ -89,7 +103,7 @@ class Station:
 
     def sample(self, most: int) -> Station:
         """Return the station with at most so many of its rows, and some of everything; itself if it has no more."""
-        return self if len(self) <= most else self.select(some_rows(len(self), most, self.sensor.groups))
+        return self if len(self) <= most else self.select(sample_rows(len(self), most, self.sensor.groups))
 
     def with_model(self, model: Model) -> Station:
         """Return the same readings under another model."""
@@ -108,7 +122,7 @@ class Station:
     def whitened(self, residuals: np.ndarray) -> np.ndarray:
         """Return residuals of all rows, shape (m, N), as a fit weighs them: their noise independent and even."""
         if self.whitening is not None:
-            residuals = np.asarray(whitened(self.whitening, np.ascontiguousarray(residuals[None]))[0])
+            residuals = np.asarray(whitened_rows(self.whitening, np.ascontiguousarray(residuals[None]))[0])
         return np.concatenate([self._along(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1)
 
     def _along(self, columns: np.ndarray, piece: slice) -> np.ndarray:
@@ -177,8 +191,8 @@ class Station:
                 apart[parameters] = False
         columns, residuals = part.sensor.jacobian(poses, motion, own), part.sensor.residuals(poses, own)
         if part.whitening is not None:
-            columns = whitened(part.whitening, np.ascontiguousarray(columns))
-            residuals = whitened(part.whitening, np.ascontiguousarray(residuals[None]))[0]
+            columns = whitened_rows(part.whitening, np.ascontiguousarray(columns))
+            residuals = whitened_rows(part.whitening, np.ascontiguousarray(residuals[None]))[0]
         n_apart = int(self.split(apart)[0].sum())
         of_sensor = columns[len(motion) :][own_free]
         plain = not shared and not len(of_sensor)
@@ -227,7 +241,7 @@ def station_of(
         model: the model; its chain's targets are those of the table.
         measurements: the table.
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
-        setup: the named points and the camera; default: that of :func:`pincal.measure.sensing.sensor_of`.
+        setup: the named points and the camera; default: that of :func:`pincal.measure.measurements.sensor_of`.
         name: of the station, where there are several.
         instrument: the noise of its positions by range and direction, if it is declared so.
     """
@@ -265,15 +279,14 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
                 f"{measurements.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(targets)}"
             )
         index[:] = [targets.index(target) for target in measurements.target]
+    robot, recorded = model.chain.robot, measurements.recorded()
+    if robot.couplings:
+        recorded |= {name: way @ robot.combination.T for name in _MOVED if (way := recorded[name]) is not None}
     return Conditions(
-        q=measurements.q,
+        q=robot.from_reported(measurements.q),
         target=index,
         payload=np.zeros(n) if measurements.payload is None else measurements.payload,
         payload_centre=np.asarray(payload_centre, float),
-        temperature=measurements.temperature,
-        time=measurements.time,
-        approach=measurements.approach,
-        droop=measurements.droop,
-        move=measurements.move,
         sighted=measurements.position,
+        **recorded,
     )

@@ -11,7 +11,7 @@ _TILE = 512
 
 
 @compiled(nogil=True)
-def whitened(whitening, columns):
+def whitened_rows(whitening, columns):
     """Return columns, shape (D, m, N), times the lower triangular matrix of each row, shape (m, m, N)."""
     n_columns, m, n = columns.shape
     out = columns.copy()

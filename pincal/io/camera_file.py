@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.io.arrays import Matrix, Record, array_of
+from pincal.io.arrays import Matrix, array_of
 from pincal.io.strict_json import Fault, FileKind, read_json
 from pincal.measure.lens import DISTORTION, PINHOLE, Lens
 from pincal.robot.se3 import are_rotations
@@ -23,26 +24,17 @@ _CAMERA_FILE = FileKind(
 )
 
 
-class CameraFile(Record, frozen=True, kw_only=True):
+@dataclass(frozen=True)
+class CameraFile(Lens):
     """A camera, see :class:`pincal.Lens`: what is not known of its distortion counts as 0.
 
     Attributes:
         T_tip_camera: shape (4, 4), the camera's frame in the tip frame [m]; null where the mount is to be found.
     """
 
-    fx: float
-    fy: float
-    u0: float
-    v0: float
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
     T_tip_camera: Matrix | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         for name in ("fx", "fy"):
             if not getattr(self, name) > 0.0:
                 raise Fault(f"is {getattr(self, name):g} px", "more than 0", key=f".{name}")
@@ -52,7 +44,7 @@ class CameraFile(Record, frozen=True, kw_only=True):
 
     def lens(self) -> Lens:
         """Return the lens."""
-        return Lens(*(getattr(self, name) for name in (*PINHOLE, *DISTORTION)))
+        return Lens(*self.values.tolist())
 
 
 def read_camera(path: str | os.PathLike[str]) -> CameraFile:
@@ -62,16 +54,6 @@ def read_camera(path: str | os.PathLike[str]) -> CameraFile:
         MeasurementError: if the file can't be read, or a value is missing or invalid.
     """
     return read_json(path, CameraFile, _CAMERA_FILE, hook=_matrix)
-
-
-def read_lens(path: str | os.PathLike[str]) -> Lens:
-    """Read a camera's lens; see :func:`read_camera`."""
-    return read_camera(path).lens()
-
-
-def read_mount(path: str | os.PathLike[str]) -> np.ndarray | None:
-    """Read how a camera is mounted, shape (4, 4), None where it is not known; see :func:`read_camera`."""
-    return read_camera(path).T_tip_camera
 
 
 def _matrix(kind: Any, value: Any) -> np.ndarray:

@@ -39,14 +39,14 @@ class ChangedParameter(msgspec.Struct, frozen=True):
 
 
 class ChangeEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
-    """A change that was found, the surest first.
+    """A change that was found, the most significant first.
 
     Attributes:
         parameters: what moved.
-        p_value: chance of such an alarm on a robot that has not changed.
-        equivalent: other changes that these poses can't tell from it.
-        tell_apart: which poses would; empty where there are none.
-        curve_rms: by how much a curve is another one, root mean square over the rows [rad or m], where it is one.
+        p_value: probability of such an alarm on an unchanged robot.
+        equivalent: other changes that these poses can't distinguish from it.
+        tell_apart: poses that would; empty if there are none.
+        curve_rms: change of a curve, root mean square over the rows [rad or m], if it is one.
         session: the rows that show it.
     """
 
@@ -59,11 +59,11 @@ class ChangeEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
-    """A change that would have been noticed.
+    """A change that would have been detected.
 
     Attributes:
         parameter: what would have moved; empty for an effect of several parameters.
-        smallest: size from which it is noticed with 90 % [``unit``].
+        smallest: size from which it is detected with 90 % [``unit``].
         unit: the unit.
         tip_mm: how far that moves the target in these poses, at most.
     """
@@ -75,7 +75,7 @@ class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class MovedEntry(msgspec.Struct, frozen=True):
-    """How far instrument and target moved since the calibration; null where these data don't tell.
+    """How far instrument and target moved since the calibration; null if these data do not determine it.
 
     Attributes:
         moved_mm: distance between the instrument's places in the robot's base frame [mm].
@@ -89,15 +89,15 @@ class MovedEntry(msgspec.Struct, frozen=True):
 
 
 class CurveEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """What the curve of a drive contributes to the error of the new rows.
+    """Contribution of a drive curve to the error of the new rows.
 
     Attributes:
         joint: the joint.
-        error_mm: mean error of the new rows, blocks of poses left out, if this curve alone is taken anew [mm].
+        error_mm: mean error of the new rows, cross-validated over blocks of poses, if this curve alone is re-estimated [mm].
         correlation: of the old curve and the new one over the new rows; null where one is flat.
         rms: their difference, root mean square, its mean apart [``unit``].
         unit: the unit.
-        seen: part of the new rows at positions where the calibration had seen the curve; elsewhere nobody knew it.
+        seen: fraction of the new rows at positions where the calibration had determined the curve.
     """
 
     joint: str
@@ -109,13 +109,13 @@ class CurveEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CurvesEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """What the curves of the drives contribute to the error of the new rows.
+    """Contribution of the drive curves to the error of the new rows.
 
     Attributes:
-        session: what the new rows are called.
+        session: name of the new rows.
         as_it_was_mm: mean error with the curves as they were, outliers left out [mm].
-        all_anew_mm: the same with all of them taken anew, blocks of poses left out [mm].
-        joints: joint by joint, the one that brings most first.
+        all_anew_mm: the same with all of them re-estimated, cross-validated over blocks of poses [mm].
+        joints: by joint, largest contribution first.
     """
 
     session: str
@@ -128,17 +128,17 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
     """The whole of ``diagnosis.json``.
 
     Attributes:
-        changed: whether the robot is other than its model says.
-        p_value: chance of such an alarm on a robot that has not changed.
-        alpha: the chance of a false alarm that was allowed.
+        changed: whether the robot has changed.
+        p_value: probability of such an alarm on an unchanged robot.
+        alpha: the allowed probability of a false alarm.
         changes: what changed.
-        excluded: what would have been noticed.
-        gap: errors at the new poses by the model as it was, only placed again, and by the mended one [mm].
+        excluded: changes that would have been detected.
+        gap: errors at the new poses of the old model, only located again, and of the re-identified one [mm].
         station: how far instrument and target moved.
         rows: number of new rows.
-        warnings: what else is to be said, doubts first.
-        curves: what the curves of the drives contribute to the error of the new rows, where the model has any.
-        is_judged: whether the rows can tell if the robot has changed; if not, nothing is said to have, and doubts say why.
+        warnings: further messages, doubts first.
+        curves: contribution of the drive curves to the error of the new rows, if the model has any.
+        is_judged: whether the rows can show a change; if not, none is reported, and doubts give the reason.
     """
 
     changed: bool

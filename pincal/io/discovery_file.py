@@ -8,10 +8,7 @@ import msgspec
 
 from pincal.model.effect import Effect
 from pincal.notes import Note
-from pincal.validate.verdict import Verdict
-
-# Part of the halves of the poses in which a name has to come up to be more than a hint.
-SURE = 0.6
+from pincal.validate.misfit import SURE, Verdict
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -31,13 +28,13 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What tells an effect from its likes.
+    """Identity of an effect.
 
     Attributes:
         effect: its name in the catalogue.
         joint: the joint on which it acts; null for one of the whole arm.
         source: the joint whose position it follows, where that is another one.
-        order: waves per turn of the joint, of a periodic effect.
+        order: cycles per revolution of the joint, of a periodic effect.
         depends_on: the variable that an effect without a name follows: a joint, "time", "temperature" or "payload".
         acts_on: what an effect without a name moves: "drive", "gamma_x", "gamma_y", "s_x" or "s_y".
         shape: form of a dependence without a name: "curve", "waves", "product", "map", "step" or "kink".
@@ -80,13 +77,13 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Stage(Gap, frozen=True, kw_only=True, omit_defaults=True):
-    """Errors after one change of the model; the change begins where the stage before it ended.
+    """Errors after one change of the model; each starts from the stage before.
 
     Attributes:
         name: what changed, in words.
-        entered, left: effects that this change added to the model, and that it took out again.
-        share: part of what the mean square error fell by in all, by this change beside those before it; all shares add up
-            to 1. Negative where it grew; none of the first stage, or where nothing fell.
+        entered, left: effects that this change added to the model, and that it removed.
+        share: share of this change in the total reduction of the mean square error; all shares add up to 1. Negative where
+            it grew; none for the first stage, or without a reduction.
     """
 
     name: str
@@ -115,11 +112,11 @@ class FoundParameter(msgspec.Struct, frozen=True):
 
 
 class Stability(msgspec.Struct, frozen=True):
-    """How often a search repeated on halves of the poses came to the same name.
+    """How often a search repeated on subsamples of the poses finds the same name.
 
     Attributes:
-        named: number of halves in which it came up.
-        of: number of halves that were searched.
+        named: number of subsamples in which it is found.
+        of: number of subsamples.
     """
 
     named: int
@@ -135,7 +132,7 @@ class Stability(msgspec.Struct, frozen=True):
 
 
 class Repeated(EffectName, frozen=True, kw_only=True, omit_defaults=True):
-    """A name, and how often it came up in halves of the poses.
+    """A name, and in how many subsamples it is found.
 
     Attributes:
         stability: how often.
@@ -145,10 +142,11 @@ class Repeated(EffectName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Bootstrap(EffectName, frozen=True, kw_only=True, omit_defaults=True):
-    """How likely the effect that was accepted last is chance, the choice among all candidates included.
+    """Significance of the effect accepted last, including the selection among all candidates.
 
     Attributes:
-        p_value: part of the tables drawn from the model without it in which some candidate looks as good, this one counted.
+        p_value: fraction of tables drawn from the model without it in which some candidate is as good, including the
+            measured one.
         draws: how many were drawn.
     """
 
@@ -157,20 +155,20 @@ class Bootstrap(EffectName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
-    """An effect that was found; of elasticity that of one joint.
+    """An effect that was found; elasticity of a single joint.
 
     Attributes:
         period: of a periodic dependence without a name, in units of its variable.
-        resolution: of an order of fine waves, by how much it may be off [1/turn]: one over the turns of the joint.
-        beside: orders of further waves that are no further away: with them the line waxes and wanes over the span.
-        origin: what the order suggests of where the waves come from, in words; empty if nothing.
+        resolution: uncertainty of the order of a ripple [1/revolution]: one over the revolutions of the joint.
+        beside: orders of further harmonics within this resolution, by which the amplitude varies over the span.
+        origin: origin of the ripple as suggested by its order; empty if unknown.
         parameters: its parameters by name.
-        p_value: chance that sound data look like this.
+        p_value: probability of this result without the effect.
         gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and with it.
         gap_before_mrad, gap_after_mrad: the same of orientation, where that was measured.
-        equivalent: effects that the data can't tell from it.
-        tell_apart: the cheapest measurement that would tell it from the first of them; empty without one.
-        stability: how often the search names it in halves of the poses; None where nobody looked.
+        equivalent: effects that the data can't distinguish from it.
+        tell_apart: the cheapest measurement that would distinguish it from the first of them; empty without one.
+        stability: number of subsamples in which the search finds it; None if not tested.
     """
 
     period: float | None = None
@@ -189,7 +187,7 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def is_hint(self) -> bool:
-        """Whether it comes up so seldom in halves of the poses that nobody should bet on it."""
+        """Whether it is found in so few subsamples that it is only a hint."""
         return self.stability is not None and self.stability.share < SURE
 
 
@@ -197,12 +195,12 @@ class Disagreement(msgspec.Struct, frozen=True, omit_defaults=True):
     """Where model and data disagree.
 
     Attributes:
-        statement: what is to be said of it.
+        statement: description in words.
         share: part of the excess over the noise, 0 to 1.
         joint: the joint; None for a region.
-        region: the region, where it is not one joint: "whole arm", "reach 0.80 to 1.10 m", ...
-        acts_on: what moves there, where that is known: "drive", "gamma_x", "base", ...
-        depends_on: the variable that it follows, where that is known.
+        region: the region, if not a single joint: "whole arm", "reach 0.80 to 1.10 m", ...
+        acts_on: what moves there, if known: "drive", "gamma_x", "base", ...
+        depends_on: the variable that it follows, if known.
     """
 
     statement: str
@@ -220,7 +218,7 @@ class ScatteringJoint(msgspec.Struct, frozen=True):
         joint: the joint.
         sigma_rad: standard deviation of its position [rad; m of a sliding joint].
         missing: the column that could explain it.
-        shown_by: what shows that it is no function of the pose: "replicates" or "neighbours"; "" where a file does not tell.
+        shown_by: evidence that it is not a function of the pose: "replicates" or "neighbours"; "" if unknown.
     """
 
     joint: str
@@ -240,24 +238,24 @@ class Untestable(EffectName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What a discovery found, the whole of ``discovery.json``.
+    """Results of a discovery, the content of ``discovery.json``.
 
     Attributes:
-        noise_floor_mm: what the noise alone makes of the error.
-        gap: errors at the start and in the end.
-        chain: errors at the start and after each change of the model, what was taken out again among them.
-        where: where model and data disagree, before anything is named.
-        effects: what was found, in the order in which it entered the model.
-        scatter: the joint that scatters in the end, if one does.
-        not_testable: what these data can't show.
-        verdict: whether the model explains the data in the end, down to a noise that is known without it.
-        unexplained_mm: what is left beyond the noise.
-        hints: which of the effects come up in less than 60 % of the halves of the poses.
-        only_in_halves: names that come up in at least 60 % of the halves, but not in all poses.
-        poses_in_a_half: how many poses each half has; None where nobody looked.
-        bootstrap: whether the effect that was accepted last may be chance; None where nobody looked, or none was.
-        approach_from: where the side from which joints arrived comes from; None where a table doesn't tell any.
-        warnings: what else is to be said, doubts first, as in ``result.json``.
+        noise_floor_mm: contribution of the noise alone to the error.
+        gap: errors at the start and at the end.
+        chain: errors at the start and after each change of the model, including removals.
+        where: where model and data disagree before effects are added.
+        effects: the effects found, in the order of acceptance.
+        scatter: the joint that scatters, if any.
+        not_testable: effects that these data can't test.
+        verdict: whether the final model explains the data down to an independently known noise.
+        unexplained_mm: residual in excess of the noise.
+        hints: effects found in less than 60 % of the subsamples.
+        only_in_halves: names found in at least 60 % of the subsamples, but not in the full data set.
+        poses_in_a_half: number of poses of each subsample; None if not tested.
+        bootstrap: significance of the effect accepted last; None if not tested, or none was accepted.
+        approach_from: origin of the directions of approach; None if unknown.
+        warnings: further messages, doubts first, as in ``result.json``.
         held_out: the gap on rows that are held out in each way, "regions" of joint space and "stretches" of consecutive
             rows; ``gap`` is the one that is larger in the end.
     """

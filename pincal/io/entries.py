@@ -3,39 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from dataclasses import Field, fields
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
+# Imported for its classes, which it registers.
+import pincal.model.catalogue  # noqa: F401
+from pincal.errors import nearest_first
 from pincal.io.arrays import (
-    Limits,
+    ArrayShape,
+    LimitNumbers,
     Matrix,
     Numbers,
     Record,
     Rotation,
     Rotations,
-    Shape,
     Transform,
     Transforms,
     Vector,
     array_of,
     shaped,
+    unpacked,
 )
-from pincal.io.effect_entry import effect_from_entry, effect_to_entry
-from pincal.io.packed import unpacked
-from pincal.io.strict_json import MOST_BYTES, Fault, Hook
+from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, what_is
 from pincal.measure.lens import Lens
-from pincal.measure.named_points import KnownDistance
-from pincal.measure.setup import Setup
+from pincal.measure.setup import KnownDistance, Setup
 from pincal.model.chain import Chain, MomentFrame
+from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 from pincal.robot.dh import DhFrames
 from pincal.robot.robot import Robot
-from pincal.robot.tree import Mimic
+from pincal.robot.tree import Coupling, Mimic
 
+# What every effect in a file has.
+EFFECT_SCHEMA: dict[str, Any] = {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
 # A file of more is none that pincal wrote: an arm has some ten effects for each of its joints.
 Effects = Annotated[tuple[Effect, ...], msgspec.Meta(max_length=2000)]
 
@@ -44,18 +49,9 @@ class FramesEntry(Record, frozen=True, kw_only=True):
     """The Denavit-Hartenberg frames of a robot, see :class:`pincal.robot.dh.DhFrames`."""
 
     T_base_first: Transform
-    parameters: Annotated[Matrix, Shape("joints", 6)]
+    parameters: Annotated[Matrix, ArrayShape("joints", 6)]
     T_base_link: Transforms
     T_last_tip: Transform
-
-
-class MimicEntry(Record, frozen=True, kw_only=True):
-    """A joint that follows another one, see :class:`pincal.robot.tree.Mimic`."""
-
-    joint: str
-    source: str
-    multiplier: float
-    offset: float
 
 
 class RobotEntry(Record, frozen=True, kw_only=True):
@@ -65,25 +61,24 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         lower, upper: shape (n,), joint limits [rad or m]; null where there is none.
     """
 
-    NULLS: ClassVar[Mapping[str, float]] = {"lower": -np.inf, "upper": np.inf}
-
     name: str
-    joint_names: Annotated[tuple[str, ...], Shape("joints"), msgspec.Meta(max_length=200)]
-    joint_types: Annotated[tuple[Literal["revolute", "prismatic"], ...], Shape("joints")]
-    lower: Annotated[Limits, Shape("joints")]
-    upper: Annotated[Limits, Shape("joints")]
+    joint_names: Annotated[tuple[str, ...], ArrayShape("joints"), msgspec.Meta(max_length=200)]
+    joint_types: Annotated[tuple[Literal["revolute", "prismatic"], ...], ArrayShape("joints")]
+    lower: Annotated[LimitNumbers, ArrayShape("joints", null=-np.inf)]
+    upper: Annotated[LimitNumbers, ArrayShape("joints", null=np.inf)]
     base: str
     tip: str
     frames: FramesEntry
     T_link_joint: Transforms
-    masses: Annotated[Numbers, Shape("joints")]
-    centres: Annotated[Matrix, Shape("joints", 3)]
+    masses: Annotated[Numbers, ArrayShape("joints")]
+    centres: Annotated[Matrix, ArrayShape("joints", 3)]
     massless: tuple[str, ...]
     gravity: Vector
     notes: tuple[str, ...]
     source: str
     urdf: str | None = None
-    mimics: tuple[MimicEntry, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,7 +88,10 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         for k, mimic in enumerate(self.mimics):
             if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
                 raise Fault("names no joints", "one of the arm that follows another one of its own", key=f".mimics[{k}]")
-        shaped(".frames.T_base_link", self.frames.T_base_link, Shape(len(self.joint_names), 4, 4), {})
+        for k, one in enumerate(self.couplings):
+            if {one.joint, one.source} - set(self.joint_names) or one.joint == one.source:
+                raise Fault("names no joints", "two of the arm's", key=f".couplings[{k}]")
+        shaped(".frames.T_base_link", self.frames.T_base_link, ArrayShape(len(self.joint_names), 4, 4), {})
         try:
             self.urdf_bytes()
         except UnicodeEncodeError as error:
@@ -106,19 +104,17 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_robot(cls, robot: Robot) -> RobotEntry:
         """Return the entry of a robot."""
-        mimics = tuple(MimicEntry.of(mimic) for mimic in robot.mimics)
         urdf = robot.urdf.decode("utf-8", "surrogateescape")
-        return cls.of(robot, frames=FramesEntry.of(robot.frames), urdf=urdf, mimics=mimics)
+        return cls.like(robot, frames=FramesEntry.like(robot.frames), urdf=urdf)
 
     def robot(self) -> Robot:
         """Return the robot."""
         frames = DhFrames(**msgspec.structs.asdict(self.frames))
-        mimics = tuple(Mimic(**msgspec.structs.asdict(mimic)) for mimic in self.mimics)
-        return Robot(**msgspec.structs.asdict(self) | {"frames": frames, "urdf": self.urdf_bytes(), "mimics": mimics})
+        return Robot(**msgspec.structs.asdict(self) | {"frames": frames, "urdf": self.urdf_bytes()})
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):
-    """What a chain has beside its robot, see :class:`pincal.model.chain.Chain`.
+    """Data of a chain in addition to its robot, see :class:`pincal.model.chain.Chain`.
 
     Files without ``bearing_heights`` are older than these: their bearings stand at the origins of the joint frames.
     """
@@ -126,9 +122,9 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     moment_frame: MomentFrame
     gravity: Vector
     base_rotation: Rotation
-    targets: Annotated[tuple[str, ...], Shape("targets")]
+    targets: Annotated[tuple[str, ...], ArrayShape("targets")]
     tool_rotations: Rotations
-    bearing_heights: Annotated[Numbers, Shape("joints")] | None = None
+    bearing_heights: Annotated[Numbers, ArrayShape("joints")] | None = None
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
@@ -150,7 +146,7 @@ class ModelEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_model(cls, model: Model) -> ModelEntry:
         """Return the entry of a model."""
-        return cls.of(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.of(model.chain))
+        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.like(model.chain))
 
     def model(self) -> Model:
         """Return the model."""
@@ -178,7 +174,7 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
 
 
 class ParameterEntry(Record, frozen=True, kw_only=True):
-    """A parameter and what is known of it beforehand, see :class:`pincal.Parameter`; a size of null stands for inf."""
+    """A parameter and its prior, see :class:`pincal.Parameter`; a size of null stands for inf."""
 
     name: str
     unit: str
@@ -190,25 +186,11 @@ class ParameterEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_parameter(cls, parameter: Parameter) -> ParameterEntry:
         """Return the entry of a parameter."""
-        return cls.of(parameter, size=parameter.size if np.isfinite(parameter.size) else None)
+        return cls.like(parameter, size=parameter.size if np.isfinite(parameter.size) else None)
 
     def parameter(self) -> Parameter:
         """Return the parameter."""
         return Parameter(**msgspec.structs.asdict(self) | {"size": np.inf if self.size is None else self.size})
-
-
-class CoveredEntry(Record, frozen=True, kw_only=True):
-    """What the training rows cover.
-
-    Attributes:
-        q: shape (n, 2), least and largest position of each joint [rad or m].
-        payload: shape (2,), least and largest payload [kg].
-        days: mean and standard deviation of temperature [deg C] and time [s] over the training rows, where recorded.
-    """
-
-    q: Annotated[Matrix, Shape("joints", 2)]
-    payload: Annotated[Numbers, Shape(2)]
-    days: dict[Literal["temperature", "time"], tuple[float, float]] | None = None
 
 
 class PointEntry(Record, frozen=True, kw_only=True):
@@ -216,7 +198,7 @@ class PointEntry(Record, frozen=True, kw_only=True):
 
     Attributes:
         name: its name in the table.
-        position: shape (3,), in the instrument's frame [m]; null where it was not known beforehand.
+        position: shape (3,), in the instrument's frame [m]; null if unknown.
     """
 
     name: str
@@ -224,17 +206,17 @@ class PointEntry(Record, frozen=True, kw_only=True):
 
 
 class SetupEntry(Record, frozen=True, kw_only=True):
-    """What was known of a measuring setup, see :class:`pincal.measure.setup.Setup`.
+    """Known parts of a measurement set-up, see :class:`pincal.measure.setup.Setup`.
 
     Attributes:
         points: the named points.
         gaps: known distances between them.
-        lens: shape (9,), the camera's fx fy u0 v0 [px] and k1 k2 p1 p2 k3, null where it was not known.
+        lens: shape (9,), the camera's fx fy u0 v0 [px] and k1 k2 p1 p2 k3, null if unknown.
     """
 
     points: tuple[PointEntry, ...]
     gaps: tuple[KnownDistance, ...]
-    lens: Annotated[Numbers, Shape(9)] | None
+    lens: Annotated[Numbers, ArrayShape(9)] | None
     fit_lens: bool
 
     @classmethod
@@ -275,23 +257,90 @@ def restoring() -> Hook:
 
 
 def plain(value: Any) -> Any:
-    """Return a record, or what stands in one, in types that JSON knows: effects by name, null for a limit that is not there.
+    """Return a record, or what stands in one, in types that JSON knows, effects by name.
 
     Fields that have their default are left out.
     """
     if isinstance(value, Record):
         fields = {field.name: field.default for field in msgspec.structs.fields(value)}
         found = {name: getattr(value, name) for name in fields}
-        contents = {
+        return {
             name: value.written(name) if isinstance(part, np.ndarray) else plain(part)
             for name, part in found.items()
             if part is not fields[name]
         }
-        for name in value.NULLS:
-            contents[name] = [number if np.isfinite(number) else None for number in contents[name]]
-        return contents
     if isinstance(value, tuple):
         return [plain(part) for part in value]
     if isinstance(value, Effect):
         return effect_to_entry(value)
     return value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
+
+
+def known_effects() -> Mapping[str, type[Effect]]:
+    """Return the registered effects by name, those of plugins among them."""
+    return EFFECTS.known()
+
+
+def effect_to_entry(effect: Effect) -> dict[str, Any]:
+    """Return an effect's name and fields in types that JSON knows; an array is ``{"array": ...}``.
+
+    An effect that is not pincal's own comes with the module that defines it. Reading never imports that module: a user has
+    to name it, as a plugin.
+    """
+    module = type(effect).__module__
+    origin = {} if module.split(".")[0] == "pincal" else {"module": module}
+    values = {field.name: getattr(effect, field.name) for field in _fields(effect)}
+    values = {name: effect_to_entry(value) if isinstance(value, Effect) else value for name, value in values.items()}
+    return {"name": effect.name, **origin, **msgspec.to_builtins(values, enc_hook=_plain)}
+
+
+def effect_from_entry(entry: Any) -> Effect:
+    """Return the effect of :func:`effect_to_entry`; a field that is not there has its default.
+
+    Raises:
+        Fault: if no effect has this name, or not these fields, or of other types.
+    """
+    if not isinstance(entry, dict):
+        raise Fault(what_is(entry, "an object"), "an object")
+    name, known = entry.get("name"), known_effects()
+    if "name" not in entry:
+        raise Fault(MISSING, "this key", key=".name")
+    if not isinstance(name, str):
+        raise Fault(what_is(name, "a text"), "a text", key=".name")
+    if name not in known:
+        if isinstance(module := entry.get("module"), str):
+            raise Fault(f"effect {name!r} is not pincal's own", f"its module to be loaded: --plugin {module}", key=".name")
+        names = ", ".join(nearest_first([name], sorted(known)))
+        raise Fault(f"unknown effect {name!r}", f"one of {names} (a newer pincal may know it)", key=".name")
+    given = {key: value for key, value in entry.items() if key not in ("name", "module")}
+    wanted = [field.name for field in _fields(known[name])]
+    for key in given.keys() - set(wanted):
+        raise Fault(f"{name} has no such field", f"only {', '.join(wanted) or 'the name'}", key=f".{key}")
+    try:
+        return msgspec.convert(given, known[name], dec_hook=_restored)
+    except msgspec.ValidationError as error:
+        place, problem, expected = explained(error, lambda: given, known[name])
+        raise Fault(problem, expected, key=f".{place}" if place else "") from None
+    except (TypeError, ValueError) as error:
+        raise Fault(f"{name} can't be made of these fields ({error})", "fields as pincal writes them") from None
+
+
+def _fields(effect: Effect | type[Effect]) -> tuple[Field[Any], ...]:
+    # Every effect is a dataclass, which the abstract base can't say.
+    return tuple(field for field in fields(effect) if field.init)  # type: ignore[arg-type]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return {"array": value.tolist()}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a field of type {type(value).__name__} can't be written to model.json; use numbers, texts and tuples")
+
+
+def _restored(kind: Any, value: Any) -> Any:
+    if kind is Effect:
+        return effect_from_entry(value)
+    if kind is np.ndarray and isinstance(value, dict) and "array" in value:
+        return array_of(value["array"])
+    raise Fault(what_is(value, "an array"), 'an array, {"array": ...}')

@@ -13,10 +13,10 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import msgspec
 import numpy as np
 
-from pincal.atomic import write_whole
+from pincal.atomic import write_atomic
 from pincal.errors import BadInputError, ModelFileError, OutputError
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 Hook = Callable[[Any, Any], Any]
 
 # Limits that are checked before anything is built. Together they bound the work on a hostile file to less than a second
@@ -98,7 +98,7 @@ class FileKind:
 MODEL_FILE = FileKind("a model.json", ModelFileError, "take the file from a backup or run pincal calibrate again")
 
 
-def read_json(path: str | os.PathLike[str], wanted: type[T], kind: FileKind, *, hook: Hook | None = None) -> T:
+def read_json(path: str | os.PathLike[str], wanted: type[_T], kind: FileKind, *, hook: Hook | None = None) -> _T:
     """Read a JSON file.
 
     Args:
@@ -128,7 +128,7 @@ def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
     return _bounded(content, kind, file)
 
 
-def decode(content: bytes, wanted: type[T], kind: FileKind, *, file: str, hook: Hook | None = None) -> T:
+def decode(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None) -> _T:
     """Return the structure that a JSON text describes; see :func:`read_json`.
 
     Example:
@@ -142,7 +142,7 @@ calibrate again
     return built(_bounded(content, kind, file), wanted, kind, file=file, hook=hook)
 
 
-def built(content: bytes, wanted: type[T], kind: FileKind, *, file: str, hook: Hook | None = None) -> T:
+def built(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None) -> _T:
     """Return the structure that a text of `read_bounded` describes; see :func:`read_json`."""
     try:
         if _SURROGATES.search(content):
@@ -245,7 +245,6 @@ def _value_at(value: Any, place: str) -> Any:
 
 
 def _type_at(wanted: Any, place: str) -> Any:
-    """Return the type that stands at a place of a structure."""
     for step in _steps(place):
         if isinstance(step, str):
             wanted = next(field.type for field in msgspec.structs.fields(wanted) if field.encode_name == step)
@@ -273,4 +272,4 @@ def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent
             text = json.dumps(contents, indent=indent, allow_nan=False) + "\n"
     except ValueError as error:
         raise OutputError(f"{os.fspath(path)}: a number is not finite ({error}); calibrate again") from None
-    write_whole(path, text)
+    write_atomic(path, text)

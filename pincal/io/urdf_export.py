@@ -16,7 +16,7 @@ from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
 from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
-from pincal.robot.urdf import parse_urdf
+from pincal.robot.urdf_file import parse_urdf
 
 # Largest error of the written URDF's tip [m], and of an element of its rotation matrix, against the calibrated
 # geometry: a thousand times what rounding does and a thousand times less than what is ever measured.
@@ -174,7 +174,7 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
             f"{', '.join(others)}: varies from pose to pose; the {what} has its value at q = 0, model.json all of it"
         )
     if read:
-        notes.append(f"{', '.join(read)}: an error of what the instrument reads, not of the robot; it is in model.json only")
+        notes.append(f"{', '.join(read)}: an error of the instrument, not of the robot; it is in model.json only")
     if "base_frame" in names:
         notes.append(f"base_frame: the pose of {model.chain.robot.base} in the instrument's frame is in model.json only")
     if "tool_frame" in names:
@@ -206,6 +206,5 @@ def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray) -> np.ndarray:
     chain = Chain.of(robot, moment_frame=model.chain.moment_frame)
     rigid = Model(chain, GEOMETRIC)
     deviations = model.rigid_coordinates(values) - model.chain.nominal
-    places = [name.rsplit(".", 1) for name in rigid.names]
-    found = [deviations[chain.joint(robot.joint_names.index(joint), symbol)] for joint, symbol in places]
+    found = [deviations[chain.joint(robot.joint_names.index(p.element), p.symbol)] for p in rigid.parameters]
     return rigid.predict(np.array(found), Conditions.at(q))

@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.errors import RobotFileError
 from pincal.robot.se3 import rotation_of_rpy, transform
-from pincal.robot.urdf import parse_xml
+from pincal.robot.urdf_file import parse_xml
 
 # A number that changes by less [rad or m] is rounding: its text stays.
 UNCHANGED = 1e-15
@@ -73,7 +73,7 @@ def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> by
     """Return the text with the numbers of some joints' origins replaced.
 
     Args:
-        text: a URDF that :func:`pincal.robot.urdf.parse_urdf` accepts.
+        text: a URDF that :func:`pincal.robot.urdf_file.parse_urdf` accepts.
         origins: joint -> its new origin; a number that has not changed keeps its text.
         source: what to call the text in an error.
 

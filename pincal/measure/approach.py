@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pincal.errors import PincalWarning
+from pincal.errors import warn
 
+SAME = 1e-5
+"""Joint positions that count as the same [rad or m]: coarser than encoders resolve, finer than robots repeat.
+
+1e-5 rad move the tip of an arm of 2 m by 0.02 mm.
+"""
 # A joint that moved by less may still be on the side from which it came before [rad, m]: no robot's gear has as much play.
 _LEAST = 1e-3
 # How tables say where sides come from, if their own columns tell them.
-BY_COLUMNS = "what the columns approach_<joint> say"
+BY_COLUMNS = "the columns approach_<joint>"
 # One that moved by less stood still [rad, m]: rounding of the same position.
 _STILL = 1e-9
 
@@ -20,8 +24,9 @@ _STILL = 1e-9
 def moves_by_order(q: np.ndarray) -> np.ndarray:
     """Return each joint's last move with its sign, as the row before tells it, 0 in the first row (unknown), shape (N, n).
 
-    A joint that stands where it stood keeps its move, as where several targets are measured in one pose. An arm that went by
-    another pose on its way made another move.
+    A joint that stands where it stood keeps its move, as where several targets are measured in one pose, and so do all
+    joints of a pose that is read again, whatever their encoders scatter by. An arm that went by another pose on its way
+    made another move.
 
     Args:
         q: joint positions in the order of measurement [rad], prismatic [m], shape (N, n).
@@ -31,27 +36,18 @@ def moves_by_order(q: np.ndarray) -> np.ndarray:
         array([ 0.  ,  0.5 ,  0.5 , -0.25])
     """
     move = np.diff(q, axis=0, prepend=q[:1])
-    last = np.maximum.accumulate(np.where(np.abs(move) > _STILL, np.arange(len(q))[:, None], 0), axis=0)
+    moved = (np.abs(move) > _STILL) & (np.abs(move).max(axis=1, keepdims=True) > SAME)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(q))[:, None], 0), axis=0)
     return np.take_along_axis(move, last, axis=0)
 
 
-def sides_by_order(q: np.ndarray) -> np.ndarray:
-    """Return the sign of each joint's last move, as the row before tells it, -1, 0 (unknown) or 1, shape (N, n).
-
-    The side of the first row is unknown, and so is that after a move that play may have swallowed. The sign is a proxy,
-    which no play is seen with if it tells nothing: see :func:`moves_by_order`.
-
-    Args:
-        q: joint positions in the order of measurement [rad], prismatic [m], shape (N, n).
+def sides_of(moves: np.ndarray) -> np.ndarray:
+    """Return the signs of last moves, shape (N, n): -1, 0 (unknown, or so little that play may have swallowed it) or 1.
 
     Example:
-        >>> sides_by_order(np.array([[0.0], [0.5], [0.5], [0.2], [0.2001]])).ravel()
+        >>> sides_of(moves_by_order(np.array([[0.0], [0.5], [0.499995], [0.2], [0.2005]]))).ravel()
         array([ 0.,  1.,  1., -1.,  0.])
     """
-    return _sides_of(moves_by_order(q))
-
-
-def _sides_of(moves: np.ndarray) -> np.ndarray:
     return np.where(np.abs(moves) >= _LEAST, np.sign(moves), 0.0)
 
 
@@ -100,11 +96,11 @@ def completed(
     origin = BY_COLUMNS
     if missing := [joint for joint in joints if joint not in given]:
         origin = f"the sign of the move {'since the time before' if by_time else 'from the row before'}"
-        text = f"{source}: the side from which {', '.join(missing)} arrived is {origin}"
-        warnings.warn(text, PincalWarning, stacklevel=2)
+        text = f"{source}: the direction of approach of {', '.join(missing)} is {origin}"
+        warn(text)
         others = ", ".join(joint for joint in joints if joint in given)
-        origin += f"; of {others} what columns say" if others else ""
-    return dict(zip(joints, _sides_of(moves).T, strict=True)) | dict(given), origin
+        origin += f"; for {others} its column" if others else ""
+    return dict(zip(joints, sides_of(moves).T, strict=True)) | dict(given), origin
 
 
 def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequence[str]) -> np.ndarray:
@@ -114,7 +110,7 @@ def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequenc
     """
     found = moves.copy()
     for i, joint in enumerate(joints):
-        if joint in sides and np.any(sides[joint] * _sides_of(moves[:, i]) < 0.0):
+        if joint in sides and np.any(sides[joint] * sides_of(moves[:, i]) < 0.0):
             found[:, i] = 0.0
     return found
 
@@ -122,4 +118,4 @@ def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequenc
 def note_on_sides(source: str, origin: str) -> str | None:
     """Return what a report says of where sides come from, given that in words; None where there are no guesses."""
     guessed = origin and origin != BY_COLUMNS
-    return f"{source}: the side from which joints arrived is {origin}" if guessed else None
+    return f"{source}: the direction of approach is {origin}" if guessed else None

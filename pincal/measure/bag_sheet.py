@@ -1,26 +1,31 @@
 """Recordings of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) as sheets: one row per pose that was held still.
 
-Joints come from a topic of JointState, readings from one of PoseStamped or PointStamped; times are those of the recorder, so
+Joints come from a topic of JointState, readings from one of PoseStamped, PointStamped or TransformStamped; without such a
+topic from the one transform of /tf that moves freely, which no joint of a robot does. Times are those of the recorder, so
 that clocks of several computers don't matter. Joints and readings are means over the pose.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
+from pincal.errors import MeasurementError, warn
+from pincal.measure.joined import HeldPoses, held_poses
 from pincal.measure.sheet import FrameSheet, Sheet
-from pincal.measure.still import Poses, held_poses
 
-ENDINGS = (".mcap", ".db3", ".bag")
+_ENDINGS = (".mcap", ".db3", ".bag")
+# Topics that a message lists.
+_LISTED = 20
 _JOINTS = "sensor_msgs/msg/JointState"
-_READINGS = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped")
+_READINGS = tuple(f"geometry_msgs/msg/{kind}Stamped" for kind in ("Pose", "Point", "Transform", "PoseWithCovariance"))
+_TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+# A frame moves if its place or quaternion changes by more, and freely if its place does so in two directions [m].
+_MOVES = 1e-3
 _LABELS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -33,17 +38,24 @@ class _Topic:
         labels: of the values.
         time: shape (T,), strictly increasing [s].
         values: shape (T, k).
+        frames: of a transform, the frame that it is in and its own.
     """
 
     name: str
     labels: tuple[str, ...]
     time: np.ndarray
     values: np.ndarray
+    frames: tuple[str, ...] = ()
+
+    @property
+    def moves(self) -> bool:
+        """Whether its values change."""
+        return bool(len(self.time) > 1 and np.ptp(self.values, axis=0).max() > _MOVES)
 
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is a recording of ROS, by its name or, of a folder, its contents."""
-    return path.suffix.lower() in ENDINGS or (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in _ENDINGS or (path / "metadata.yaml").is_file()
 
 
 def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = False, joints: Collection[str] = ()) -> Sheet:
@@ -59,9 +71,14 @@ def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = Fa
         MeasurementError: without the library rosbags, for a recording that can't be read, or one in which joints or readings
             come from several topics, or no pose was held still.
     """
-    found = _topics(path, ignore)
-    arm = _arm([topic for topic in found if topic.labels[:3] != _LABELS[:3]], path)
-    readings = [topic for topic in found if topic.labels[:3] == _LABELS[:3]]
+    found, listed = _topics(path, ignore)
+    arm = _arm([topic for topic in found if topic.labels[:3] != _LABELS[:3]], path, listed)
+    frames = [topic for topic in found if topic.frames]
+    readings = [topic for topic in found if topic.labels[:3] == _LABELS[:3] and not topic.frames]
+    if not only_joints:
+        readings = readings or _free(frames, path)
+    if not only_joints and not readings:
+        warn(f"{path.name}: no topic of readings ({', '.join(_READINGS)}), no freely moving frame in /tf; topics: {listed}")
     if only_joints or not readings:
         return _sheet(path, {"time": arm.time} | dict(zip(arm.labels, arm.values.T, strict=True)))
     if len(readings) > 1:
@@ -74,13 +91,11 @@ def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = Fa
     if not len(seen):
         raise MeasurementError(
             f"{path.name}: {len(poses)} poses of {arm.name} are held still, none with readings of {reading.name}; expected "
-            "poses that are held for some tenths of a second while the instrument reads"
+            "poses held for some tenths of a second while the instrument reads"
         )
-    warnings.warn(
+    warn(
         f"{path.name}: {len(seen)} poses held still, joints from {arm.name}, readings from {reading.name}; poses without a "
-        f"reading: {len(poses) - len(seen)}",
-        PincalWarning,
-        stacklevel=2,
+        f"reading: {len(poses) - len(seen)}"
     )
     values = np.array([_mean(reading.values[first:last]) for first, last in middle[seen]])
     joints = poses.means(arm.values)[seen]
@@ -91,11 +106,10 @@ def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = Fa
 def _sheet(path: Path, columns: dict[str, np.ndarray]) -> Sheet:
     import polars as pl
 
-    frame = pl.DataFrame(columns)
-    return FrameSheet(path, tuple(columns), False, frame, np.arange(2, frame.height + 2), holds_more=True)
+    return FrameSheet(path, tuple(columns), False, pl.LazyFrame(columns), takes_unknown=True)
 
 
-def _middle(poses: Poses, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
+def _middle(poses: HeldPoses, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
     """Return the first and past the last of the times asked for in the middle half of each pose, shape (K, 2)."""
     begin, end = time[poses.begin], time[poses.end]
     quarter = 0.25 * (end - begin)
@@ -111,10 +125,39 @@ def _mean(values: np.ndarray) -> np.ndarray:
     return np.asarray(mean)
 
 
-def _arm(topics: list[_Topic], path: Path) -> _Topic:
+def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
+    """Return the transforms that move freely; those of a camera on the hand the other way round.
+
+    The joints of a robot turn about a place that stands still, or slide along a line.
+    """
+    found = list[_Topic]()
+    by_child = {topic.frames[1]: topic for topic in frames}
+    for topic in frames:
+        spread = np.linalg.svd(topic.values[:, :3] - topic.values[:, :3].mean(axis=0), compute_uv=False)
+        if len(topic.time) < 3 or spread[1] < _MOVES * np.sqrt(len(topic.time)):
+            continue
+        above, steps = by_child.get(topic.frames[0]), 0
+        while above is not None and not above.moves and steps < len(frames):
+            above, steps = by_child.get(above.frames[0]), steps + 1
+        if above is not None and above.moves:
+            parent, child = topic.frames
+            warn(f"{path.name}: {parent} is on the moving {above.frames[1]}: its pose in {child} is the reading")
+            topic = replace(topic, values=_inverse(topic.values))
+        found.append(topic)
+    return found
+
+
+def _inverse(values: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    back = Rotation.from_quat(values[:, 3:]).inv()
+    return np.column_stack([-back.apply(values[:, :3]), back.as_quat()])
+
+
+def _arm(topics: list[_Topic], path: Path, listed: str) -> _Topic:
     """Return the topic with the most joints; joints in two topics are refused."""
     if not topics:
-        raise MeasurementError(f"{path.name}: no joints; expected a topic of {_JOINTS}")
+        raise MeasurementError(f"{path.name}: no joints; expected a topic of {_JOINTS}; topics: {listed}")
     arm = max(topics, key=lambda topic: len(topic.labels))
     rivals = [topic for topic in topics if topic is not arm and set(topic.labels) & set(arm.labels)]
     if rivals:
@@ -127,41 +170,56 @@ def _several(what: str, topics: list[_Topic], path: Path) -> MeasurementError:
     return MeasurementError(f"{path.name}: {what} in several topics: {names}; expected one: --ignore the others")
 
 
-def _topics(path: Path, ignore: Collection[str]) -> list[_Topic]:
-    """Return all topics of joints and of readings; messages with other joints are topics of their own."""
+def _topics(path: Path, ignore: Collection[str]) -> tuple[list[_Topic], str]:
+    """Return all topics of joints and of readings, and in words what else there is.
+
+    Messages with other joints are topics of their own, and so is each frame of /tf.
+    """
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MeasurementError(f"{path.name}: recordings of ROS need rosbags; run pip install 'pincal[ros]'") from error
-    found: dict[tuple[str, tuple[str, ...]], list[tuple[float, Any]]] = {}
+    found: dict[tuple[str, tuple[str, ...], tuple[str, ...]], list[tuple[float, Any]]] = {}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            wanted = [
-                each for each in reader.connections if each.msgtype in (_JOINTS, *_READINGS) and each.topic not in ignore
-            ]
+            kinds = (_JOINTS, *_READINGS, *_TRANSFORMS)
+            wanted = [each for each in reader.connections if each.msgtype in kinds and each.topic not in ignore]
+            listed = ", ".join(f"{each.topic} ({each.msgtype.split('/')[-1]})" for each in reader.connections[:_LISTED])
             for connection, stamp, raw in reader.messages(connections=wanted) if wanted else ():
                 message = reader.deserialize(raw, connection.msgtype)
-                for labels, values in _values(message, connection.msgtype):
-                    found.setdefault((connection.topic, labels), []).append((1e-9 * stamp, values))
+                for frames, labels, values in _values(message, connection.msgtype):
+                    if not {*frames[1:], " > ".join(frames)} & {*ignore}:
+                        found.setdefault((connection.topic, frames, labels), []).append((1e-9 * stamp, values))
     except Exception as error:  # Whatever a broken recording does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected a recording of ROS") from error
-    return [_topic(name, labels, samples) for (name, labels), samples in found.items()]
+    return [_topic(*place, samples) for place, samples in found.items()], listed
 
 
-def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield labels and values of a message that has some."""
+def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Any]]:
+    """Yield frames, labels and values of a message that has some."""
+    if kind in _TRANSFORMS:
+        for each in message.transforms:
+            (_, labels, values), *_ = _values(each, "")
+            yield (each.header.frame_id.strip("/"), each.child_frame_id.strip("/")), labels, values
+        return
     if kind == _JOINTS:
         if len(message.position) == len(message.name) > 0:
-            yield tuple(message.name), message.position
+            yield (), tuple(message.name), message.position
+        return
+    if (transform := getattr(message, "transform", None)) is not None:
+        at, turn = transform.translation, transform.rotation
+        yield (), _LABELS, (at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
         return
     pose = getattr(message, "pose", None)
+    pose = getattr(pose, "pose", pose)
     at = message.point if pose is None else pose.position
     turned = () if pose is None else (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
     values = (at.x, at.y, at.z, *turned)
-    yield _LABELS[: len(values)], values
+    yield (), _LABELS[: len(values)], values
 
 
-def _topic(name: str, labels: tuple[str, ...], samples: list[tuple[float, Any]]) -> _Topic:
+def _topic(name: str, frames: tuple[str, ...], labels: tuple[str, ...], samples: list[tuple[float, Any]]) -> _Topic:
     time, first = np.unique(np.array([stamp for stamp, _ in samples]), return_index=True)
-    return _Topic(name, labels, time, np.array([values for _, values in samples], float)[first])
+    name += " " * bool(frames) + " > ".join(frames)
+    return _Topic(name, labels, time, np.array([values for _, values in samples], float)[first], frames)

@@ -1,21 +1,20 @@
-"""Excel workbooks (.xlsx) as sheets: their first visible worksheet with cells."""
+"""Excel workbooks (.xlsx) as sheets: the worksheet that is named, or has columns of joints."""
 
 from __future__ import annotations
 
 import contextlib
 import datetime
 import re
-import warnings
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.packed import check_unpacked
-from pincal.measure.sheet import FrameSheet, Sheet
+from pincal.errors import MeasurementError, warn
+from pincal.measure.heading import TableHead, find_heading, names_joints
+from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 
 if TYPE_CHECKING:
     import polars as pl
@@ -25,8 +24,8 @@ ENDINGS = (".xlsx", ".xlsm")
 _MOST_LINES = 1_048_576
 # Size of a cell in memory at least, a reference [bytes], and cells from one look at that to the next.
 _BYTES, _CELLS = 8, 100_000
-# Lines that a note names.
-_LISTED = 3
+# Lines that a note names, and lines among which the header is looked for.
+_LISTED, _LOOKED_AT = 3, 200
 _ROW = re.compile(rb"<(?:\w+:)?row\b([^>]*)>")
 _HIDDEN = re.compile(rb"\bhidden\s*=\s*[\"'](?:1|true)[\"']")
 _NUMBER = re.compile(rb"\br\s*=\s*[\"'](\d+)[\"']")
@@ -34,27 +33,42 @@ _NUMBER = re.compile(rb"\br\s*=\s*[\"'](\d+)[\"']")
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
 
-def open_excel(path: Path) -> Sheet:
-    """Read the first worksheet of a workbook that has cells, a visible one before those that are hidden.
+def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] = ()) -> Sheet:
+    """Read a worksheet: the one that is named, else the first with columns of joints, else the first with cells.
 
-    The first row with cells is the header. Worksheets that are left out, and rows that are hidden, cause a `PincalWarning`.
+    Visible worksheets go before hidden ones. Worksheets and lines above the table that are left out, and rows that are
+    hidden, cause a `PincalWarning`.
+
+    Args:
+        path: the workbook.
+        sheet: name of the worksheet.
+        joints: names of joints.
 
     Raises:
         MeasurementError: without the library openpyxl, or for a workbook that is empty, holds far more than fits into its
-            size, or can't be read.
+            size, lacks the worksheet, or can't be read.
     """
     import polars as pl
 
-    lines = _lines(path)
+    lines = _lines(path, sheet, joints)
     if not lines:
         raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
-    (_, header), *body = lines
-    labels = tuple("" if cell is None else str(cell).strip() for cell in header)
-    columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(len(labels))]
-    return FrameSheet(path, labels, False, pl.DataFrame(columns), np.array([row for row, _ in body], int))
+    found = find_heading([["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]], joints)
+    found = found or TableHead(0, 1, tuple("" if cell is None else str(cell).strip() for cell in lines[0][1]))
+    if found.body > 1:
+        warn(f"{path.name}: {found.told([row for row, _ in lines])}")
+    body, count, top = lines[found.body :], len(found.labels), lines[found.header][0]
+    for row, cells in body:
+        if len(cells) > count:
+            raise MeasurementError(
+                f"{path.name}, line {row}: {len(cells)} cells; expected {count} as in the header, line {top}; "
+                "delete what stands above it, or begin it with #"
+            )
+    columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(count)]
+    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), np.array([row for row, _ in body], int))
 
 
-def _lines(path: Path) -> list[tuple[int, tuple[Any, ...]]]:
+def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple[int, tuple[Any, ...]]]:
     """Return number and cells of each line that has some, comments left out; tell of what else the workbook has."""
     try:
         import openpyxl
@@ -67,27 +81,44 @@ def _lines(path: Path) -> list[tuple[int, tuple[Any, ...]]]:
             check_unpacked(path, sum(part.file_size for part in parts.infolist()))
         with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
             sheets = sorted(book.worksheets, key=lambda sheet: bool(sheet.sheet_state != "visible"))
-            for k, sheet in enumerate(sheets):
+            if named is not None and named not in (titles := [sheet.title for sheet in sheets]):
+                raise MeasurementError(f"{path.name}: no worksheet {named!r}; expected one of {', '.join(titles)}")
+            others = list[Any]()
+            first: tuple[Any, list[tuple[int, tuple[Any, ...]]]] | None = None
+            for sheet in sheets if named is None else [sheet for sheet in sheets if sheet.title == named]:
                 if found := list(_filled(sheet, path)):
-                    _tell_hidden(sheet, {row for row, _ in found}, path.name)
-                    _tell_others(sheets[k + 1 :], path.name)
-                    return found
-            return []
+                    first = first or (sheet, found)
+                    others.append(sheet)
+                    if named is not None or _has_joints(found, joints):
+                        first = sheet, found
+                        others += sheets[sheets.index(sheet) + 1 :]
+                        break
+            if first is None:
+                return []
+            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name)
+            others.remove(first[0])
+            if named is None and others:
+                _tell_others(first[0], others, path.name)
+            return first[1]
     except (OSError, MeasurementError):
         raise
     except Exception as error:  # Whatever a broken archive does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected an Excel workbook") from error
 
 
+def _has_joints(lines: Sequence[tuple[int, tuple[Any, ...]]], joints: Collection[str]) -> bool:
+    return any(names_joints([str(cell) for cell in cells if cell is not None], joints) for _, cells in lines[:_LOOKED_AT])
+
+
 def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
-    """Yield number and cells of each line that has some, none of them wider than the first, which is the header.
+    """Yield number and cells of each line that has some.
 
     Raises:
-        MeasurementError: for a line that is, more lines than Excel has, or blank cells beyond measure.
+        MeasurementError: for more lines than Excel has, or blank cells beyond measure.
     """
     # What a file says of its own size may be wrong, and rows beyond it would be lost.
     sheet.reset_dimensions()
-    name, top, width, cells = path.name, 0, 0, 0
+    name, cells = path.name, 0
     for row, values in enumerate(sheet.iter_rows(values_only=True), start=1):
         if row > _MOST_LINES:
             raise MeasurementError(f"{name}: has more than the {_MOST_LINES} lines of Excel; save the table as CSV")
@@ -97,12 +128,6 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
         if cells % _CELLS < len(values):
             check_unpacked(path, _BYTES * cells)
         count = max(i for i, cell in enumerate(values, start=1) if cell is not None)
-        top, width = (top, width) if top else (row, count)
-        if count > width:
-            raise MeasurementError(
-                f"{name}, line {row}: {count} cells; expected {width} as in the header, line {top}; "
-                "delete what stands above it, or begin it with #"
-            )
         yield row, tuple(values[:count])
 
 
@@ -110,7 +135,7 @@ def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
     """Warn of a worksheet that is hidden, and of those of its rows that are."""
     if sheet.sheet_state != "visible":
         text = f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read"
-        warnings.warn(text, PincalWarning, stacklevel=4)
+        warn(text)
     # In this mode openpyxl keeps none of the attributes of rows.
     with sheet._get_source() as source:
         text = source.read()
@@ -121,19 +146,16 @@ def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
             hidden.append(row)
     if hidden:
         first = ", ".join(map(str, hidden[:_LISTED])) + (", ..." if len(hidden) > _LISTED else "")
-        warnings.warn(
+        warn(
             f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a filter perhaps (line {first}), and "
-            "read like the others; delete them to leave them out",
-            PincalWarning,
-            stacklevel=4,
+            "read like the others; delete them to leave them out"
         )
 
 
-def _tell_others(sheets: Sequence[Any], name: str) -> None:
+def _tell_others(read: Any, others: Sequence[Any], name: str) -> None:
     """Warn of the worksheets that are not read."""
-    if sheets:
-        listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in sheets)
-        warnings.warn(f"{name}: worksheets {listed} are not read", PincalWarning, stacklevel=4)
+    listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
+    warn(f"{name}: worksheet {read.title} is read; worksheets {listed} are not read (--sheet NAME reads another one)")
 
 
 def _has_cells(cells: Sequence[Any]) -> bool:

@@ -1,13 +1,18 @@
-"""What the columns of a table can hold: quantities made of one column or several, and which values are valid."""
+"""What the columns of a table can hold, quantities made of one column or several; and what the user says of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Protocol
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
+from pincal.errors import MeasurementError
+from pincal.recorded import RECORDABLE
+from pincal.robot.tree import Mimic
 from pincal.units import SMALLEST
 
 
@@ -59,15 +64,94 @@ class Field:
 
 
 POINT = Field("point", ("point",), "name")
-_OF_A_POSE = {"target": "name", "payload": "mass", "temperature": "temperature", "time": "time", "station": "name"}
-CONDITIONS = {"point": POINT} | {name: Field(name, (name,), quantity) for name, quantity in _OF_A_POSE.items()}
+_RECORDED = {name: variable.quantity for name, variable in RECORDABLE.items() if not variable.of_joints}
+CONDITIONS = {"point": POINT} | {
+    name: Field(name, (name,), quantity) for name, quantity in ({"target": "name"} | _RECORDED | {"station": "name"}).items()
+}
 """What a table can say of a pose beside the readings."""
 
 SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)
 """The standard deviation of a row's reading."""
+TABLE_ENDINGS = (".csv", ".tsv", ".txt", ".parquet")
+"""What the name of a table that is written may end in."""
 
 
-class Table(Protocol):
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """How a table is to be read.
+
+    Attributes:
+        ignore: columns to leave out; ``"*"`` leaves out all that are unknown.
+        columns: names of columns in the table and what they hold, with a unit if the header lacks one: ``{"J1":
+            "joint_a1 [deg]"}``.
+        orientation: convention of the orientation's columns, one of
+            :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
+        joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
+            while the pose is held still, or by order; a `PincalWarning` says by which.
+        sheet: worksheet of a workbook; default: the first that has columns of joints.
+        rows_in_order: whether rows stand in the order in which they were measured, or of their times, which says from
+            which side joints arrived that have no column for it, see :mod:`pincal.measure.approach`.
+        shares_log: whether other tables have theirs from the same file, so that the order of its rows tells nothing.
+    """
+
+    ignore: Sequence[str] = ()
+    columns: Mapping[str, str] = field(default_factory=dict)
+    orientation: str | None = None
+    joints: str | os.PathLike[str] | None = None
+    sheet: str | None = None
+    rows_in_order: bool = False
+    shares_log: bool = False
+
+
+# Where the joints stood as well, and by what factor that minus the fitted positions is commanded minus read back.
+OTHERS = {"commanded": 1.0, "read": -1.0}
+# What columns of their own tell of each joint.
+OF_EACH_JOINT = tuple(name for name, variable in RECORDABLE.items() if variable.column == f"{name}_<joint>")
+
+
+@dataclass(frozen=True)
+class Schema:
+    """What a table may hold.
+
+    Attributes:
+        fields: the quantities that are understood.
+        joint_names: the joints, each with a column of its own and perhaps one for the direction of approach and for the
+            position commanded or read back beside it.
+        joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
+        mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
+        may_lack_joints: whether a table without any joint is allowed.
+        options: what the user says of it.
+    """
+
+    fields: tuple[Field, ...]
+    joint_names: tuple[str, ...] = ()
+    joint_types: tuple[str, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
+    may_lack_joints: bool = False
+    options: TableOptions = field(default_factory=TableOptions)
+
+    @property
+    def own_joints(self) -> tuple[str, ...]:
+        """The joints that follow none, whose columns are needed."""
+        driven = {mimic.joint for mimic in self.mimics}
+        return tuple(name for name in self.joint_names if name not in driven)
+
+    def quantities(self, *, source: str) -> dict[str, str]:
+        """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""
+        known = {column: field.quantity for field in self.fields for column in field.columns}
+        clash = [name for name in self.joint_names if name in known]
+        if clash:
+            raise MeasurementError(f'{source}: joint "{clash[0]}" has the name of a column; rename it in the URDF')
+        types = self.joint_types or ("revolute",) * len(self.joint_names)
+        pairs = zip(self.joint_names, types, strict=True)
+        joints = {name: "length" if kind == "prismatic" else "angle" for name, kind in pairs}
+        # Beside the positions that are fitted, the other ones: those commanded where they were read back, or the reverse.
+        own = {f"{what}_{name}": RECORDABLE[what].quantity for what in OF_EACH_JOINT for name in joints}
+        others = {f"{kind}_{name}": quantity for kind in OTHERS for name, quantity in joints.items()}
+        return joints | known | own | others
+
+
+class TableRows(Protocol):
     """What a sensor needs of a table of N rows; :class:`pincal.measure.measurements.Measurements` is one."""
 
     @property
@@ -92,3 +176,10 @@ class Table(Protocol):
 
     def array(self, name: str) -> np.ndarray:
         """Return the values of a field that the table has, shape (N,) or (N, k)."""
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Table":
+        warnings.warn("pincal.measure.fields.Table is now TableRows", DeprecationWarning, stacklevel=2)
+        return TableRows
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,13 +14,14 @@ import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.measure.measurements import Measurements
+from pincal.units import unit_sizes
 
 # Data sheets state largest errors (MPE). "Typical measurement results are half of the relevant MPE values": Leica AT500 User
 # Manual, 2.8.1. Half of it is taken as the standard deviation.
 _OF_MPE = 0.5
 # Units of a term: of a constant [m], and of one in proportion to the range [m/m].
-_CONSTANT = {"um": 1e-6, "µm": 1e-6, "mm": 1e-3}
-_PER_METRE = {"um/m": 1e-6, "µm/m": 1e-6, "mm/m": 1e-3, "ppm": 1e-6, "urad": 1e-6, "mrad": 1e-3}
+_CONSTANT = unit_sizes("um", "µm", "mm")
+_PER_METRE = {f"{unit}/m": size for unit, size in _CONSTANT.items()} | {"ppm": 1e-6} | unit_sizes("urad", "mrad")
 _TERM = re.compile(r"(?P<number>[0-9]*\.?[0-9]+(?:[eE]-?[0-9]+)?)\s*(?P<unit>\S+)")
 _EXAMPLE = "10um+0.3um/m,15um+6um/m"
 

@@ -6,20 +6,141 @@ agree; whichever it is, a `PincalWarning` tells.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.labels import name_of
-from pincal.measure.sheet import Column, FrameSheet, Sheet
-from pincal.measure.still import held_poses
+from pincal.errors import MeasurementError, warn
+from pincal.measure.header import name_of
+from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+# An arm that moves by less than this [rad, m] within this time [s] holds still; noise of encoders is smaller.
+_STILL, _HOLD = 3e-4, 0.3
+# A pose that wanders by more than this [rad, m] while it is held is none.
+_DRIFT = 2e-3
+
+
+@dataclass(frozen=True)
+class HeldPoses:
+    """K poses that were held still.
+
+    Attributes:
+        begin: shape (K,), first sample of each.
+        end: shape (K,), its last sample.
+    """
+
+    begin: np.ndarray
+    end: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.begin)
+
+    @property
+    def samples(self) -> np.ndarray:
+        """First and last sample of each, shape (K, 2)."""
+        return np.column_stack([self.begin, self.end])
+
+    def at(self, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        """Return the pose that is held at each time asked for, shape (M,); -1 where none is."""
+        found = np.searchsorted(time[self.begin], asked, side="right") - 1
+        is_held = (found >= 0) & (asked <= time[self.end][np.maximum(found, 0)]) if len(self) else np.zeros(len(asked), bool)
+        return np.where(is_held, found, -1)
+
+    def means(self, values: np.ndarray) -> np.ndarray:
+        """Return the mean of values, shape (T, k), in each pose, shape (K, k)."""
+        return np.array([values[a : b + 1].mean(axis=0) for a, b in zip(self.begin, self.end, strict=True)])
+
+
+def held_poses(time: np.ndarray, q: np.ndarray) -> HeldPoses:
+    """Return the poses that are held still for some tenths of a second.
+
+    Args:
+        time: shape (T,), strictly increasing [s].
+        q: shape (T, n), joint positions [rad], prismatic [m].
+
+    Example:
+        >>> time = np.arange(0.0, 4.0, 0.01)
+        >>> poses = held_poses(time, np.clip(time - 1.0, 0.0, 1.0)[:, None])
+        >>> len(poses), poses.at(time, np.array([0.5, 1.5, 3.0])).tolist()
+        (2, [0, -1, 1])
+    """
+    ahead = np.minimum(np.searchsorted(time, time + _HOLD), len(time) - 1)
+    alone = time[ahead] - time < 0.9 * _HOLD  # The recording ends; times are rounded.
+    is_held = (np.abs(q[ahead] - q).max(axis=1, initial=0.0) <= _STILL) & ~alone
+    # Each held window holds all its samples.
+    change = np.zeros(len(time) + 1, int)
+    np.add.at(change, np.flatnonzero(is_held), 1)
+    np.add.at(change, ahead[is_held] + 1, -1)
+    inside = np.cumsum(change[:-1]) > 0
+    moves = np.append(np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0) > _STILL, True)
+    begin = inside & np.append(True, ~inside[:-1] | moves[:-1])
+    end = inside & (np.append(~inside[1:], True) | moves)
+    first, last = np.flatnonzero(begin), np.flatnonzero(end)
+    steady = [float(np.ptp(q[a : b + 1], axis=0).max(initial=0.0)) <= _DRIFT for a, b in zip(first, last, strict=True)]
+    return HeldPoses(first[steady], last[steady])
+
+
+# A table of so many rows, so close in time [s], is a log; one of which more than this share is in motion is cut.
+_LOG_ROWS, _LOG_STEP, _IN_MOTION = 100, 0.1, 0.05
+# Rows a pose from which those of a log that was joined with its joints are taken together.
+_PER_POSE = 10
+
+
+def is_log(time: np.ndarray) -> bool:
+    """Return whether rows follow each other as closely as those of a log; several recordings may follow each other."""
+    return len(time) >= _LOG_ROWS and 0.0 < float(np.median(np.diff(time))) <= _LOG_STEP
+
+
+def held_rows(
+    values: Mapping[str, np.ndarray], rows: np.ndarray, joints: Sequence[str], *, was_joined: bool, source: str
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return a row for each pose that is held still, if a table is a log in which the arm moves; else the table.
+
+    Numbers are means over the middle half of the pose, names those in the middle. A `PincalWarning` tells of it.
+
+    Args:
+        values: columns in SI units, shape (N,) each; with a time.
+        rows: shape (N,), their lines.
+        joints: those that have to stand still.
+        was_joined: whether rows between two poses have been left out already.
+        source: the file, for messages.
+    """
+    steps = np.diff(values["time"])
+    if not is_log(values["time"]):
+        return dict(values), rows
+    # Where a recording ends and another one begins, time jumps.
+    kept = np.flatnonzero(np.append(True, steps != 0.0))
+    time = np.append(0.0, np.cumsum(np.where(steps[kept[1:] - 1] < 0.0, 1.0, steps[kept[1:] - 1])))
+    poses = held_poses(time, np.column_stack([values[name][kept] for name in joints]))
+    held = int((poses.end - poses.begin + 1).sum())
+    is_dense = was_joined and held >= _PER_POSE * len(poses)
+    if len(poses) < 2 or (held > (1.0 - _IN_MOTION) * len(kept) and not is_dense):
+        return dict(values), rows
+    quarter = (poses.end - poses.begin) // 4
+    first, last = kept[poses.begin + quarter], kept[poses.end - quarter]
+    found = {name: _pooled(v, np.column_stack([first, last])) for name, v in values.items()}
+    if "qx" in values:
+        turned = np.column_stack([values[name] for name in ("qx", "qy", "qz", "qw")])
+        means = [_mean_turn(turned[a : b + 1]) for a, b in zip(first, last, strict=True)]
+        found |= dict(zip(("qx", "qy", "qz", "qw"), np.array(means).T, strict=True))
+    warn(
+        f"{source}: a log of {len(rows)} rows at {1.0 / np.median(steps):.0f} Hz is cut into the {len(poses)} poses that "
+        f"are held still, each the mean over its middle half; rows in motion left out: {len(kept) - held}"
+    )
+    return found, rows[first]
+
+
+def _mean_turn(quaternions: np.ndarray) -> np.ndarray:
+    mean = np.where((quaternions @ quaternions[0] < 0.0)[:, None], -quaternions, quaternions).mean(axis=0)
+    return np.asarray(mean / np.linalg.norm(mean))
+
 
 # Rows of a table that may fall between the poses of a log, as a share.
 _BETWEEN = 0.5
@@ -47,6 +168,12 @@ class Log:
     def q(self) -> np.ndarray:
         """Joint positions, shape (T, n)."""
         return np.column_stack([self.values[name] for name in self.joints])
+
+    @cached_property
+    def held(self) -> HeldPoses | None:
+        """The poses that are held still, where it is a recording, whose time increases; else None."""
+        time = self.values.get("time")
+        return held_poses(time, self.q) if time is not None and (np.diff(time) > 0).all() else None
 
 
 @dataclass(frozen=True)
@@ -79,7 +206,7 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
     """
     import polars as pl
 
-    columns = [Column(i, str(i), label, "", "name") for i, label in enumerate(table.labels)]
+    columns = [SheetColumn(i, str(i), label, "", "name") for i, label in enumerate(table.labels)]
     frame, lines = table.read(columns)
     keys = _common(table, log.sheet, known)
     pairs = _agreed(_by_columns(table, frame, log, lines=lines, keys=keys), _by_time(log, time), table=table, log=log)
@@ -90,12 +217,12 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
     rest = f"; {left} rows between two poses are left out" if left else ""
     source = log.sheet.path.name
     text = f"{table.path.name}: {len(pairs.rows)} rows have their joints from {source} {pairs.words}{rest}"
-    warnings.warn(text, PincalWarning, stacklevel=2)
+    warn(text)
     kept = [i for i, label in enumerate(table.labels) if label not in keys]
     taken = [pl.Series(name, _pooled(v, pairs.samples)) for name, v in log.values.items() if name not in has]
     whole = pl.DataFrame([*(frame.to_series(i)[pairs.rows] for i in kept), *taken])
     labels = (*(table.labels[i] for i in kept), *(series.name for series in taken))
-    return FrameSheet(table.path, labels, table.decimal_comma, whole, lines[pairs.rows])
+    return FrameSheet(table.path, labels, table.decimal_comma, whole.lazy(), lines[pairs.rows])
 
 
 def _pooled(values: np.ndarray, samples: np.ndarray) -> np.ndarray:
@@ -119,7 +246,7 @@ def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarra
     """Pair rows by the columns that both have and that tell each row its pose; several have to agree."""
     found: dict[str, np.ndarray] = {}
     for label, place in keys.items():
-        cells = log.sheet.read([Column(place, "key", label, "", "name")])[0]["key"]
+        cells = log.sheet.read([SheetColumn(place, "key", label, "", "name")])[0]["key"]
         theirs = _places(_as_keys(cells), log.q)
         if theirs is None:
             continue
@@ -128,7 +255,7 @@ def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarra
         if lost:
             raise MeasurementError(
                 f'{table.path.name}, line {lines[lost[0]]}, column "{label}": {mine[lost[0]]} is not in '
-                f"{log.sheet.path.name}, whose rows it tells apart; rows like this: {len(lost)}; correct them, or "
+                f"{log.sheet.path.name}, whose rows it identifies; rows like this: {len(lost)}; correct them, or "
                 "ignore the column"
             )
         found[label] = np.array([theirs[key] for key in mine])
@@ -138,7 +265,7 @@ def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarra
     for label, other in others:
         if not np.array_equal(samples, other):
             raise MeasurementError(
-                f'{table.path.name}: the columns "{first}" and "{label}" of {log.sheet.path.name} tell different joints for '
+                f'{table.path.name}: the columns "{first}" and "{label}" of {log.sheet.path.name} give different joints for '
                 "the same row; expected one: ignore the wrong one"
             )
     return _Pairs(np.arange(frame.height), samples, f'by the column "{first}"')
@@ -166,10 +293,7 @@ def _agreed(by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, l
 
 def _around(log: Log, pairs: _Pairs) -> np.ndarray:
     """Return the samples just before and after those of each pair where the log is a recording, shape (M, 2)."""
-    time = log.values.get("time")
-    if time is None or not (np.diff(time) > 0).all() or not len(held_poses(time, log.q)):
-        return pairs.samples
-    return np.asarray(np.clip(pairs.samples + np.array([-1, 1]), 0, len(time) - 1))
+    return np.asarray(np.clip(pairs.samples + np.array([-1, 1]), 0, len(log.q) - 1)) if log.held else pairs.samples
 
 
 def _pooled_rows(q: np.ndarray, samples: np.ndarray) -> np.ndarray:
@@ -203,17 +327,16 @@ def _by_time(log: Log, time: np.ndarray | None) -> _Pairs | None:
     theirs = log.values.get("time")
     if time is None or theirs is None or len(theirs) < 2:
         return None
-    if not (np.diff(theirs) > 0).all():
+    if log.held is None:
         line = int(np.flatnonzero(np.diff(theirs) <= 0)[0])
         raise MeasurementError(
             f"{log.sheet.path.name}: its time does not increase in row {line + 2}; expected a log in order, one sample a row"
         )
-    poses = held_poses(theirs, log.q)
-    which = poses.at(theirs, time)
+    which = log.held.at(theirs, time)
     rows = np.flatnonzero(which >= 0)
-    if len(rows) <= _BETWEEN * len(time):
+    if len(rows) <= (0.0 if is_log(time) else _BETWEEN) * len(time):
         return None
-    return _Pairs(rows, np.column_stack([poses.begin, poses.end])[which[rows]], "by time, while the pose is held still")
+    return _Pairs(rows, log.held.samples[which[rows]], "by time, while the pose is held still")
 
 
 def _by_order(log: Log, count: int) -> _Pairs | None:
@@ -221,24 +344,18 @@ def _by_order(log: Log, count: int) -> _Pairs | None:
     every = np.arange(count)
     if len(log.q) == count:
         return _Pairs(every, np.column_stack([every, every]), "by order, row by row")
-    time = log.values.get("time")
-    if time is None or not (np.diff(time) > 0).all():
+    if log.held is None or len(log.held) != count:
         return None
-    poses = held_poses(time, log.q)
-    if len(poses) != count:
-        return None
-    return _Pairs(every, np.column_stack([poses.begin, poses.end]), "by order, pose by pose")
+    return _Pairs(every, log.held.samples, "by order, pose by pose")
 
 
 def _advice(table: Sheet, log: Log, count: int, *, has_times: bool) -> str:
     source, other = table.path.name, log.sheet.path.name
-    time = log.values.get("time")
     what = f"{count} rows and {len(log.q)} samples of joints"
-    if time is not None and has_times:
-        poses = held_poses(time, log.q) if (np.diff(time) > 0).all() else ()
-        what += f" ({len(poses)} poses held still, at most times of the table none; do the clocks differ?)"
+    if "time" in log.values and has_times:
+        what += f" ({len(log.held or ())} poses held still, at most times of the table none; do the clocks differ?)"
     order = " (several tables share it)" if log.is_shared else ", or a sample for each row in the same order"
     return (
-        f"{source}: nothing says which joints of {other} belong to which row: {what}; expected a column that both "
+        f"{source}: it is not known which joints of {other} belong to which row: {what}; expected a column that both "
         f"files have and that numbers the poses, or times of one clock in both (column time){order}"
     )

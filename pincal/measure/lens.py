@@ -11,7 +11,7 @@ With x = X / Z, y = Y / Z and r^2 = x^2 + y^2 of a point in the camera's frame (
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class Lens:
     @property
     def values(self) -> np.ndarray:
         """The parameters in the order of ``PINHOLE`` and ``DISTORTION``, shape (9,)."""
-        return np.array([getattr(self, field.name) for field in fields(self)], float)
+        return np.array([getattr(self, name) for name in (*PINHOLE, *DISTORTION)], float)
 
     def project(self, seen: np.ndarray) -> np.ndarray:
         """Return the image [px], shape (N, 2), of points in the camera's frame [m], shape (N, 3)."""

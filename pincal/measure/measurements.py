@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,17 +12,20 @@ from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, nearest_first
 from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field
-from pincal.measure.quantities import expected_number, is_possible
-from pincal.measure.registry import check_fields, known_fields, sensor_class
+from pincal.measure.registry import check_fields, expected_columns, known_fields, sensor_class
 from pincal.measure.sensor import Sensor
+from pincal.measure.setup import Setup
+from pincal.recorded import RECORDED, Recorded
+from pincal.robot.robot import Robot
+from pincal.units import expected_number, is_possible
 
 # What a table has beside its readings.
-_OF_JOINTS = ("q", "approach", "droop", "move")
-_ARRAYS = (*_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
+_OF_JOINTS = {name: variable.quantity for name, variable in RECORDED.items() if variable.of_joints}
+_ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Measurements:
+class Measurements(Recorded):
     """Measured poses of one robot, one row per measured pose; absent columns are None and all arrays are read-only.
 
     The readings of pincal's own sensors are attributes as well.
@@ -47,18 +51,8 @@ class Measurements:
     """Name of the point of the calibration object, shape (N,)."""
     payload: np.ndarray | None = None
     """Payload [kg], shape (N,)."""
-    temperature: np.ndarray | None = None
-    """Temperature [deg C], shape (N,)."""
-    time: np.ndarray | None = None
-    """Time [s], shape (N,)."""
     station: np.ndarray | None = None
     """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
-    approach: np.ndarray | None = None
-    """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
-    droop: np.ndarray | None = None
-    """Commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n)."""
-    move: np.ndarray | None = None
-    """Last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n)."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
     readings_per_row: np.ndarray | None = None
@@ -147,6 +141,10 @@ class Measurements:
         """Return the table with other values of some of its readings."""
         return replace(self, readings={**self.readings, **readings})
 
+    def of_joints(self, robot: Robot) -> Measurements:
+        """Return the table with the positions of the URDF's joints in place of what the controller reports."""
+        return replace(self, q=robot.from_reported(self.q)) if robot.couplings else self
+
     def _with(self, columns: Mapping[str, np.ndarray]) -> Measurements:
         readings = {name: columns[name] for name in self.readings}
         rest: dict[str, Any] = {name: array for name, array in columns.items() if name not in readings}
@@ -184,9 +182,9 @@ def measurements_from_arrays(
         MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of measurement.
     """
     fields = known_fields()
-    unknown = [name for name in columns if name not in (*_OF_JOINTS[1:], *fields)]
+    unknown = [name for name in columns if name not in (*_OF_JOINTS, *fields)]
     if unknown:
-        known = ", ".join(nearest_first(unknown, [*_OF_JOINTS[1:], *fields]))
+        known = ", ".join(nearest_first(unknown, [*_OF_JOINTS, *fields]))
         raise MeasurementError(f'{source}: unknown column "{unknown[0]}"; known columns: {known}')
     names, given = tuple(joint_names), {"q": q, "rows": rows, **columns}
     arrays = {
@@ -199,7 +197,7 @@ def measurements_from_arrays(
     for name, array in arrays.items():
         width = len(fields[name].columns) if name in fields else 1
         one = arrays["q"].shape[:1] if width == 1 else (len(arrays["q"]), width)
-        expected = arrays["q"].shape if name in _OF_JOINTS else one
+        expected = arrays["q"].shape if name in ("q", *_OF_JOINTS) else one
         if array.shape != expected:
             raise MeasurementError(f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q')
     return validated(names, arrays, source=source, units=dict(units or {}))
@@ -216,7 +214,9 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     if not tables:
         raise MeasurementError("no table to join; expected at least one")
     if any(table.readings_per_row is not None for table in tables):
-        tables = [table if table.readings_per_row is not None else _single(table) for table in tables]
+        # Rows of the others are single readings.
+        counts = [np.ones(len(table), int) if table.readings_per_row is None else table.readings_per_row for table in tables]
+        tables = [replace(table, readings_per_row=count) for table, count in zip(tables, counts, strict=True)]
     if any(table.move is not None for table in tables):
         # No column of a file: of rows whose order nobody told the last moves are unknown.
         tables = [table if table.move is not None else replace(table, move=np.zeros(table.q.shape)) for table in tables]
@@ -234,11 +234,6 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     source = ", ".join(dict.fromkeys(table.source for table in tables))
     origins = ", ".join(dict.fromkeys(table.approach_from for table in tables if table.approach_from))
     return replace(joined, units=units, source=source, approach_from=origins)
-
-
-def _single(table: Measurements) -> Measurements:
-    """Return a table whose rows are single readings as one that says so."""
-    return replace(table, readings_per_row=np.ones(len(table), int))
 
 
 def validated(
@@ -283,7 +278,7 @@ def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.
     if values.dtype.kind not in "fi":
         return
     rule = SIGN if name == "approach" else FINITE if known is None else known.rule
-    quantity = known.quantity if known is not None else "angle" if name in ("q", "droop") else "number"
+    quantity = known.quantity if known is not None else "angle" if name == "q" else _OF_JOINTS.get(name, "number")
     right, expected = is_possible(values, quantity), expected_number(quantity)
     if right.all():
         right, expected = rule.is_met(values), rule.expected
@@ -293,3 +288,89 @@ def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.
             f'{source}, line {lines[wrong[0]]}, "{name}": {values[wrong[0]].tolist()}; '
             f"expected {expected}; rows like this: {wrong.size}; correct or delete them"
         )
+
+
+def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
+    """Return the sensor that made a table of measurements.
+
+    Points that the setup does not name are refused, but for sockets, which are then judged by the mean of their rows. By
+    default nothing is known, and every point of the table is a parameter.
+
+    Raises:
+        MeasurementError: if no sensor reads such columns, or a point is named that the setup does not have.
+    """
+    found = measurements.sensor
+    if found is None:
+        raise MeasurementError(
+            f"{measurements.source}: no sensor reads measurements of kind {measurements.kind!r}; expected columns "
+            f"{expected_columns()}"
+        )
+    return found.of(measurements, Setup().over(measurements) if setup is None else setup)
+
+
+def sensor_like(measurements: Measurements, setup: Setup) -> Sensor:
+    """Return the sensor of a table over its first row alone: all that does not depend on the rows is that of the table."""
+    return sensor_of(measurements.select(slice(0, 1)), setup.over(measurements))
+
+
+def measurements(
+    joints: Robot | Sequence[str],
+    q: ArrayLike,
+    *,
+    source: str = "arrays",
+    **columns: ArrayLike | None,
+) -> Measurements:
+    """Build measurements from arrays in SI units, which are checked and copied.
+
+    Args:
+        joints: the robot, or the names of its n joints.
+        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that mimic another may be left out.
+        source: name of the data for messages.
+        columns: what was measured and recorded, by name, and fields of custom sensors; None is absent:
+
+            - position: of the target in the instrument's frame [m], shape (N, 3).
+            - quaternion: orientation of the tool in the instrument's frame, x y z w, shape (N, 4); with ``position``.
+            - distance: from the instrument's point, or the row's anchor, to the target [m], shape (N,).
+            - anchor: name of the point that a distance is measured from, shape (N,).
+            - socket: name of the fixed point that held the tool point, shape (N,).
+            - camera_point: point of the calibration object in the camera's frame [m], shape (N, 3); with ``point``.
+            - pixel: the same point in the image [px], shape (N, 2); with ``point``.
+            - point: name of the point of the calibration object, shape (N,).
+            - plane: name of the plane that the probe touched, shape (N,).
+            - gauge: reading of a dial gauge against this plane [m], shape (N,); with ``plane``.
+            - target: name of the target on the tool, shape (N,); default: one.
+            - payload: mass at the tip [kg], shape (N,).
+            - temperature: in deg C, shape (N,).
+            - time: in s, shape (N,).
+            - station: name of the set-up that a row belongs to, shape (N,).
+            - approach: direction from which each joint arrived, -1, 0 (unknown) or 1, shape (N, n).
+            - droop: commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n).
+            - move: last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n).
+            - sigma: standard deviation of the row [m], shape (N,).
+
+    Raises:
+        MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of measurement.
+
+    Example:
+        >>> measurements(["shoulder", "elbow"], [[0.1, 0.2], [0.3, 0.4]], position=[[1, 0, 0], [0, 1, 0]])
+        Measurements('arrays': 2 rows, position, joints shoulder elbow)
+    """
+    given: dict[str, Any] = {"source": source, **columns}
+    if isinstance(joints, Robot):
+        rows = np.asarray(q, float)
+        if joints.mimics and rows.ndim == 2 and rows.shape[1] == len(joints.own_joints):
+            rows = joints.spread(rows)
+        return measurements_from_arrays(joints.joint_names, rows, **given)
+    return measurements_from_arrays(joints, q, **given)
+
+
+def _signature() -> inspect.Signature:
+    """Return the signature of ``measurements`` with all columns, for whoever looks it up or completes it."""
+    plain = inspect.signature(measurements)
+    *first, rest = plain.parameters.values()
+    names = dict.fromkeys([*known_fields(), *_OF_JOINTS])
+    columns = [rest.replace(name=name, kind=inspect.Parameter.KEYWORD_ONLY, default=None) for name in names]
+    return plain.replace(parameters=[*first, *columns, rest])
+
+
+measurements.__signature__ = _signature()  # type: ignore[attr-defined]

@@ -26,7 +26,7 @@ also hold the angles of another convention, and q1 q2 q3 q4 a quaternion in the 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class Convention:
     Attributes:
         name: what the user calls it.
         words: what it is, for messages.
-        columns: in the usual header.
+        columns: their names, at first those of the usual header.
         order: the component that each column holds: angles about x, y, z or components x, y, z, w.
         unit: of a column whose header has none.
         kind: "angles" R_z R_y R_x, "vector" or "quaternion".
@@ -58,12 +58,16 @@ class Convention:
     kind: str
     known_by: tuple[str, ...] = ()
 
-    def quaternions(self, columns: np.ndarray, order: str, *, where: str) -> np.ndarray:
+    @property
+    def quantity(self) -> str:
+        """What the columns hold."""
+        return "number" if self.kind == "quaternion" else "angle"
+
+    def quaternions(self, columns: Mapping[str, np.ndarray], *, where: str) -> np.ndarray:
         """Return quaternions x y z w, shape (N, 4).
 
         Args:
-            columns: shape (N, 3) [rad], or shape (N, 4).
-            order: the component that each column holds.
+            columns: values of the columns, shape (N,) each, angles in rad.
             where: the file, for messages.
 
         Raises:
@@ -71,15 +75,17 @@ class Convention:
         """
         from scipy.spatial.transform import Rotation
 
-        values = columns[:, [order.index(axis) for axis in sorted(order, key="xyzw".index)]]
+        by_axis = dict(zip(self.order, self.columns, strict=True))
+        values = np.column_stack([columns[by_axis[axis]] for axis in "xyzw" if axis in by_axis])
         if self.kind == "quaternion":
             return values
         size = np.linalg.norm(values, axis=1) if self.kind == "vector" else np.abs(values).max(axis=1)
         if self.unit == "rad" and len(size) and size.max() > _FULL_TURN:
-            name = self.columns[0]
+            name = CONVENTIONS[self.name].columns[0]
             raise MeasurementError(
-                f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more than a turn; in degrees? Then write "
-                f"`{name} [deg]` in the header; or choose another convention: --orientation {'|'.join(CONVENTIONS)}"
+                f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more than a revolution; in degrees? "
+                f"Then write `{name} [deg]` in the header; or choose another convention: --orientation "
+                f"{'|'.join(CONVENTIONS)}"
             )
         if self.kind == "vector":
             return np.asarray(Rotation.from_rotvec(values).as_quat())
@@ -114,32 +120,7 @@ CONVENTIONS: Mapping[str, Convention] = {convention.name: convention for convent
 _BY_NUMBER = ("q1", "q2", "q3", "q4")
 
 
-@dataclass(frozen=True)
-class Orientation:
-    """The columns of a table that tell an orientation.
-
-    Attributes:
-        convention: how.
-        columns: their names in the table, in the table of this module's order.
-        order: the component that each holds.
-    """
-
-    convention: Convention
-    columns: tuple[str, ...]
-    order: str
-
-    @property
-    def quantity(self) -> str:
-        """What the columns hold."""
-        return "number" if self.convention.kind == "quaternion" else "angle"
-
-    def quaternions(self, values: Mapping[str, np.ndarray], *, where: str) -> np.ndarray:
-        """Return quaternions x y z w, shape (N, 4), of the columns' values, shape (N,) each [rad]."""
-        stacked = np.column_stack([values[name] for name in self.columns])
-        return self.convention.quaternions(stacked, self.order, where=where)
-
-
-def find_orientation(names: Collection[str], said: str | None, *, taken: Collection[str], source: str) -> Orientation | None:
+def find_orientation(names: Collection[str], said: str | None, *, taken: Collection[str], source: str) -> Convention | None:
     """Return the columns that tell an orientation in another way than a quaternion qx qy qz qw; None without any.
 
     Args:
@@ -155,9 +136,7 @@ def find_orientation(names: Collection[str], said: str | None, *, taken: Collect
     if said is not None:
         return _as_said(free, said, source=source)
     found = [
-        Orientation(convention, columns, convention.order)
-        for convention in _ALL
-        if (columns := _known(free, convention)) is not None
+        replace(convention, columns=columns) for convention in _ALL if (columns := _known(free, convention)) is not None
     ]
     if len(found) > 1:
         listed = " and ".join(" ".join(each.columns) for each in found)
@@ -181,7 +160,7 @@ def _known(free: Collection[str], convention: Convention) -> tuple[str, ...] | N
     return None
 
 
-def _as_said(free: Collection[str], said: str, *, source: str) -> Orientation:
+def _as_said(free: Collection[str], said: str, *, source: str) -> Convention:
     if said not in CONVENTIONS:
         raise MeasurementError(f"{source}: orientation {said!r} is unknown; expected one of {', '.join(CONVENTIONS)}")
     convention = CONVENTIONS[said]
@@ -191,7 +170,7 @@ def _as_said(free: Collection[str], said: str, *, source: str) -> Orientation:
         by_name = other.columns != _BY_NUMBER
         if all(name.casefold() in folded for name in other.columns):
             columns = tuple(folded[name.casefold()] for name in other.columns)
-            return Orientation(convention, columns, other.order if by_name else convention.order)
+            return replace(convention, columns=columns, order=other.order if by_name else convention.order)
     raise MeasurementError(
         f"{source}: no columns {' '.join(convention.columns)} for the orientation {said!r} ({convention.words}); the table "
         f"has {', '.join(free)}; say which with --columns 'NAME={convention.columns[0]},...'"

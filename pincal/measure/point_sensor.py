@@ -1,7 +1,7 @@
 """What sensors have in common each of whose readings involves one named point that stands still.
 
 A point is known in the instrument's frame, or its coordinates are parameters of the sensor; see
-:class:`pincal.measure.named_points.NamedPoints`.
+:class:`pincal.measure.setup.NamedPoints`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import RANK, Extrinsics
-from pincal.measure.fields import Table
-from pincal.measure.named_points import NamedPoints
+from pincal.measure.fields import TableRows
 from pincal.measure.sensor import Constraints, Excluded, Grouped, OwnParameters, Sensor
-from pincal.measure.setup import Setup
-from pincal.parameters import FRAME_SYMBOLS
+from pincal.measure.setup import NamedPoints, Setup
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import align, transform
 
 # Names that a message lists.
@@ -47,10 +46,21 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     index: np.ndarray
 
     @property
+    @abstractmethod
+    def other_parameters(self) -> tuple[Parameter, ...]:
+        """The sensor's own parameters beside points."""
+
+    @property
     @final
     def row_groups(self) -> np.ndarray:
         """The point of each row."""
         return self.index
+
+    @property
+    @final
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        """Coordinates of the unknown points, then all others."""
+        return self.points.parameters + self.other_parameters
 
     @property
     @final
@@ -88,7 +98,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         yield from self.unobservable_with(known)
         if known and self.points.are_in_line:
             some = "fewer than three of the named points are known" if known < 3 else "the known points stand in a line"
-            yield f"{some}, so a turn of the base about them is undetermined: know one more, off their line"
+            yield f"{some}, so a rotation of the base about them is undetermined: give one more, off their line"
 
     @abstractmethod
     def unobservable_with(self, known: int) -> Iterator[str]:
@@ -106,7 +116,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         lonely[keep], listed = poor_groups(np.array(self.points.names)[self.index][keep], self.fewest, known)
         yield Excluded(
             lonely,
-            f"are of {self.thing} with fewer than {self.fewest} readings, which only place it ({listed})",
+            f"are of {self.thing} with fewer than {self.fewest} readings, which only determine its pose ({listed})",
             f"{self.fewest} readings and more of {self.thing}, in other poses",
         )
 
@@ -117,10 +127,10 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @classmethod
     @final
-    def unscorable_rows(cls, table: Table, setup: Setup) -> Iterator[Excluded]:
+    def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
         """Yield rows of points that the calibration did not have, but for those judged by the mean of at least two rows."""
         lost, listed = rows_of_new(table, setup, enough=2 if cls.judges_new_points else None)
-        yield Excluded(lost, f"are of points that the calibration did not have ({listed})", "points of the calibration")
+        yield Excluded(lost, f"are of points not used in the calibration ({listed})", "points of the calibration")
 
     @final
     def by_points(self, by_place: np.ndarray) -> np.ndarray:
@@ -157,7 +167,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         return Extrinsics(base, tools, own if rest is None else np.concatenate([own, rest]))
 
 
-def names_of(table: Table) -> np.ndarray:
+def _names_of(table: TableRows) -> np.ndarray:
     """Return the name of each row's point, shape (N,), of a table whose rows involve points."""
     names = table.point_names
     assert names is not None
@@ -172,16 +182,16 @@ def poor_groups(names: np.ndarray, fewest: int, known: Collection[str] = ()) -> 
     return poor[inverse], listed
 
 
-def rows_of_new(table: Table, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
+def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
     """Return rows of things that a calibration did not have, shape (N,), but for those with enough rows, and their names."""
-    names = names_of(table)
+    names = _names_of(table)
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     is_new = np.array([str(name) not in setup.points for name in found], bool)
     lost = (is_new & ((enough is None) | (count < (enough or 0))))[inverse]
     return lost, ", ".join(sorted(set(map(str, names[lost])))[:_LISTED])
 
 
-def index_of(table: Table, points: NamedPoints, *, may_be_new: bool = False) -> np.ndarray:
+def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False) -> np.ndarray:
     """Return the index of each row's point, shape (N,).
 
     Args:
@@ -192,7 +202,7 @@ def index_of(table: Table, points: NamedPoints, *, may_be_new: bool = False) -> 
     Raises:
         MeasurementError: naming a point that is not known by name.
     """
-    names = names_of(table)
+    names = _names_of(table)
     found, inverse = np.unique(names, return_inverse=True)
     place = {name: i for i, name in enumerate(points.names)}
     new = [str(name) for name in found if str(name) not in place]

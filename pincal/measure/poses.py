@@ -17,14 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from pincal.measure.approach import SAME
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import known_fields
 
-SAME = 1e-5
-"""Joint positions that count as the same [rad or m]: coarser than encoders resolve, finer than robots repeat.
-
-1e-5 rad move the tip of an arm of 2 m by 0.02 mm.
-"""
 SCATTER = 1e-4
 """Joint positions that count as the same where drives settle differently [rad or m].
 

@@ -5,28 +5,92 @@ Measurements, targets of a compensation and lists of known points are tables of 
 
 from __future__ import annotations
 
+import contextlib
 import os
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
+from pincal.errors import MeasurementError, warn
+from pincal.measure import bag_sheet, excel_sheet, parquet_sheet
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
-from pincal.measure.fields import CONDITIONS, Field
-from pincal.measure.files import open_sheet, typed_errors
-from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
-from pincal.measure.joined import Log, join
-from pincal.measure.labels import is_named, renamed, spelled, without
-from pincal.measure.options import TableOptions
-from pincal.measure.schema import OTHERS, Schema
-from pincal.measure.sheet import Column, ParquetSheet, Sheet, read_cells
+from pincal.measure.fields import CONDITIONS, OF_EACH_JOINT, OTHERS, Field, Schema, TableOptions
+from pincal.measure.header import (
+    check_joints,
+    is_named,
+    matched,
+    renamed,
+    rotations,
+    spelled,
+    understood,
+    unignored,
+    with_joints,
+)
+from pincal.measure.joined import Log, held_rows, join
+from pincal.measure.nested_sheet import nested_kind, open_nested
+from pincal.measure.sheet import FrameSheet, Sheet, read_cells
+from pincal.measure.text_sheet import open_text
 
-if TYPE_CHECKING:
+# Formats that other programs can turn into one that is read.
+_OTHERS = (".xls", ".xlsb", ".ods", ".numbers")
+
+
+def open_sheet(
+    path: Path,
+    *,
+    ignore: Collection[str] = (),
+    only_joints: bool = False,
+    joints: Collection[str] = (),
+    sheet: str | None = None,
+) -> Sheet:
+    """Return the sheet of a file, by what it holds; what is nothing else is text.
+
+    Args:
+        path: the file; of a recording perhaps a folder.
+        ignore: topics of a recording to leave out.
+        only_joints: whether only the joints of a recording are wanted, sample by sample.
+        joints: those of a recording that have to stand still, and whose columns a table has.
+        sheet: worksheet of a workbook.
+
+    Raises:
+        MeasurementError: for a file that is empty, binary, or not of this format.
+    """
+    ending = path.suffix.lower()
+    if bag_sheet.is_bag(path):
+        return bag_sheet.open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
+    if parquet_sheet.is_dataset(path):
+        return parquet_sheet.open_dataset(path)
+    with path.open("rb") as file:
+        head = file.read(4)
+    if ending == ".parquet" or head == b"PAR1":
+        return parquet_sheet.open_parquet(path)
+    if kind := nested_kind(path):
+        return open_nested(path, kind)
+    if ending in excel_sheet.ENDINGS or head == b"PK\x03\x04":
+        return excel_sheet.open_excel(path, sheet=sheet, joints=joints)
+    if ending in _OTHERS:
+        raise MeasurementError(f"{path.name}: {ending} is not read; save the table as .xlsx or CSV")
+    return open_text(path, joints)
+
+
+@contextlib.contextmanager
+def typed_errors(path: Path) -> Iterator[None]:
+    """Raise whatever goes wrong with a file as a `MeasurementError` that names it."""
     import polars as pl
+
+    try:
+        yield
+    except MeasurementError:
+        raise
+    except FileNotFoundError as error:
+        raise MeasurementError(f"{path}: no such file; check the name and the folder") from error
+    except IsADirectoryError as error:
+        raise MeasurementError(f"{path}: is a folder; expected a file, .csv or .parquet") from error
+    except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        reason = str(error).strip().split("\n")[0]
+        raise MeasurementError(f"{path}: can't be read ({reason}); expected a CSV or .parquet table") from error
 
 
 @dataclass(frozen=True)
@@ -51,7 +115,7 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
     """Read a table from CSV or other text (separator, decimal mark and encoding are detected), Excel or Parquet.
 
     Args:
-        path: the file; the ending of its name says the format, text if it says none.
+        path: the file; the ending of its name gives the format, text by default.
         schema: what it may hold.
         part: rows of a Parquet file to read; default: all.
 
@@ -60,13 +124,12 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
     """
     path = Path(path)
     with typed_errors(path):
-        sheet = open_sheet(path, ignore=schema.options.ignore, joints=schema.joint_names)
+        sheet = open_sheet(path, ignore=schema.options.ignore, joints=schema.joint_names, sheet=schema.options.sheet)
         sheet = sheet if part is None else _part(sheet, part)
-        if schema.options.joints is not None and schema.joint_names:
+        if was_joined := schema.options.joints is not None and bool(schema.joint_names):
             sheet, schema = _with_log(sheet, schema)
         header = understood(sheet, schema)
-        cells, rows = read_cells(sheet, header.columns)
-        values = {column.name: _in_si(cells.pop(column.name), column) for column in header.columns}
+        values, rows = read_cells(sheet, header.columns, readings=header.readings, flag=header.flag)
     if header.orientation is not None:
         found = header.orientation.quaternions(values, where=path.name)
         values = {name: value for name, value in values.items() if name not in header.orientation.columns}
@@ -77,21 +140,23 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
             values[mimic.joint] = mimic.multiplier * values[mimic.source] + mimic.offset
             if (approach := values.get(f"approach_{mimic.source}")) is not None:
                 values.setdefault(f"approach_{mimic.joint}", np.sign(mimic.multiplier) * approach)
+    if joints and header.readings and "time" in values and part is None and not schema.may_lack_joints:
+        values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
     droop = _droop(values, joints, source=path.name)
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
     if droop is not None:
         arrays["droop"] = droop
-    sides = {name: values.pop(f"approach_{name}") for name in joints if f"approach_{name}" in values}
+    told = {what: {j: values.pop(f"{what}_{j}") for j in joints if f"{what}_{j}" in values} for what in OF_EACH_JOINT}
+    sides = told["approach"]
     origin = BY_COLUMNS if sides else ""
     time, in_order = values.get("time"), schema.options.rows_in_order
     if joints and (in_order or tells_order(time, arrays["q"])):
         moves = moves_of_table(arrays["q"], time=time, station=values.get("station"))
         arrays["move"] = agreeing(moves, sides, joints)
         if in_order:
-            sides, origin = completed(sides, joints, moves, by_time=time is not None, source=path.name)
-    if sides:
-        unknown = np.zeros(len(rows))
-        arrays["approach"] = np.column_stack([sides.get(name, unknown) for name in joints])
+            told["approach"], origin = completed(sides, joints, moves, by_time=time is not None, source=path.name)
+    unknown = np.zeros(len(rows))
+    arrays |= {what: np.column_stack([own.get(j, unknown) for j in joints]) for what, own in told.items() if own}
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
@@ -99,9 +164,9 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
 
 
 def _part(sheet: Sheet, part: range) -> Sheet:
-    if not isinstance(sheet, ParquetSheet):
+    if not isinstance(sheet, FrameSheet) or sheet.rows is not None:
         raise MeasurementError(f"{sheet.path.name}: only a Parquet file is read in parts; write the table as .parquet")
-    return replace(sheet, part=part)
+    return sheet.part(part)
 
 
 def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str) -> np.ndarray | None:
@@ -116,16 +181,14 @@ def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str)
         return None
     if len(kinds) > 1:
         raise MeasurementError(
-            f"{source}: columns commanded_<joint> and read_<joint> beside those of the joints; expected two records: name "
-            "the one to fit as the joints, as with --columns read_joint_1=joint_1"
+            f"{source}: columns commanded_<joint> and read_<joint> in addition to those of the joints; expected two "
+            "records: name the one to fit as the joints, as with --columns read_joint_1=joint_1"
         )
     (kind,) = kinds
     fitted = {"commanded": "read back", "read": "commanded"}[kind]
-    warnings.warn(
-        f"{source}: the joints' own columns are fitted, as positions that were {fitted}; {kind}_{given[kind][0]} ... tell "
-        "how far the servos droop",
-        PincalWarning,
-        stacklevel=2,
+    warn(
+        f"{source}: the joints' own columns are fitted, as positions that were {fitted}; {kind}_{given[kind][0]} ... show "
+        "the steady-state position error"
     )
     nothing = np.zeros(len(values[joints[0]]))
     found = [OTHERS[kind] * (values.pop(f"{kind}_{j}") - values[j]) if j in given[kind] else nothing for j in joints]
@@ -173,14 +236,15 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
         MeasurementError: for a file that can't be read.
     """
     angles = dict.fromkeys(names, "angle")
+    known = tuple(angles)
     lengths = dict.fromkeys(angles, "length")
     others: tuple[str, ...] = ()
     if options.joints is not None:
         with typed_errors(Path(path)):
-            others = open_sheet(Path(path), ignore=options.ignore).labels
+            others = open_sheet(Path(path), ignore=options.ignore, joints=known, sheet=options.sheet).labels
     place = Path(path if options.joints is None else options.joints)
     with typed_errors(place):
-        sheet = open_sheet(place, ignore=options.ignore, only_joints=True)
+        sheet = open_sheet(place, ignore=options.ignore, only_joints=True, joints=known, sheet=options.sheet)
         labels = renamed(sheet.labels, options.columns, source=place.name, others=others)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
@@ -194,29 +258,20 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     readings = {name for part in schema.fields if part.name not in CONDITIONS for name in part.columns}
     told = {name: quantity for name, quantity in quantities.items() if name not in readings}
     with typed_errors(path):
-        log = open_sheet(path, ignore=options.ignore, only_joints=True)
-        labels = without(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
+        log = open_sheet(path, ignore=options.ignore, only_joints=True, joints=schema.joint_names)
+        labels = unignored(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
         labels = with_joints(labels, schema, quantities, source=path.name)
         columns, unknown = matched(labels, told, {}, source=path.name)
         check_joints([name for name in schema.own_joints if name not in columns], unknown, log)
-        cells, _ = read_cells(log, tuple(columns.values()))
-        values = {name: _in_si(cells[name], column) for name, column in columns.items()}
-    mine = without(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
+        values, _ = read_cells(log, tuple(columns.values()))
+    mine = unignored(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
     found, _ = matched(mine, quantities, {}, source=source)
     if twice := [name for name in schema.joint_names if name in found]:
         raise MeasurementError(
             f'{source}: joint "{twice[0]}" stands in {path.name}, too; leave out --joints, or ignore the column'
         )
-    time = None
-    if "time" in found:
-        time = _in_si(read_cells(sheet, (found["time"],))[0]["time"], found["time"])
+    time = read_cells(sheet, (found["time"],))[0]["time"] if "time" in found else None
     known = {*quantities, *options.ignore}
     whole = join(sheet, Log(log, values, schema.own_joints, is_shared=options.shares_log), time, known=known, has=found)
     here = {name: meaning for name, meaning in options.columns.items() if any(is_named(text, name) for text in whole.labels)}
     return whole, replace(schema, options=replace(options, joints=None, columns=here))
-
-
-def _in_si(series: pl.Series, column: Column) -> np.ndarray:
-    if column.is_name:
-        return np.array(series.to_list(), dtype=str)
-    return column.in_si(series)

@@ -73,7 +73,7 @@ def columns_of(kind: str) -> tuple[str, ...]:
     return tuple(column for field in sensor.fields for column in field.columns)
 
 
-def foreseeable() -> Mapping[str, type[Foreseeable]]:
+def simulatable() -> Mapping[str, type[Foreseeable]]:
     """Return the sensors, by their kind, for which measurements can be designed."""
     return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Foreseeable)}
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self, final
 import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics
-from pincal.measure.fields import Field, Table
+from pincal.measure.fields import Field, TableRows
 from pincal.measure.setup import Setup
 from pincal.parameters import Parameter
 
@@ -85,7 +85,7 @@ class Excluded:
 class Sensor(ABC):
     """Readings of N poses.
 
-    A class states, beside the abstract methods:
+    A class defines, in addition to the abstract methods:
 
     Attributes:
         kind: what is measured, in files and messages.
@@ -121,7 +121,7 @@ class Sensor(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the readings of a table that has all of ``fields``, with what is known of named points and of a camera.
 
         Raises:
@@ -164,7 +164,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return by how much the target is off its prediction, as far as the reading tells.
+        """Return the deviation of the target from its prediction, as far as the reading determines it.
 
         Where no better formula is at hand, :meth:`least_displacement` serves.
 
@@ -227,7 +227,7 @@ class Sensor(ABC):
     @property
     @final
     def unknowns(self) -> str:
-        """What the sensor's own parameters describe, in words; empty if it has none."""
+        """What the sensor's own parameters describe; empty if it has none."""
         return self.own_words if isinstance(self, OwnParameters) else ""
 
     @property
@@ -238,7 +238,7 @@ class Sensor(ABC):
 
     @final
     def constraints(self, own: np.ndarray) -> Constraints | None:
-        """Return what is known of the sensor's own parameters beside the readings, None where nothing is."""
+        """Return prior knowledge of the sensor's own parameters, None if there is none."""
         return self.facts(own) if isinstance(self, Grouped) else None
 
     @property
@@ -252,6 +252,17 @@ class Sensor(ABC):
     def is_whole(self) -> bool:
         """Whether the rows make sense only together, so that they can't be worked on in pieces."""
         return isinstance(self, Grouped) and self.needs_all_rows
+
+
+class Additive(Sensor):
+    """A sensor whose readings are the attribute that is named as its first field, and add up with their errors."""
+
+    @final
+    def shifted(self, change: np.ndarray) -> Self:
+        """Return readings that differ by ``change``, shape (m, N)."""
+        name = self.fields[0].name
+        shifted: dict[str, Any] = {name: getattr(self, name) + (change[0] if len(change) == 1 else change.T)}
+        return replace(self, **shifted)  # type: ignore[type-var]
 
 
 class OwnParameters(ABC):
@@ -313,7 +324,7 @@ class Grouped(ABC):
 
     @classmethod
     @abstractmethod
-    def unscorable_rows(cls, table: Table, setup: Setup) -> Iterator[Excluded]:
+    def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
         """Yield rows by which a calibration that knew ``setup`` can't be judged."""
 
 
@@ -346,7 +357,7 @@ class Plausible(ABC):
 
     @classmethod
     @abstractmethod
-    def check_plausible(cls, table: Table, reach_m: float) -> None:
+    def check_plausible(cls, table: TableRows, reach_m: float) -> None:
         """Refuse a table, of at least two rows, whose readings can't be of an arm that reaches so far [m] with its flange.
 
         Raises:

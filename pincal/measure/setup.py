@@ -5,15 +5,106 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.fields import Table
+from pincal.measure.fields import TableRows
 from pincal.measure.lens import DISTORTION, PINHOLE, Lens
-from pincal.measure.named_points import GAP_SIGMA, KnownDistance, NamedPoints, Place
 from pincal.measure.reader import read_columns
-from pincal.parameters import Parameter
+from pincal.parameters import ANYWHERE, Parameter
+
+PointPlace = tuple[float, float, float]
+
+# An artefact is made, and measured, to about this [m], unless its maker says otherwise.
+GAP_SIGMA = 1e-5
+# Width of a row of points, over its length, below which they stand in a line.
+_LINE = 1e-3
+
+
+@dataclass(frozen=True)
+class KnownDistance:
+    """A known distance between two named points.
+
+    Attributes:
+        first, second: names of the points.
+        length: the distance [m].
+        sigma: its standard deviation [m].
+    """
+
+    first: str
+    second: str
+    length: float
+    sigma: float = GAP_SIGMA
+
+    def __post_init__(self) -> None:
+        for what, value in (("distance", self.length), ("sigma", self.sigma)):
+            if not 0.0 < value < np.inf:
+                raise MeasurementError(f"{what} of {self.first} and {self.second} is {value:g} m; expected more than 0")
+        if self.first == self.second:
+            raise MeasurementError(f"distance of {self.first} to itself; expected two points")
+
+
+@dataclass(frozen=True)
+class NamedPoints:
+    """Points that stand still.
+
+    A point is known in the instrument's frame, or its three coordinates are parameters. Without any known point the
+    instrument's frame is the robot's base.
+
+    Attributes:
+        places: each point's position [m], None where it is unknown.
+        distances: known distances between points.
+
+    Example:
+        >>> points = NamedPoints({"a": (0.0, 0.0, 0.0), "b": None})
+        >>> [p.name for p in points.parameters], points.positions(np.array([1.0, 2.0, 3.0])).tolist()
+        (['b.x', 'b.y', 'b.z'], [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    """
+
+    places: Mapping[str, PointPlace | None] = field(default_factory=dict)
+    distances: tuple[KnownDistance, ...] = ()
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the K points."""
+        return tuple(self.places)
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        """Which points are known, shape (K,)."""
+        return np.array([place is not None for place in self.places.values()], bool)
+
+    @cached_property
+    def given(self) -> np.ndarray:
+        """Positions of the points [m], zero where unknown, shape (K, 3)."""
+        return np.array([place or (0.0, 0.0, 0.0) for place in self.places.values()], float).reshape(-1, 3)
+
+    @cached_property
+    def slot(self) -> np.ndarray:
+        """Place of each point among the unknown ones, -1 for a known one, shape (K,)."""
+        return np.where(self.known, -1, np.cumsum(~self.known) - 1)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coordinates of the unknown points."""
+        unknown = [name for name, place in self.places.items() if place is None]
+        return tuple(Parameter(f"{name}.{axis}", "m", "named_point", 0.0, ANYWHERE) for name in unknown for axis in "xyz")
+
+    def positions(self, own: np.ndarray) -> np.ndarray:
+        """Return the positions of all points [m], shape (K, 3), for values of the parameters."""
+        found = self.given.copy()
+        found[~self.known] = own[: len(self.parameters)].reshape(-1, 3)
+        return found
+
+    @property
+    def are_in_line(self) -> bool:
+        """Whether the known points leave a rotation open: fewer than three of them, or all on one line."""
+        places = self.given[self.known]
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 2 else np.zeros(2)
+        return bool(spread[1] <= _LINE * max(spread[0], 1e-300))
+
 
 # Size of real distortions, used as prior where the image can't tell.
 _DISTORTION_SIZE = {"k1": 0.3, "k2": 0.3, "k3": 0.3, "p1": 0.01, "p2": 0.01}
@@ -23,22 +114,22 @@ _USUAL = (*PINHOLE, "k1", "k2", "p1", "p2")
 
 @dataclass(frozen=True)
 class Setup:
-    """What is known beforehand of what a robot is measured with.
+    """Known parts of a measurement set-up.
 
     Attributes:
         points: positions of named points (sockets, anchors, points of a calibration object) in the instrument's frame [m],
             where they are known.
         distances: known distances between such points.
         lens: the camera, where it is known.
-        fit_lens: whether to find a known camera's parameters again, too; those of an unknown camera always are.
+        fit_lens: whether to re-estimate the parameters of a known camera; those of an unknown one always are.
     """
 
-    points: Mapping[str, Place | None] = field(default_factory=dict)
+    points: Mapping[str, PointPlace | None] = field(default_factory=dict)
     distances: tuple[KnownDistance, ...] = ()
     lens: Lens | None = None
     fit_lens: bool = False
 
-    def over(self, table: Table) -> Setup:
+    def over(self, table: TableRows) -> Setup:
         """Return the setup with all points that a table names, those of no known position as unknown."""
         names = table.point_names
         return self if names is None else replace(self, points=self.named(np.unique(names)).places)
@@ -49,13 +140,17 @@ class Setup:
         inside = tuple(d for d in self.distances if {d.first, d.second} <= places.keys())
         return NamedPoints(places, inside)
 
+    @property
+    def lens_values(self) -> np.ndarray:
+        """What is known of the camera's parameters, zero for nothing, shape (9,)."""
+        return np.zeros(9) if self.lens is None else self.lens.values
+
     def lens_parameters(self) -> tuple[Parameter, ...]:
         """Return the camera's parameters, as deviations from what is known of it."""
-        nominal = np.zeros(9) if self.lens is None else self.lens.values
         found = []
-        for name, value in zip((*PINHOLE, *DISTORTION), nominal.tolist(), strict=True):
+        for name, value in zip((*PINHOLE, *DISTORTION), self.lens_values.tolist(), strict=True):
             unit, effect = ("px", "lens") if name in PINHOLE else ("1", "lens_distortion")
-            found.append(Parameter(f"camera.{name}", unit, effect, value, _DISTORTION_SIZE.get(name, float("inf"))))
+            found.append(Parameter(f"camera.{name}", unit, effect, value, _DISTORTION_SIZE.get(name, ANYWHERE)))
         return tuple(found)
 
     def lens_fixed(self) -> np.ndarray:
@@ -64,7 +159,7 @@ class Setup:
         return np.array([not (free and name in _USUAL) for name in (*PINHOLE, *DISTORTION)])
 
 
-def read_points(path: str | os.PathLike[str]) -> dict[str, Place]:
+def read_points(path: str | os.PathLike[str]) -> dict[str, PointPlace]:
     """Read positions of named points from a table with columns ``point x y z``; units stand in the header.
 
     Raises:
@@ -72,10 +167,10 @@ def read_points(path: str | os.PathLike[str]) -> dict[str, Place]:
     """
     columns = read_columns(path, {"point": "name", "x": "length", "y": "length", "z": "length"})
     places = np.column_stack([columns[axis] for axis in "xyz"]).tolist()
-    found: dict[str, Place] = {}
+    found: dict[str, PointPlace] = {}
     for name, (x, y, z) in zip(columns["point"], places, strict=True):
         if str(name) in found:
-            raise MeasurementError(f"{path}: point {str(name)!r} stands there twice; expected each name once")
+            raise MeasurementError(f"{path}: point {str(name)!r} occurs twice; expected each name once")
         found[str(name)] = (x, y, z)
     return found
 

@@ -1,37 +1,37 @@
 """Sheets: tables whose header is known, with cells that are read when they are needed.
 
-How a file becomes a sheet is the business of its format: :mod:`pincal.measure.files` chooses it.
+How a file becomes a sheet is the business of its format: :mod:`pincal.measure.reader` chooses it.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from pincal.errors import MeasurementError
-from pincal.measure.packed import check_unpacked
-from pincal.measure.quantities import expected_number, in_si, is_possible
+from pincal.errors import MeasurementError, warn
+from pincal.units import expected_number, in_si, is_possible
 
 if TYPE_CHECKING:
     import polars as pl
 
+
 # A date and a time of day as in ISO 8601.
 _DATE = r"^\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}"
+# A time of day alone, of whatever day.
+_CLOCK, _DAY = r"^\d{1,2}:\d{2}:\d{2}(\.\d+)?$", "2000-01-01"
 # Longest name [bytes]: that of a file on most systems.
 _LONGEST = 255
-# Size of a cell in memory [bytes], a number's.
-_BYTES = 8
 # Cells that show whether a column holds numbers or words.
 _SHOWN = 50
 
 
 @dataclass(frozen=True)
-class Column:
+class SheetColumn:
     """A column that is needed; the unit is empty where the header has none."""
 
     index: int
@@ -45,9 +45,9 @@ class Column:
         """Whether it holds names, not numbers."""
         return self.quantity == "name"
 
-    def in_si(self, cells: pl.Series) -> np.ndarray:
-        """Return numbers of the column in SI units, shape (N,)."""
-        return in_si(cells.to_numpy(), self.quantity, self.unit)
+    def values(self, cells: pl.Series) -> np.ndarray:
+        """Return names, or numbers in SI units, shape (N,)."""
+        return np.array(cells.to_list(), dtype=str) if self.is_name else in_si(cells.to_numpy(), self.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,19 +58,16 @@ class Sheet(ABC):
         path: the file.
         labels: what the header says, one entry per column.
         decimal_comma: whether numbers may have a comma instead of a point.
+        takes_unknown: whether columns that nobody asked for belong there, such as the joints of a gripper.
     """
 
     path: Path
     labels: tuple[str, ...]
     decimal_comma: bool
-
-    @property
-    def takes_unknown(self) -> bool:
-        """Whether columns that nobody knows are no mistake of the user."""
-        return False
+    takes_unknown: bool = field(default=False, kw_only=True)
 
     @abstractmethod
-    def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
+    def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
         """Return the cells of some columns under their names, as numbers or as text, and the line of each row."""
 
     @abstractmethod
@@ -98,100 +95,118 @@ class Sheet(ABC):
 
 @dataclass(frozen=True, eq=False)
 class FrameSheet(Sheet):
-    """A sheet in memory.
+    """A sheet whose cells are in memory, or in a Parquet file of which only what is asked for is read.
 
     Attributes:
         frame: the cells; its columns stand in the order of the labels, whatever their names.
-        rows: shape (N,), line of each row.
-        holds_more: whether columns that nobody asked for belong there, such as the joints of a gripper.
+        rows: shape (N,), line of each row; default: counted as if there were a header.
+        start: row of a file at which the frame begins, the first being 0.
     """
 
-    frame: pl.DataFrame
-    rows: np.ndarray
-    holds_more: bool = False
+    frame: pl.LazyFrame
+    rows: np.ndarray | None = None
+    start: int = 0
 
-    @property
-    def takes_unknown(self) -> bool:
-        """Whether it holds more."""
-        return self.holds_more
+    def part(self, rows: range) -> FrameSheet:
+        """Return some rows of a file, the first being 0."""
+        return replace(self, frame=self.frame.slice(rows.start, len(rows)), start=rows.start)
 
-    def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
-        """Return the cells."""
+    def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
+        """Return the cells.
+
+        Raises:
+            MeasurementError: for lists or the like, which are of any size.
+        """
         import polars as pl
 
-        return pl.DataFrame([self.frame.to_series(c.index).alias(c.name) for c in columns]), self.rows
-
-    def first_cells(self, index: int, count: int) -> list[str]:
-        """Return the first cells."""
-        return ["" if cell is None else str(cell) for cell in self.frame.to_series(index).head(count)]
-
-
-@dataclass(frozen=True, eq=False)
-class ParquetSheet(Sheet):
-    """A Parquet file; its rows are counted as if there were a header.
-
-    Attributes:
-        part: the rows to read, the first being 0; default: all.
-        nested: labels of the columns whose cells are lists or the like, of any size.
-    """
-
-    part: range | None = None
-    nested: frozenset[str] = frozenset()
-
-    def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
-        """Return the cells; of a part no others are read."""
-        import polars as pl
-
-        if wrong := [column.label for column in columns if self.labels[column.index] in self.nested]:
+        kinds = self.frame.collect_schema().dtypes()
+        if wrong := [column.label for column in columns if kinds[column.index].is_nested()]:
             raise MeasurementError(f'{self.path.name}, column "{wrong[0]}": lists; expected one number or name a cell')
-        lazy = pl.scan_parquet(self.path, glob=False)
-        start, count = (0, None) if self.part is None else (self.part.start, len(self.part))
-        cells = (pl.col(self.labels[column.index]).alias(column.name) for column in columns)
-        frame = lazy.slice(start, count).select(cells).collect()
-        return frame, np.arange(start + 2, start + frame.height + 2)
+        frame = self.frame.select(pl.nth(column.index).alias(column.name) for column in columns).collect()
+        return frame, np.arange(self.start + 2, self.start + frame.height + 2) if self.rows is None else self.rows
 
     def first_cells(self, index: int, count: int) -> list[str]:
-        """Return the first cells."""
+        """Return the first cells; of lists none."""
         import polars as pl
 
-        if self.labels[index] in self.nested:
+        if self.frame.collect_schema().dtypes()[index].is_nested():
             return []
-        cells = pl.read_parquet(self.path, columns=[self.labels[index]], n_rows=count, glob=False).to_series()
+        cells = self.frame.select(pl.nth(index)).head(count).collect().to_series()
         return ["" if cell is None else str(cell) for cell in cells]
 
 
-def open_parquet(path: Path) -> Sheet:
-    """Read the header of a Parquet file.
+def read_cells(
+    sheet: Sheet, columns: Sequence[SheetColumn], *, readings: Collection[str] = (), flag: SheetColumn | None = None
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the needed values by column, names or numbers in SI units, and the line of each row.
 
-    Raises:
-        MeasurementError: if it holds far more than fits into its size.
-    """
-    import polars as pl
-
-    lazy = pl.scan_parquet(path, glob=False)
-    schema = lazy.collect_schema()
-    check_unpacked(path, _BYTES * len(schema) * int(lazy.select(pl.len()).collect().item()))
-    nested = frozenset(label for label, kind in schema.items() if kind.is_nested())
-    return ParquetSheet(path, tuple(schema), decimal_comma=True, nested=nested)
-
-
-def read_cells(sheet: Sheet, columns: Sequence[Column]) -> tuple[dict[str, pl.Series], np.ndarray]:
-    """Return the needed cells by column, numbers or names, and the line of each row.
+    Args:
+        sheet: the table.
+        columns: those that are needed.
+        readings: those of them that hold what was measured: rows where one is empty are left out with a `PincalWarning`.
+        flag: a column that says whether a row's reading is valid: those where it is not are left out likewise.
 
     Raises:
         MeasurementError: for a table without rows, or a cell that is invalid.
     """
-    frame, rows = sheet.read(columns)
+    asked = [*columns, *([] if flag is None else [flag])]
+    frame, rows = sheet.read(asked)
     if frame.height == 0:
         raise MeasurementError(f"{sheet.path.name}: has a header and no rows; expected one line a pose")
-    for column in columns:
+    for column in asked:
         _check_lengths(frame[column.name], rows, column, source=sheet.path.name)
+    frame, rows = _with_readings(frame, rows, [column for column in columns if column.name in readings], flag, sheet)
     cells = {column.name: _clean(frame[column.name], column, decimal_comma=sheet.decimal_comma) for column in columns}
     _check_cells(cells, frame, rows, columns=columns, source=sheet.path.name)
-    return cells, rows
+    return {column.name: column.values(cells.pop(column.name)) for column in columns}, rows
 
 
-def _check_lengths(series: pl.Series, rows: np.ndarray, column: Column, *, source: str) -> None:
+# What stands in a cell where nothing was read, in small letters, and what says that a reading is not valid.
+_NOTHING = r'^(""|n/?a|n\.a\.|nan|null|none|invalid|lost|no data|-+|[*]+|[?]+|#+|#n/a|#value!|#num!|#div/0!)?$'
+_INVALID = r"^(false|no|n|nok|bad|lost|.*(invalid|not ok|fail|error|broken|block|reject|outlier|no (signal|target|beam)).*)$"
+# Columns whose 0 says that a reading is not valid.
+_ZERO_IS_INVALID = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked")
+# Lines that a note names.
+_NAMED = 5
+
+
+def _with_readings(
+    frame: pl.DataFrame, rows: np.ndarray, readings: Sequence[SheetColumn], flag: SheetColumn | None, sheet: Sheet
+) -> tuple[pl.DataFrame, np.ndarray]:
+    """Return the rows that have readings that nothing flags; warn of the others.
+
+    Raises:
+        MeasurementError: if none has.
+    """
+    import polars as pl
+
+    lost = dict[str, np.ndarray]()
+    for column in readings:
+        series = frame[column.name]
+        text = series.cast(pl.String).str.strip_chars().str.to_lowercase()
+        is_empty = series.is_nan() if series.dtype.is_float() else text.str.contains(_NOTHING)
+        lost.setdefault("have an empty reading", np.zeros(len(rows), bool))
+        lost["have an empty reading"] |= is_empty.fill_null(True).to_numpy()
+    if flag is not None:
+        pattern = _INVALID + (r"|^0(\.0*)?$" if flag.label.casefold() in _ZERO_IS_INVALID else "")
+        text = frame[flag.name].cast(pl.String).str.strip_chars().str.to_lowercase()
+        lost[f'are flagged in the column "{flag.label}"'] = text.str.contains(pattern).fill_null(False).to_numpy()
+    gone = np.zeros(len(rows), bool)
+    for reason, which in lost.items():
+        if (which & ~gone).any():
+            lines = rows[which & ~gone]
+            listed = ", ".join(map(str, lines[:_NAMED])) + (", ..." if len(lines) > _NAMED else "")
+            warn(f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are left out: line {listed}")
+        gone |= which
+    if gone.all():
+        raise MeasurementError(
+            f"{sheet.path.name}, line {rows[0]}: none of {len(rows)} rows has a reading; all are empty or flagged in "
+            f"{' '.join(column.label for column in readings) or 'the table'}; expected a finite number in each row"
+        )
+    return (frame.filter(~gone), rows[~gone]) if gone.any() else (frame, rows)
+
+
+def _check_lengths(series: pl.Series, rows: np.ndarray, column: SheetColumn, *, source: str) -> None:
     """Refuse a cell that is no name and no number for its length: in an array, all names take the room of the longest."""
     import polars as pl
 
@@ -206,7 +221,7 @@ def _check_lengths(series: pl.Series, rows: np.ndarray, column: Column, *, sourc
             )
 
 
-def _clean(series: pl.Series, column: Column, *, decimal_comma: bool) -> pl.Series:
+def _clean(series: pl.Series, column: SheetColumn, *, decimal_comma: bool) -> pl.Series:
     import polars as pl
 
     if not column.is_name and series.dtype.is_numeric():
@@ -218,6 +233,8 @@ def _clean(series: pl.Series, column: Column, *, decimal_comma: bool) -> pl.Seri
         return text.replace([""], [None])
     if decimal_comma:
         text = text.str.replace(",", ".", literal=True)
+    if column.quantity == "time" and text.str.contains(_CLOCK).all():
+        return _seconds(_DAY + "T" + text.str.zfill(8))
     if column.quantity == "time" and text.str.contains(_DATE).all():
         return _seconds(text)
     return text.cast(pl.Float64, strict=False)
@@ -233,13 +250,13 @@ def _seconds(text: pl.Series) -> pl.Series:
 
 
 def _check_cells(
-    cells: Mapping[str, pl.Series], raw: pl.DataFrame, rows: np.ndarray, *, columns: Sequence[Column], source: str
+    cells: Mapping[str, pl.Series], raw: pl.DataFrame, rows: np.ndarray, *, columns: Sequence[SheetColumn], source: str
 ) -> None:
-    total, faults = 0, list[tuple[int, Column]]()
+    total, faults = 0, list[tuple[int, SheetColumn]]()
     for column in columns:
         series = cells[column.name]
         # An empty cell is null, as numbers nan.
-        right = series.is_not_null().to_numpy() if column.is_name else is_possible(column.in_si(series), column.quantity)
+        right = series.is_not_null().to_numpy() if column.is_name else is_possible(column.values(series), column.quantity)
         if not right.all():
             wrong = np.flatnonzero(~right)
             total += wrong.size
@@ -253,4 +270,29 @@ def _check_cells(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
             f"cells like this in the table: {total}; correct them, delete their rows, or leave the "
             f"column out (--ignore '{column.label}')"
+        )
+
+
+# How many times its own size a file may hold. Excel's text of measured numbers packs to a fifth, with one number in all
+# cells to an eighth; in Parquet, 60 poses that were read 1000 times each pack to a ninth.
+_MOST_TIMES = 50
+# What any file may hold [bytes]: small ones have little but headers.
+_ALWAYS = 1_000_000
+
+
+def check_unpacked(path: Path, held: int) -> None:
+    """Refuse a file whose contents take far more room than it does itself, before they are unpacked.
+
+    Args:
+        path: the file.
+        held: the size of its contents [bytes].
+
+    Raises:
+        MeasurementError: saying how much it holds.
+    """
+    size = path.stat().st_size
+    if held > max(_ALWAYS, _MOST_TIMES * size):
+        raise MeasurementError(
+            f"{path.name}: holds {held / 1e6:.0f} MB in {size / 1e6:.2g} MB, more than {_MOST_TIMES} times its size; "
+            "measured numbers do not compress like that: look for blank or copied rows and columns, or save the table as CSV"
         )

@@ -7,23 +7,20 @@ One row is one measured pose. The joints carry the names of the URDF; a unit in 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from pincal.atomic import replacing
-from pincal.errors import MeasurementError, OutputError
-from pincal.measure.fields import CONDITIONS
-from pincal.measure.files import typed_errors
+from pincal.errors import BadInputError, MeasurementError, OutputError
+from pincal.measure.fields import CONDITIONS, TABLE_ENDINGS, Schema, TableOptions
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
-from pincal.measure.options import TableOptions
-from pincal.measure.reader import joint_columns, read_columns, read_table
+from pincal.measure.reader import joint_columns, read_columns, read_table, typed_errors
 from pincal.measure.registry import expected_columns, known_fields
-from pincal.measure.schema import Schema
 from pincal.robot.tree import Mimic
 
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
@@ -37,38 +34,25 @@ def read_measurements(
     path: str | os.PathLike[str],
     joint_names: Sequence[str],
     *,
-    ignore: Sequence[str] = (),
-    columns: Mapping[str, str] | None = None,
-    orientation: str | None = None,
-    joints: str | os.PathLike[str] | None = None,
-    rows_in_order: bool = False,
-    shares_log: bool = False,
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
     mimics: Sequence[Mimic] = (),
     part: range | None = None,
+    **options: Any,
 ) -> Measurements:
     """Read a table of measured poses from CSV or other text, Excel or Parquet.
 
     Args:
-        path: the file; the ending of its name says the format, text if it says none. Of text, separator, decimal comma and
+        path: the file; the ending of its name gives the format, text by default. Of text, separator, decimal comma and
             encoding are recognised.
         joint_names: the n joints whose columns are needed.
-        ignore: columns to leave out; ``"*"`` leaves out all that are unknown.
-        columns: names of columns in the table and what they hold, with a unit if the header has none: ``{"J1": "joint_a1
-            [deg]"}``; default: as they are named, or as they number the joints.
-        orientation: "kuka", "fanuc", "abb", "ur", "rpy", "xyzw" or "wxyz", see :mod:`pincal.measure.orientation`; default:
-            as the header says.
-        joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
-            while the pose is held still, or by order; a `PincalWarning` says by which.
-        rows_in_order: whether rows stand in the order in which they were measured, or of their times: joints that have no
-            column ``approach_<joint>`` then arrived from where they stood in the row before.
-        shares_log: whether other tables have their joints from the same file, so that the order of its rows tells nothing.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
         joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
-        mimics: the joints that follow another one, which may have no column of their own (``robot.mimics``).
+        mimics: the mimic joints, which may have no column (``robot.mimics``).
         part: rows of a Parquet file to read, the first being 0, as :func:`row_parts` yields them; default: all.
+        options: how the table is to be read: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as
+            in :class:`pincal.measure.fields.TableOptions`.
 
     Returns:
         The rows in SI units, each with its line in the file (in Parquet: counted as if there were a header).
@@ -77,20 +61,16 @@ def read_measurements(
         MeasurementError: for a file that can't be read, or a column, unit or value that is invalid.
     """
     source, names = Path(path).name, tuple(joint_names)
-    only_joints = require == "joints"
+    only_joints, said = (
+        require == "joints",
+        TableOptions(**{name: value for name, value in options.items() if value is not None}),
+    )
     schema = Schema(
         fields=tuple((CONDITIONS if only_joints else known_fields()).values()),
         joint_names=names,
         joint_types=tuple(joint_types or ()),
         mimics=tuple(mimics),
-        options=TableOptions(
-            ignore=("*", *ignore) if only_joints else tuple(ignore),
-            columns=dict(columns or {}),
-            orientation=orientation,
-            joints=joints,
-            rows_in_order=rows_in_order,
-            shares_log=shares_log,
-        ),
+        options=replace(said, ignore=("*", *said.ignore)) if only_joints else said,
     )
     cells = read_table(path, schema, part=part)
     measurements = validated(names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
@@ -101,7 +81,7 @@ def read_measurements(
 
 
 def row_parts(path: str | os.PathLike[str], most: int = MOST_ROWS) -> Iterator[range]:
-    """Yield the rows of a Parquet file in parts of at most so many, one after the other.
+    """Yield the rows of a Parquet file in parts of limited size.
 
     Raises:
         MeasurementError: for a file that can't be read.
@@ -117,7 +97,7 @@ def row_parts(path: str | os.PathLike[str], most: int = MOST_ROWS) -> Iterator[r
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray], *, to_fill: Sequence[str] = ()) -> None:
-    """Write columns as CSV (or Parquet, by the name's ending): the whole file or nothing, in full precision.
+    """Write columns as CSV (by the name's ending with tabs, or as Parquet): the whole file or nothing, in full precision.
 
     Args:
         path: the file to write; an existing one is replaced only when the new one is complete.
@@ -125,11 +105,16 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray],
         to_fill: further headers, whose columns stay empty.
 
     Raises:
-        OutputError: for columns of unequal length, or a place that can't be written to.
+        OutputError: for columns of unequal length, another ending, or a place that can't be written to.
     """
     import polars as pl
 
     path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in TABLE_ENDINGS:
+        raise OutputError(
+            f"{path}: a table can't be written as {ending or 'a file without an ending'}; end the name in .csv or .parquet"
+        )
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     if not arrays or len({values.shape for values in arrays.values()}) > 1 or next(iter(arrays.values())).ndim != 1:
         shapes = ", ".join(f"{name} {np.shape(values)}" for name, values in columns.items())
@@ -138,6 +123,71 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray],
     frame = frame.with_columns(pl.lit(None, pl.Float64).alias(name) for name in to_fill if name not in arrays)
     with replacing(path) as draft:
         try:
-            frame.write_parquet(draft) if path.suffix.lower() == ".parquet" else frame.write_csv(draft)
+            if ending == ".parquet":
+                frame.write_parquet(draft)
+            else:
+                frame.write_csv(draft, separator="\t" if ending == ".tsv" else ",")
         except pl.exceptions.PolarsError as error:
             raise OutputError(f"{path}: can't be written ({error}); choose a folder that exists and is writable") from error
+
+
+def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measurements]:
+    """Return the rows of each station, in the order in which stations appear.
+
+    A table is a station unless it has a column ``station``; rows of one name may then come from several tables.
+
+    Args:
+        tables: tables with the names that they have as stations if they have no such column.
+
+    Raises:
+        BadInputError: if two stations have the same name, or rows of one station were read by different sensors.
+
+    Example:
+        >>> from pincal.measure.measurements import measurements_from_arrays
+        >>> days = measurements_from_arrays(["a"], [[0.0], [1.0], [2.0]], distance=[1.0] * 3, station=["mo", "tu", "mo"])
+        >>> {name: len(rows) for name, rows in stations_of([("days", days), ("later", days.select([0]))]).items()}
+        {'mo': 3, 'tu': 1}
+    """
+    whole: dict[str, Measurements] = {}
+    parts: dict[str, list[Measurements]] = {}
+    for name, table in tables:
+        if table.station is None:
+            if name in whole:
+                raise _same_name(name, whole[name], table)
+            whole[name] = table
+            parts.setdefault(name, [])
+            continue
+        for station in dict.fromkeys(table.station.tolist()):
+            parts.setdefault(station, []).append(_rows_of(table, station))
+    for name in whole.keys() & {name for name, found in parts.items() if found}:
+        raise _same_name(name, whole[name], parts[name][0])
+    return {name: whole[name] if name in whole else _joined(name, found) for name, found in parts.items()}
+
+
+def _rows_of(table: Measurements, station: str) -> Measurements:
+    assert table.station is not None
+    mine = table.station == station
+    if not station.strip():
+        raise BadInputError(f'{table.source}, line {table.rows[mine][0]}, "station": no name; expected one in each row')
+    return replace(table if mine.all() else table.select(mine), station=None)
+
+
+def _joined(name: str, parts: list[Measurements]) -> Measurements:
+    if len(parts) == 1:
+        return parts[0]
+    kinds = {part.kind: part.source for part in parts}
+    if len(kinds) > 1:
+        (kind, source), (other, second) = list(kinds.items())[:2]
+        raise BadInputError(
+            f"station {name!r} is read as {kind} in {source} and as {other} in {second}; expected one sensor at a station: "
+            "give each its own name in the column station"
+        )
+    return concatenate(parts)
+
+
+def _same_name(name: str, one: Measurements, other: Measurements) -> BadInputError:
+    kinds = f" of different kinds ({one.kind} and {other.kind})" if one.kind != other.kind else ""
+    return BadInputError(
+        f"two stations{kinds} are called {name!r}, from {one.source} and {other.source}; expected a different name for "
+        "each: rename a file, or name the stations in a column station"
+    )

@@ -9,17 +9,17 @@ import codecs
 import csv
 import io
 import re
-import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.sheet import Column, Sheet
+from pincal.errors import MeasurementError, warn
+from pincal.measure.heading import TableHead, find_heading, is_number
+from pincal.measure.sheet import Sheet, SheetColumn
 
 if TYPE_CHECKING:
     import polars as pl
@@ -46,7 +46,7 @@ class TextSheet(Sheet):
     header_line: int
     content: bytes | None = None
 
-    def read(self, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
+    def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
         """Return the cells; regular tables are read in one pass."""
         return _read_regular(self, columns) or _read_lines(self, columns)
 
@@ -66,8 +66,12 @@ class TextSheet(Sheet):
         return self.path.open("rb") if self.content is None else io.BytesIO(self.content)
 
 
-def open_text(path: Path) -> Sheet:
-    """Read the header of a text file.
+def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
+    """Read the header of a text file; lines that are none of the table's are left out with a `PincalWarning`.
+
+    Args:
+        path: the file.
+        joints: names of joints, which tell the row of names from others.
 
     Raises:
         MeasurementError: for a binary or an empty file, or one without names of columns.
@@ -79,10 +83,60 @@ def open_text(path: Path) -> Sheet:
         head = content = path.read_bytes().decode("utf-16").encode()
     elif b"\0" in head or head.startswith(b"PAR1"):
         raise MeasurementError(f"{path.name}: a binary file; expected CSV text in UTF-8, or a name ending in .parquet")
+    if (found := _heading(head.removeprefix(codecs.BOM_UTF8), joints)) is not None:
+        return _below(path, content, *found)
     for number, line in enumerate(head.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
         if _has_cells(line):
             return _sheet_of_header(path, line, number, content=content)
     raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
+
+
+# Lines among which the header is looked for.
+_LOOKED_AT = 200
+
+
+def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]] | None:
+    """Return the heading of a text whose first line is not all of it, and the numbers of the lines with cells."""
+    numbers, texts = list[int](), list[str]()
+    for number, line in enumerate(head.splitlines()[:_LOOKED_AT], start=1):
+        # The names may stand in the last comment before the numbers.
+        are_comments = len(texts) <= 1 and all(text.startswith("#") for text in texts)
+        if _has_cells(line) or (are_comments and line.startswith(b"#")):
+            start = 0 if line.startswith(b"#") else len(texts)
+            numbers[start:], texts[start:] = [number], [line.decode("utf-8", "replace")]
+    for separator in ("\t", ";", ",", " "):
+        try:
+            rows = [t.split() for t in texts] if separator == " " else [*csv.reader(texts, delimiter=separator)]
+        except csv.Error:
+            continue
+        if texts and texts[0].startswith("#"):
+            named = [cell.strip() for cell in [rows[0][0].lstrip("# "), *rows[0][1:]] if cell.strip(" #")]
+            is_header = len(rows) > 1 and len(named) == len(rows[1]) and all(map(is_number, rows[1]))
+            rows, first = ([named, *rows[1:]], 0) if is_header else (rows[1:], 1)
+        else:
+            first = 0
+        if len(rows) == len(texts) - first and (found := find_heading(rows, joints)) is not None:
+            is_plain = found.header == 0 and found.body == 1 and not texts[first].startswith("#")
+            return None if is_plain else (found, numbers[first:])
+    return None
+
+
+def _below(path: Path, content: bytes | None, found: TableHead, numbers: Sequence[int]) -> TextSheet:
+    """Return the table below what stands above it; lines left out become comments, so that all keep their numbers."""
+    text = path.read_bytes().removeprefix(codecs.BOM_UTF8) if content is None else content
+    try:
+        text.decode("utf-8")
+    except UnicodeDecodeError:
+        text = _utf8(text, path)
+    lines = text.splitlines()
+    header = numbers[found.header]
+    for number in numbers[: found.body]:
+        if number != header:
+            lines[number - 1] = b"#"
+    lines[header - 1] = lines[header - 1].lstrip(b"# ")
+    warn(f"{path.name}: {found.told(numbers)}")
+    sheet = _sheet_of_header(path, lines[header - 1], header, content=b"\n".join(lines) + b"\n")
+    return replace(sheet, labels=found.labels) if len(found.labels) == len(sheet.labels) else sheet
 
 
 def _split(lines: list[str], separator: str, name: str) -> list[list[str]]:
@@ -122,7 +176,7 @@ def _utf8(text: bytes, path: Path) -> bytes:
     except UnicodeDecodeError as error:
         line = text[: error.start].count(b"\n") + 1
         raise MeasurementError(f"{path.name}, line {line}: not UTF-8 text; save the table as CSV UTF-8") from error
-    warnings.warn(f"{path.name}: not UTF-8; read as Windows-1252 (Latin-1)", PincalWarning, stacklevel=2)
+    warn(f"{path.name}: not UTF-8; read as Windows-1252 (Latin-1)")
     return decoded.encode("utf-8")
 
 
@@ -135,13 +189,13 @@ def _has_cells(line: bytes) -> bool:
     return bool(line.strip(b" \t,;")) and not line.lstrip().startswith(b"#")
 
 
-def _schema(sheet: TextSheet, columns: Sequence[Column], number: Any, text: Any) -> dict[str, Any]:
+def _schema(sheet: TextSheet, columns: Sequence[SheetColumn], number: Any, text: Any) -> dict[str, Any]:
     numeric = {column.index: number for column in columns if not column.is_name}
     names = {column.index: column.name for column in columns}
     return {names.get(i, f"column {i + 1}"): numeric.get(i, text) for i in range(len(sheet.labels))}
 
 
-def _read_regular(sheet: TextSheet, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray] | None:
+def _read_regular(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray] | None:
     """Return the cells of a regular table in one pass, None if anything in it needs a closer look."""
     import polars as pl
 
@@ -193,7 +247,7 @@ def _are_equal(sheet: TextSheet, expected: int) -> bool:
     return bool((body == len(sheet.labels) - 1).all())
 
 
-def _read_lines(sheet: TextSheet, columns: Sequence[Column]) -> tuple[pl.DataFrame, np.ndarray]:
+def _read_lines(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
     """Return the cells as text, without the lines that are blank or comments."""
     import polars as pl
 

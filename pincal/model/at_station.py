@@ -9,20 +9,21 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Candidate, Curve, Effect, Family, Locus, Term
 from pincal.parameters import Parameter, Scope
 
 
 @dataclass(frozen=True)
 class AtStation(Effect):
-    """An effect with parameters of its own at one station.
+    """An effect with separate parameters at one station.
 
-    An effect of the robot that all stations have, too, is then other at this one: its parameters end in ``_here`` and add to
-    the robot's.
+    For an effect that all stations share, the parameters of this station differ: they end in ``_here`` and add to the
+    robot's.
 
-    Told apart by:
-        a pose or two of the one station measured again at another: what stays is the robot's, what goes was the station's.
+    Distinguished by:
+        measuring one or two poses of the station again at another: what persists belongs to the robot, the rest to the
+            station.
 
     Source:
         pincal's own, for effects of the catalogue.
@@ -37,7 +38,7 @@ class AtStation(Effect):
     station: str
     joint: str | None = None
     name: ClassVar[str] = "at_station"
-    meaning: ClassVar[str] = "one station shows an effect that the others do not"
+    meaning: ClassVar[str] = "an effect present at one station only"
     scope: ClassVar[Scope] = "station"
 
     @property
@@ -64,8 +65,8 @@ class AtStation(Effect):
         return tuple(term._replace(parameter=place[term.parameter]) for term in found)
 
     def _kept(self, chain: Chain) -> list[int]:
-        names = [parameter.name for parameter in self.effect.parameters(chain)]
-        return [i for i, name in enumerate(names) if self.joint is None or name.rsplit(".", 1)[0] == self.joint]
+        parameters = self.effect.parameters(chain)
+        return [i for i, parameter in enumerate(parameters) if self.joint in (None, parameter.element)]
 
 
 def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[AtStation]:
@@ -74,7 +75,7 @@ def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[AtSta
         yield from (AtStation(form, station) for form in candidate.forms if form.scope == "station")
 
 
-def changed_effects(effects: Iterable[Effect], situation: Situation, station: str) -> Iterator[Effect]:
+def changed_effects(effects: Iterable[Effect], situation: PoseSet, station: str) -> Iterator[Effect]:
     """Yield what a model has of single joints as what is other at a station.
 
     These are drives' zeros, causes with a name, and curves of drives, from coarse to fine as far as the station's poses,

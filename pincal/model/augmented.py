@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.kernels import BLOCK, FRAME
+from pincal.model.kernel_inputs import BLOCK, FRAME
 from pincal.model.model import Model
 from pincal.robot.se3 import rotation, translation
 
@@ -36,7 +36,7 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
     model = pin.Model()
     model.name = f"{chain.robot.name}_augmented"
     model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))
-    # By the kinds of coordinates, see pincal.model.kernels.Layout.
+    # By the kinds of coordinates, see pincal.model.kernel_inputs.Layout.
     kinds = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
     placement = pin.SE3(chain.robot.frames.T_base_first)
     parent = 0
@@ -101,7 +101,7 @@ def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tu
 
 
 def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:
-    """Return the robot's own ``pin.Model`` with the joint and tip frames where the calibrated geometry puts them.
+    """Return the robot's ``pin.Model`` with the calibrated joint and tip frames.
 
     It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`; frame ``robot.tip`` is the calibrated
     tip. Elastic effects are not in it: a ``pin.Model`` has no place for what changes with the load.

@@ -17,13 +17,14 @@ stay small and never meet a singularity. The joint position of a prismatic joint
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from pincal.model.kernels import BLOCK, FRAME, Layout
+from pincal.model.kernel_inputs import BLOCK, FRAME, Layout
+from pincal.model.latest import Evaluations
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
 
@@ -49,15 +50,17 @@ class Chain:
 
     Attributes:
         robot: the arm.
-        moment_frame: where moments are taken and bend the arm: "paper" takes them before q and bends after it,
-            "before" and "after" do both there. Those of a prismatic joint bend before it slides in all three.
+        moment_frame: the frame in which moments are taken and deflect the arm: "paper" takes them before q and
+            deflects after it, "before" and "after" do both there. Those of a prismatic joint deflect before its motion in
+            all three.
         gravity: shape (3,), in the robot's base frame [m/s^2].
         base_rotation: shape (3, 3), reference orientation of the robot's base in the instrument's frame; of several set-ups
             shape (S, 3, 3).
         targets: names of the tool frames.
         tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups
             those of each after the other's.
-        bearing_heights: shape (n,), how far along its axis from the frame before it each joint has its bearing [m].
+        bearing_heights: shape (n,), distance of each joint's bearing along its axis from the preceding frame [m].
+        kept: what was evaluated with this chain and with those made of it.
     """
 
     robot: Robot
@@ -67,6 +70,7 @@ class Chain:
     targets: tuple[str, ...]
     tool_rotations: np.ndarray
     bearing_heights: np.ndarray
+    kept: Evaluations = field(default_factory=Evaluations, compare=False)
 
     def __repr__(self) -> str:
         return f"Chain({self.robot.name!r}: {self.robot.n_joints} joints, targets {' '.join(self.targets)})"
@@ -95,16 +99,16 @@ class Chain:
         """Return the same chain whose moments are taken and bend the arm elsewhere: one object for each convention."""
         known = self._in_frames
         if moment_frame not in known:
-            heights = _bearing_heights(self.robot, moment_frame)
-            known[moment_frame] = replace(self, moment_frame=moment_frame, bearing_heights=heights)
+            heights = self.kept.about("heights", self.robot)
+            if moment_frame not in heights:
+                heights[moment_frame] = _bearing_heights(self.robot, moment_frame)
+            known[moment_frame] = replace(self, moment_frame=moment_frame, bearing_heights=heights[moment_frame])
             known[moment_frame].__dict__["_in_frames"] = known
         return known[moment_frame]
 
     def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
         """Return the same chain about other reference orientations of base and tools."""
-        found = replace(self, base_rotation=np.array(base_rotation), tool_rotations=np.array(tool_rotations))
-        found.__dict__.update({name: self.__dict__[name] for name in ("nominal", "drives") if name in self.__dict__})
-        return found
+        return replace(self, base_rotation=np.array(base_rotation), tool_rotations=np.array(tool_rotations))
 
     @property
     def size(self) -> int:
@@ -121,9 +125,24 @@ class Chain:
         """This chain in the conventions that were asked for, which share this: what is known of one is found again."""
         return {self.moment_frame: self}
 
+    def known(self, what: str, *objects: object) -> dict[Any, Any]:
+        """Return what is known of some kind of this very chain, and objects, to be added to."""
+        return self.kept.about(what, self.token, *objects)
+
+    @cached_property
+    def token(self) -> object:
+        """What stands for this very chain without holding it."""
+        return object()
+
     @cached_property
     def nominal(self) -> np.ndarray:
         """Nominal coordinates, shape (K,): the robot's Denavit-Hartenberg parameters and bearings, zero elsewhere."""
+        known = self.kept.about("nominal", self.robot, self.bearing_heights)
+        if self.moment_frame not in known:
+            known[self.moment_frame] = self._nominal()
+        return np.asarray(known[self.moment_frame])
+
+    def _nominal(self) -> np.ndarray:
         values = np.zeros(self.size)
         for i, row in enumerate(self.robot.frames.parameters):
             for symbol, column in _DH_COLUMN.items():

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,16 +13,11 @@ from numpy.typing import ArrayLike
 from pincal.errors import BadInputError
 from pincal.model import kernels, walk
 from pincal.model.chain import Chain
+from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
 from pincal.model.symbols import are_symbols
+from pincal.recorded import RECORDABLE, RECORDED, Recorded
 
-# Variables that have a column of their own in a table, with their units; positions of joints are the others.
-COLUMN_UNITS = {"approach": "", "payload": "kg", "temperature": "deg C", "time": "s", "droop": "rad", "move": "rad"}
-# Those that are of a joint, and the column of a table that tells them.
-OF_JOINTS = {"approach": "approach_<joint>", "droop": "commanded_<joint>", "move": "time"}
-# What else tells them.
-_IN_ORDER = "where rows stand in the order in which they were measured, --rows-in-order says so"
-INSTEAD = {"approach": _IN_ORDER, "move": _IN_ORDER}
 # A joint that turns is at the same place after a turn [rad].
 TURN = 2.0 * np.pi
 # What else an effect may follow: the static moment on a joint.
@@ -33,21 +29,15 @@ UNFELT = 1e-3
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """What is known of each of N poses before anything is measured.
+class Conditions(Recorded):
+    """Conditions of each of N poses, known before the measurement.
 
     Attributes:
         q: shape (N, n), joint positions [rad or m].
         target: shape (N,), index into the chain's targets.
         payload: shape (N,), mass at the tip [kg].
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
-        temperature: shape (N,) [deg C], or None.
-        time: shape (N,) [s], or None.
-        approach: shape (N, n), direction from which each joint arrived (-1, 0, 1), or None.
         setup: shape (N,), index of the set-up of instrument and targets, where there are several; else None.
-        droop: shape (N, n), by how much the position that each joint was commanded exceeds the one that was read back
-            [rad or m], or None.
-        move: shape (N, n), the last move of each joint with its sign [rad or m], 0 where it is not known, or None.
         sighted: shape (N, 3), where the instrument sees the target in its own frame [m]; None where nothing was read yet.
     """
 
@@ -55,12 +45,7 @@ class Conditions:
     target: np.ndarray
     payload: np.ndarray
     payload_centre: np.ndarray
-    temperature: np.ndarray | None = None
-    time: np.ndarray | None = None
-    approach: np.ndarray | None = None
     setup: np.ndarray | None = None
-    droop: np.ndarray | None = None
-    move: np.ndarray | None = None
     sighted: np.ndarray | None = None
 
     @classmethod
@@ -75,12 +60,12 @@ class Conditions:
 
     def select(self, rows: slice | np.ndarray) -> Conditions:
         """Return the conditions of some rows."""
-        columns = self.temperature, self.time, self.approach, self.setup, self.droop, self.move, self.sighted
-        pick = [None if v is None else v[rows] for v in columns]
-        return Conditions(self.q[rows], self.target[rows], self.payload[rows], self.payload_centre, *pick)
+        columns = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "payload_centre"}
+        chosen: dict[str, Any] = {name: column[rows] for name, column in columns.items() if column is not None}
+        return replace(self, **chosen)
 
     def column(self, name: str) -> np.ndarray | None:
-        """Return a recorded column of ``COLUMN_UNITS``, shape (N, n) or (N,), or None."""
+        """Return a recorded column of ``RECORDABLE``, shape (N, n) or (N,), or None."""
         found: np.ndarray | None = getattr(self, name)
         return found
 
@@ -102,7 +87,7 @@ def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Condi
     return known[key]
 
 
-def joined(parts: Sequence[Conditions]) -> Conditions:
+def joined_conditions(parts: Sequence[Conditions]) -> Conditions:
     """Return the poses of several set-ups, one after the other.
 
     Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
@@ -112,22 +97,23 @@ def joined(parts: Sequence[Conditions]) -> Conditions:
     if len(parts) == 1:
         return parts[0]
     q, payload = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload"))
-    known = [part.temperature for part in parts if part.temperature is not None]
-    droops = [part.droop for part in parts if part.droop is not None]
-    sights = [part.sighted for part in parts if part.sighted is not None]
-    sides = [np.zeros_like(part.q, np.int8) if part.approach is None else part.approach for part in parts]
-    moves = [np.zeros_like(part.q) if part.move is None else part.move for part in parts]
-    return Conditions(
-        q,
-        np.zeros(len(q), int),
-        payload,
-        parts[0].payload_centre,
-        temperature=np.concatenate(known) if len(known) == len(parts) else None,
-        approach=np.concatenate(sides) if any(part.approach is not None for part in parts) else None,
-        droop=np.concatenate(droops) if len(droops) == len(parts) else None,
-        move=np.concatenate(moves) if any(part.move is not None for part in parts) else None,
-        sighted=np.concatenate(sights) if len(sights) == len(parts) else None,
-    )
+    kept = {name: variable.unknown for name, variable in RECORDED.items() if not variable.has_own_zero} | {"sighted": None}
+    columns = {name: _one_column([getattr(part, name) for part in parts], parts, unknown) for name, unknown in kept.items()}
+    return Conditions(q, np.zeros(len(q), int), payload, parts[0].payload_centre, **columns)
+
+
+def _one_column(
+    columns: Sequence[np.ndarray | None], parts: Sequence[Conditions], unknown: float | None
+) -> np.ndarray | None:
+    """Return a column of several set-ups, with what stands for unknown where some lack it; None if that can't be said."""
+    known = [column for column in columns if column is not None]
+    if len(known) == len(parts):
+        return np.concatenate(known)
+    if not known or unknown is None:
+        return None
+    shapes = [(len(part), *known[0].shape[1:]) for part in parts]
+    pairs = zip(columns, shapes, strict=True)
+    return np.concatenate([np.full(shape, unknown, known[0].dtype) if c is None else c for c, shape in pairs])
 
 
 def varies(column: np.ndarray | None) -> bool:
@@ -197,11 +183,10 @@ def recorded_variable(
         i = names.index(name)
         q = np.asarray(conditions.q[:, i])
         return q if span is None or chain.robot.joint_types[i] == "prismatic" else into_range(q, *span)
-    column = conditions.column(name) if name in COLUMN_UNITS else None
+    column = conditions.column(name) if name in RECORDABLE else None
     if column is None:
-        raise BadInputError(
-            f"an effect follows {name}, which these poses do not have; add the column {OF_JOINTS.get(name, name)}"
-        )
+        told_by = RECORDABLE[name].column if name in RECORDABLE else name
+        raise BadInputError(f"an effect follows {name}, which these poses do not have; add the column {told_by}")
     return np.asarray(column if joint is None or column.ndim < 2 else column[:, names.index(joint)])
 
 
@@ -213,18 +198,18 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
         at = list(constant)
         for i, k in enumerate(chain.drives):
             at[k] = at[k] + conditions.q[0, i]
-        return np.array([walk.static_moments(layout, at, conditions.payload[0], conditions.payload_centre)], object)
+        return np.array([walk.symbolic_moments(layout, at, conditions.payload[0], conditions.payload_centre)], object)
     slot = np.full(chain.size, -1)
     slot[chain.drives] = np.arange(n)
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
-    payload = kernels.Payload(mass, np.array(conditions.payload_centre, float))
-    return np.asarray(kernels.static_moments(layout, kernels.Values(constant.copy(), slot, varying), payload).T)
+    payload = Payload(mass, np.array(conditions.payload_centre, float))
+    return np.asarray(kernels.static_moments(layout, Values(constant.copy(), slot, varying), payload).T)
 
 
 @dataclass(frozen=True)
-class Situation:
-    """An arm in the poses that were or will be measured: where effects look for what they could do.
+class PoseSet:
+    """An arm in the poses that were or will be measured, from which effects propose candidates.
 
     Attributes:
         chain: the chain.

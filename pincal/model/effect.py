@@ -20,8 +20,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.conditions import COLUMN_UNITS, MOMENT, Conditions, Situation, varies
+from pincal.model.conditions import MOMENT, Conditions, PoseSet, varies
 from pincal.parameters import Parameter, Scope
+from pincal.recorded import RECORDABLE
 
 
 class Term(NamedTuple):
@@ -62,17 +63,17 @@ class Family(Enum):
     """What kind of cause an effect is, as far as it matters to whoever looks for missing ones."""
 
     EXTRINSICS = "where the robot and its targets are"
-    GEOMETRY = "constant deviations of the links and joints"
+    GEOMETRY = "constant deviations of links and joints"
     ELASTICITY = "linear compliance, which every arm has"
-    LOAD = "what loads do beside linear compliance"
-    CURVE = "a drive error that is any curve of its joint's position, as fine as the data can tell"
-    CAUSE = "any other cause with a name"
+    LOAD = "load effects other than linear compliance"
+    CURVE = "a drive error that is a free curve of the joint's position"
+    CAUSE = "any other named cause"
     NAMELESS = "a dependence without a physical name"
 
 
 @dataclass(frozen=True)
 class Locus:
-    """Where an effect acts, what it follows, and what tells it from its likes.
+    """Where an effect acts, what it depends on, and what identifies it.
 
     Attributes:
         joint: the joint it acts on; None for several joints, the whole arm, its base or the instrument.
@@ -80,7 +81,7 @@ class Locus:
             "tilt" (both directions across its axis), "link", "lengths", "base" or "tool".
         follows: the variable that it is a function of: the name of a joint, for its position, "approach", "moment",
             "payload", "temperature" or "time"; None for a constant, or where there is no one variable.
-        order: waves per turn.
+        order: cycles per revolution.
         frame: the side of a joint from which it is seen: "before" or "after".
         shape: the form of a dependence without a name.
         place: where along the variable it breaks [unit of the variable].
@@ -103,7 +104,7 @@ class Locus:
     @property
     def source(self) -> str | None:
         """The joint whose position it follows, if that is another one than it acts on."""
-        is_joint = self.follows is not None and self.follows != MOMENT and self.follows not in COLUMN_UNITS
+        is_joint = self.follows is not None and self.follows != MOMENT and self.follows not in RECORDABLE
         return self.follows if is_joint and self.follows != self.joint else None
 
 
@@ -163,7 +164,7 @@ class Effect(ABC):
     def smoothness(self) -> np.ndarray | None:
         """Return what is believed of its K parameters together, as information beyond their sizes, shape (K, K).
 
-        None, as most effects have it, if to know one of them says nothing of the others.
+        None, as for most effects, if they are independent.
         """
         return None
 
@@ -171,7 +172,7 @@ class Effect(ABC):
     def needs(self) -> tuple[str, ...]:
         """The columns that must be recorded of the poses."""
         follows = self.locus.follows
-        return (follows,) if follows in COLUMN_UNITS else ()
+        return (follows,) if follows in RECORDABLE else ()
 
     def missing(self, conditions: Conditions) -> tuple[str, ...]:
         """Return what the effect needs and these poses lack: columns that are absent or the same in all rows."""
@@ -179,7 +180,7 @@ class Effect(ABC):
 
     @cached_property
     def identity(self) -> tuple[str, Locus]:
-        """What tells it from other effects: two effects of one identity are variants of each other."""
+        """What distinguishes it from other effects: two effects of one identity are variants of each other."""
         return self.locus.cause or self.name, replace(self.locus, place=None, span=None)
 
     @property
@@ -194,7 +195,7 @@ class Effect(ABC):
 
     @property
     def is_of_loads(self) -> bool:
-        """Whether it is something that loads do beside the linear compliance that every arm has."""
+        """Whether it is a load effect other than the linear compliance of every arm."""
         return self.family is Family.LOAD or (self.uses_moments and self.family is not Family.ELASTICITY)
 
     @property
@@ -211,7 +212,7 @@ class Candidate:
         effect: the effect.
         variants: the forms that are worth telling apart, from few parameters to many; default: itself. None of them
             if it can't be tried before more is known.
-        obstacle: why it can't be tested, where the effect itself knows a reason; empty otherwise.
+        obstacle: why it can't be tested, if the effect itself gives a reason; empty otherwise.
     """
 
     effect: Effect
@@ -225,11 +226,11 @@ class Candidate:
 
 
 class Discoverable(Effect):
-    """An effect that a discovery can look for by itself."""
+    """An effect that a discovery searches for automatically."""
 
     @classmethod
     @abstractmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield the effect in every place of an arm where it could act, whether these poses show it or not."""
 
 
@@ -237,7 +238,7 @@ class Reducible(ABC):
     """An effect that can be stated in fewer parameters."""
 
     @abstractmethod
-    def reduced(self, situation: Situation) -> Effect:
+    def reduced(self, situation: PoseSet) -> Effect:
         """Return the effect in the fewest parameters, in which its detectable size is predicted."""
 
 
@@ -245,7 +246,7 @@ class Resolvable(Effect):
     """An effect that can be stated more or less finely, and that the data tell how finely."""
 
     @abstractmethod
-    def resolutions(self, situation: Situation) -> Sequence[Effect]:
+    def resolutions(self, situation: PoseSet) -> Sequence[Effect]:
         """Return the effect from coarse to fine, as far as the poses carry it; none if there is nothing to choose."""
 
 
@@ -261,11 +262,11 @@ class Curve(Discoverable, Reducible):
         """Number of basis functions."""
 
     @abstractmethod
-    def resized(self, situation: Situation, resolution: int) -> Curve:
+    def resized(self, situation: PoseSet, resolution: int) -> Curve:
         """Return the curve with another number of basis functions, over the positions that the poses cover."""
 
     @abstractmethod
-    def smooth(self, situation: Situation, roughness: float | None, resolution: int | None = None) -> Curve:
+    def smooth(self, situation: PoseSet, roughness: float | None, resolution: int | None = None) -> Curve:
         """Return the curve in so many pieces, or in fine ones, as smooth as a roughness says, if one is given."""
 
     @abstractmethod
@@ -273,44 +274,44 @@ class Curve(Discoverable, Reducible):
         """Return the basis functions at positions of shape (N,), shape (resolution, N)."""
 
 
-class Tone(Discoverable):
-    """A wave of a joint's own position, about its own axis, of any number of waves a turn."""
+class Harmonic(Discoverable):
+    """A wave of a joint's own position, about its own axis, of any number of cycles per revolution."""
 
     band: ClassVar[tuple[float, float] | None] = None
     """Waves a turn among which a discovery searches; None if it can't be searched for."""
 
     @abstractmethod
-    def tuned(self, order: float, chosen_among: float = 1.0) -> Tone:
-        """Return the wave of another number of waves a turn, chosen among so many by what the data show."""
+    def tuned(self, order: float, chosen_among: float = 1.0) -> Harmonic:
+        """Return the wave of another number of cycles per revolution, chosen among so many by what the data show."""
 
     @property
-    def same(self) -> tuple[Tone, ...]:
+    def same(self) -> tuple[Harmonic, ...]:
         """Other causes of this very wave, which no data can tell from it."""
         return ()
 
     @property
     def orders(self) -> tuple[float, ...]:
-        """The waves a turn that it consists of."""
+        """The cycles per revolution that it consists of."""
         return () if self.locus.order is None else (self.locus.order,)
 
-    def suggested(self, resolution: float) -> Tone:
-        """Return the cause that the order of this wave suggests, known to so many waves a turn; itself if none does."""
+    def suggested(self, resolution: float) -> Harmonic:
+        """Return the cause that the order of this wave suggests, known to so many cycles a revolution; else itself."""
         return self
 
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
         """Return what an order suggests of where a wave comes from, in words; empty if nothing, or as well by chance.
 
         Args:
-            order: waves a turn.
+            order: cycles per revolution.
             resolution: by how much they may be off, either way.
             wheels: what may turn so many times a turn, in words by this number.
         """
         return ""
 
 
-class Settling(Discoverable):
+class ExponentialDrift(Discoverable):
     """An effect with a time constant, linearised about what is expected of its parameters."""
 
     @abstractmethod
-    def about(self, values: np.ndarray) -> Settling:
+    def about(self, values: np.ndarray) -> ExponentialDrift:
         """Return the effect linearised about values of its parameters (less nominal); itself once they hardly move."""

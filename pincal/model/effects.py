@@ -5,7 +5,6 @@ The catalogue (:mod:`pincal.model.catalogue`) holds what a discovery looks for b
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -44,11 +43,9 @@ class _Geometry(Effect):
     """Constants that are added to coordinates of every joint."""
 
     family: ClassVar[Family] = Family.GEOMETRY
-
-    @staticmethod
-    @abstractmethod
-    def _symbols(is_prismatic: bool) -> dict[str, float]:
-        """Return the typical size of the constant of each coordinate of a joint [rad or m]."""
+    # Coordinates of a joint that turns, and of one that slides.
+    turning: ClassVar[tuple[str, ...]]
+    sliding: ClassVar[tuple[str, ...]]
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -59,44 +56,38 @@ class _Geometry(Effect):
                 unit="m" if symbol in "da" else "rad",
                 effect=self.name,
                 nominal=float(chain.nominal[chain.joint(i, symbol)]),
-                size=size,
+                size=LENGTH_SIZE if symbol in "da" else ANGLE_SIZE,
             )
-            for i, symbol, size in self._places(chain)
+            for i, symbol in self._places(chain)
         )
 
     @final
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add constants."""
-        return tuple(Term(p, chain.joint(i, symbol)) for p, (i, symbol, _) in enumerate(self._places(chain)))
+        return tuple(Term(p, chain.joint(*place)) for p, place in enumerate(self._places(chain)))
 
-    def _places(self, chain: Chain) -> Iterator[tuple[int, str, float]]:
+    def _places(self, chain: Chain) -> Iterator[tuple[int, str]]:
         for i, kind in enumerate(chain.robot.joint_types):
-            yield from ((i, symbol, size) for symbol, size in self._symbols(kind == "prismatic").items())
+            yield from ((i, symbol) for symbol in (self.sliding if kind == "prismatic" else self.turning))
 
 
 @dataclass(frozen=True)
 class JointOffset(_Geometry):
     """The zero of each joint is off by a constant (paper: theta_i; d_i of a prismatic joint).
 
-    Told apart by:
-        joints that turn far, targets off the last axis. That of the first joint is a turn of the base, and that of the last
-        a turn of the tool, unless these are known.
+    Distinguished by:
+        large joint motions, targets off the last axis. That of the first joint is equivalent to a rotation of the base, that
+        of the last to a rotation of the tool, unless these are known.
 
     Source:
         Radkhah et al., Eq. (1): theta_i.
     """
 
     name: ClassVar[str] = "joint_offset"
-    meaning: ClassVar[str] = "the zero of a joint's scale is off"
-
-    @property
-    def locus(self) -> Locus:
-        """The drives of all joints."""
-        return Locus(acts_on="drive")
-
-    @staticmethod
-    def _symbols(is_prismatic: bool) -> dict[str, float]:
-        return {"d": LENGTH_SIZE} if is_prismatic else {"theta": ANGLE_SIZE}
+    meaning: ClassVar[str] = "the zero position of a joint is off"
+    locus: ClassVar[Locus] = Locus(acts_on="drive")
+    turning: ClassVar[tuple[str, ...]] = ("theta",)
+    sliding: ClassVar[tuple[str, ...]] = ("d",)
 
 
 @dataclass(frozen=True)
@@ -105,9 +96,9 @@ class LinkGeometry(_Geometry):
 
     A prismatic joint has theta in place of d, which is its joint offset.
 
-    Told apart by:
-        poses over the whole range of every joint. Of parallel axes only the sum of the link offsets is seen; offset and
-        length of the first and the last link are places of base and tool.
+    Distinguished by:
+        poses over the whole range of every joint. For parallel axes only the sum of the link offsets is observable; offset
+        and length of the first and the last link are equivalent to displacements of base and tool.
 
     Source:
         Denavit and Hartenberg (1955); Radkhah et al., Eq. (1).
@@ -115,23 +106,16 @@ class LinkGeometry(_Geometry):
 
     name: ClassVar[str] = "link_geometry"
     meaning: ClassVar[str] = "lengths and angles of the links differ from the drawing"
-
-    @property
-    def locus(self) -> Locus:
-        """All links."""
-        return Locus(acts_on="link")
-
-    @staticmethod
-    def _symbols(is_prismatic: bool) -> dict[str, float]:
-        first = {"theta": ANGLE_SIZE} if is_prismatic else {"d": LENGTH_SIZE}
-        return first | {"a": LENGTH_SIZE, "alpha": ANGLE_SIZE}
+    locus: ClassVar[Locus] = Locus(acts_on="link")
+    turning: ClassVar[tuple[str, ...]] = ("d", "a", "alpha")
+    sliding: ClassVar[tuple[str, ...]] = ("theta", "a", "alpha")
 
 
 @dataclass(frozen=True)
 class AxisDistortion(_Geometry):
     """The axis of motion is tilted by s_x, s_y before the joint turns (paper, Eq. (2)).
 
-    Told apart by:
+    Distinguished by:
         poses over the whole range of the joint and of its neighbours. Between axes that are not parallel one of the two
         tilts is a link twist.
 
@@ -141,42 +125,32 @@ class AxisDistortion(_Geometry):
 
     name: ClassVar[str] = "axis_distortion"
     meaning: ClassVar[str] = "joint axes are slightly tilted (the paper's s_x, s_y)"
-
-    @property
-    def locus(self) -> Locus:
-        """The axes of all joints."""
-        return Locus(acts_on="tilt")
-
-    @staticmethod
-    def _symbols(is_prismatic: bool) -> dict[str, float]:
-        return {"s_x": ANGLE_SIZE, "s_y": ANGLE_SIZE}
+    locus: ClassVar[Locus] = Locus(acts_on="tilt")
+    turning: ClassVar[tuple[str, ...]] = ("s_x", "s_y")
+    sliding: ClassVar[tuple[str, ...]] = ("s_x", "s_y")
 
 
 @dataclass(frozen=True)
 class BaseFrame(Effect):
-    """Where the robot stands in the instrument's frame.
+    """Pose of the robot in the instrument's frame.
 
-    Told apart by:
-        three targets or more that do not lie on a line, seen from poses of which joint 1 is only one part. It is found anew
-        for every set-up.
+    Distinguished by:
+        three or more non-collinear targets, in poses that do not move joint 1 alone. It is identified for every
+        set-up.
 
     Source:
         Radkhah et al.
 
     Attributes:
-        symbols: the released coordinates; a distance knows nothing of orientation, a contact nothing of either.
+        symbols: the released coordinates; a distance has no orientation, a contact neither position nor orientation.
     """
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS
     name: ClassVar[str] = "base_frame"
-    meaning: ClassVar[str] = "where the robot stands before the instrument"
+    meaning: ClassVar[str] = "pose of the robot in the instrument's frame"
     family: ClassVar[Family] = Family.EXTRINSICS
     scope: ClassVar[Scope] = "station"
-
-    @property
-    def locus(self) -> Locus:
-        """The base."""
-        return Locus(acts_on="base")
+    locus: ClassVar[Locus] = Locus(acts_on="base")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """x, y, z [m] and small angles rx, ry, rz [rad] about the chain's reference orientation."""
@@ -189,11 +163,11 @@ class BaseFrame(Effect):
 
 @dataclass(frozen=True)
 class ToolFrame(Effect):
-    """Where each target sits in the tip frame; a point target has no orientation.
+    """Pose of each target in the tip frame; a point target has no orientation.
 
-    Told apart by:
-        turns of the hand. A target on the last axis moves along it like that joint's own link offset; a second target beside
-        the axis decides.
+    Distinguished by:
+        rotations of the hand. A displacement of a target along the last axis is equivalent to that joint's link offset; a
+        second target off the axis decides.
 
     Source:
         Radkhah et al.
@@ -201,14 +175,10 @@ class ToolFrame(Effect):
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS[:3]
     name: ClassVar[str] = "tool_frame"
-    meaning: ClassVar[str] = "where the target sits on the tool"
+    meaning: ClassVar[str] = "pose of the target on the tool"
     family: ClassVar[Family] = Family.EXTRINSICS
     scope: ClassVar[Scope] = "station"
-
-    @property
-    def locus(self) -> Locus:
-        """The targets."""
-        return Locus(acts_on="tool")
+    locus: ClassVar[Locus] = Locus(acts_on="tool")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """x, y, z [m], and for poses rx, ry, rz [rad], of every target."""

@@ -1,12 +1,11 @@
 """What effects that use no moments add to the coordinates at some poses, kept for as long as it is asked for again.
 
 A fit asks for the same terms at every step, and a discovery for those of the same candidates after every fit. Curves of many
-pieces are kept as what is not zero of them.
+pieces are kept as what is not zero of them. With these stand the coordinates and the masses at values of parameters.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from math import copysign
@@ -16,9 +15,9 @@ import numpy as np
 
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
-from pincal.model.effect import Effect, Term
-from pincal.model.latest import Latest
-from pincal.model.sparse_basis import SparseBasis, dense_rows, sparse_rows
+from pincal.model.effect import Body, Effect, Term
+from pincal.model.kernel_inputs import Layout, Values
+from pincal.model.sparse_basis import SparseBasis, dense_rows, sparse_across, sparse_rows
 from pincal.parameters import Parameter
 
 # Parameters that act on one coordinate by a basis function from which their column is shared.
@@ -27,6 +26,8 @@ WORTH_SHARING = 6
 _THIN = 0.25
 # Numbers that are kept at most (24 MB), and tables that they are of.
 _MOST_NUMBERS, _TABLES = 6_000_000, 16
+# A link that weighs less than this [kg] is given it: its centre is its first moment over its mass.
+_LIGHTEST = 1e-9
 
 
 class Thin(NamedTuple):
@@ -65,26 +66,19 @@ class _OfEffect(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """What was evaluated over some poses; these and the chain are held, too."""
+    """What was evaluated over some poses, which are held, too, with a chain, for which its token stands."""
 
     conditions: Conditions
-    chain: Chain
+    chain: object
     of_effect: dict[object, _OfEffect]
-
-
-# The latest is last.
-_KEPT: deque[_Table] = deque(maxlen=_TABLES)
-
-
-# By equal effects, which are held, too.
-_PARAMETERS = Latest[tuple[Effect, tuple[Parameter, ...]]](4)
 
 
 def parameters_of_each(effects: Sequence[Effect], chain: Chain) -> list[tuple[Parameter, ...]]:
     """Return the parameters of effects, equal ones the same objects, so that many stations hold the robot's but once."""
-    known, found = _PARAMETERS.of(chain), []
+    # By equal effects, which are held, too. How base and tool stand does not matter: chains of many stations have the same.
+    known, found = chain.kept.about("parameters", chain.robot, chain.gravity, chain.bearing_heights), []
     for effect in effects:
-        key = key_of(effect)
+        key = chain.moment_frame, chain.targets, key_of(effect)
         if key not in known:
             known[key] = effect, tuple(_interned(p, copysign(1.0, p.nominal)) for p in effect.parameters(chain))
         found.append(known[key][1])
@@ -115,25 +109,23 @@ def plain_terms(effects: Sequence[Effect], starts: Sequence[int], chain: Chain, 
 
 
 def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) -> list[_OfEffect]:
-    past = next((table for table in tuple(_KEPT) if table.conditions is conditions and table.chain is chain), None)
+    tables: tuple[_Table, ...] = chain.kept.tables
+    past = next((table for table in tables if table.conditions is conditions and table.chain is chain.token), None)
     known = {} if past is None else past.of_effect
     keys = [key_of(effect) for effect in effects]
     found = [known.get(key) or _of_effect(effect, chain, conditions) for key, effect in zip(keys, effects, strict=True)]
     asked = dict(zip(keys, found, strict=True))
     # Rows of several set-ups are put together anew each time: to keep what is found there would only keep these.
     if conditions.setup is None and (past is None or not asked.keys() <= known.keys()):
-        others = [table for table in tuple(_KEPT) if table is not past]
         # What is asked for now goes before what was asked for once.
         of_effect = next((kept for kept in (known | asked, asked) if _numbers(kept) <= _MOST_NUMBERS), {})
-        room = _MOST_NUMBERS - _numbers(of_effect)
-        kept = deque([_Table(conditions, chain, of_effect)], maxlen=_TABLES)
-        for table in reversed(others):
+        kept, room = [_Table(conditions, chain.token, of_effect)], _MOST_NUMBERS - _numbers(of_effect)
+        for table in reversed([table for table in tables if table is not past]):
             room -= _numbers(table.of_effect)
-            if room < 0:
+            if room < 0 or len(kept) == _TABLES:
                 break
-            kept.appendleft(table) if len(kept) < _TABLES else None
-        _KEPT.clear()
-        _KEPT.extend(kept)
+            kept.append(table)
+        chain.kept.tables = tuple(reversed(kept))
     return found
 
 
@@ -160,3 +152,78 @@ def _of_effect(effect: Effect, chain: Chain, conditions: Conditions) -> _OfEffec
     thin = sparse_rows(basis)
     curve = Thin(np.array([term.parameter for term in terms]), terms[0].coordinate, thin)
     return _OfEffect(effect, (), curve, 2 * len(thin.value))
+
+
+class RowValues(NamedTuple):
+    """Values of the parameters, where some may differ from row to row.
+
+    Attributes:
+        of_parameter: for each parameter its value, or its values at all rows, shape (N,).
+        varied: the parameters that have several.
+    """
+
+    of_parameter: Sequence[float | np.ndarray] | np.ndarray
+    varied: frozenset[int] = frozenset()
+
+    @classmethod
+    def of(cls, values: np.ndarray, setup: np.ndarray) -> RowValues:
+        """Return the values at all rows, given for each set-up, and the set-up of each row."""
+        if values.ndim == 1:
+            return cls(values.tolist())
+        varied = np.any(values != values[:, :1], axis=1)
+        by_row = [value[setup] if varies else value[0] for value, varies in zip(values, varied, strict=True)]
+        return cls(by_row, frozenset(np.flatnonzero(varied).tolist()))
+
+
+def coordinates_of(
+    chain: Chain, by_row: RowValues, conditions: Conditions, terms: list[tuple[int, Term]], curves: list[Thin]
+) -> Values:
+    """Return the coordinates at some poses; terms come with the places of their parameters among all."""
+    values, varied = by_row
+    # Python adds its own numbers faster than those of an array.
+    constant = chain.nominal.tolist()
+    for p, term in terms:
+        if term.basis is None and p not in varied:
+            constant[term.coordinate] += values[p]
+    varying: dict[int, np.ndarray] = {}
+    for i, k in enumerate(chain.drives.tolist()):
+        varying[k] = constant[k] + conditions.q[:, i]
+    for p, term in terms:
+        # Candidates of a discovery stand at zero, hundreds of them.
+        if p in varied or (term.basis is not None and values[p]):
+            k = term.coordinate
+            change = values[p] if term.basis is None else values[p] * term.basis
+            varying[k] = (varying[k] if k in varying else constant[k]) + change
+    for at, k, basis in curves:
+        heights = np.array([values[p] for p in at.tolist()])
+        if heights.any():
+            varying[k] = (varying[k] if k in varying else constant[k]) + sparse_across(basis, heights[:, None])[:, 0]
+    slot = np.full(len(constant), -1)
+    slot[list(varying)] = np.arange(len(varying))
+    return Values(np.array(constant), slot, stacked(list(varying.values()), len(conditions)))
+
+
+def laden(chain: Chain, bodies: Sequence[Body], by_row: RowValues) -> Layout:
+    """Return the chain's layout with the masses that the links have at these values, the same at all poses.
+
+    Each body comes with the place of its parameter among all.
+    """
+    layout = chain.layout
+    if not bodies:
+        return layout
+    masses, moments = layout.masses.copy(), layout.masses[:, None] * layout.centres
+    for body in bodies:
+        value = by_row.of_parameter[body.parameter]
+        assert body.parameter not in by_row.varied, "masses are the robot's, not a station's"
+        masses[body.joint] += value * body.mass
+        moments[body.joint] += value * np.array(body.moment)
+    masses = np.where(np.abs(masses) < _LIGHTEST, _LIGHTEST, masses)
+    return layout._replace(masses=masses, centres=moments / masses[:, None])
+
+
+def stacked(rows: list[np.ndarray], n: int) -> np.ndarray:
+    """Return rows as one writeable, row-major array, shape (number of rows, n)."""
+    out = np.empty((len(rows), n))
+    for j, row in enumerate(rows):
+        out[j] = row
+    return out

@@ -1,9 +1,9 @@
-"""What was found out about the latest of some objects, chains or tables for instance, and is asked for again."""
+"""What was found out about the latest of some objects, and is asked for again; and who keeps that of a chain."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 V = TypeVar("V")
 
@@ -31,3 +31,25 @@ class Latest(Generic[V]):
         found: dict[object, V] = {}
         self._kept.append((objects, found))
         return found
+
+
+class Evaluations:
+    """What was evaluated with the chains of an arm: they share it, and it goes with them.
+
+    A copy in another process begins anew.
+
+    Attributes:
+        tables: what effects add to coordinates over tables, the latest last (see :mod:`pincal.model.evaluated`).
+    """
+
+    def __init__(self) -> None:
+        """Know nothing yet."""
+        self.tables: tuple[Any, ...] = ()
+        self._latest: dict[str, Latest[Any]] = {}
+
+    def about(self, what: str, *objects: object, most: int = 4) -> dict[Any, Any]:
+        """Return what is known of some kind about objects, the latest of each kind only, to be added to."""
+        return self._latest.setdefault(what, Latest(most)).of(*objects)
+
+    def __reduce__(self) -> tuple[type[Evaluations], tuple[()]]:
+        return Evaluations, ()

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +13,19 @@ from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Body, Effect, Term
-from pincal.model.evaluated import WORTH_SHARING, Plain, Thin, parameters_of_each, plain_terms
-from pincal.model.kernels import Bodies, Compliances, Layout, Payload, Places, Terms, Values
-from pincal.model.sparse_basis import Basis, joined_rows, sparse_across
+from pincal.model.evaluated import (
+    WORTH_SHARING,
+    Plain,
+    RowValues,
+    Thin,
+    coordinates_of,
+    laden,
+    parameters_of_each,
+    plain_terms,
+    stacked,
+)
+from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
+from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
@@ -24,10 +33,6 @@ from pincal.parameters import Parameter
 _EQUILIBRIUM_ROUNDS = 20
 _SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
-# A link that weighs less than this [kg] is given it: its centre is its first moment over its mass.
-_LIGHTEST = 1e-9
-# What a model keeps of its parameters once it has been asked for it.
-_OF_PARAMETERS = ("parameters", "names", "spans", "of_station", "bodies")
 
 
 @dataclass(frozen=True)
@@ -45,13 +50,13 @@ class Shared:
 
 @dataclass(frozen=True, repr=False)
 class Model:
-    """What is assumed of a robot: its chain and the effects that act on it.
+    """Model of a robot: its chain and the effects that act on it.
 
     Attributes:
         chain: the coordinates.
-        effects: the physical causes; their order means nothing.
-        equilibrium: whether the static moments are taken on the bent arm (until they balance) instead of the straight
-            one, as the paper does.
+        effects: the physical causes; their order has no meaning.
+        equilibrium: whether the static moments are taken on the deflected arm (at equilibrium) instead of the undeflected
+            one, as in the paper.
 
     Example:
         >>> import numpy as np
@@ -92,7 +97,7 @@ class Model:
 
     @property
     def has_tool_orientation(self) -> bool:
-        """Whether the model knows how the target is oriented on the tool, not only where it is."""
+        """Whether the model has the orientation of the target on the tool, not only its position."""
         tools = [effect for effect in self.effects if effect.locus.acts_on == "tool"]
         return any(parameter.unit == "rad" for effect in tools for parameter in effect.parameters(self.chain))
 
@@ -128,11 +133,7 @@ class Model:
 
     def with_chain(self, chain: Chain) -> Model:
         """Return the model of the same effects on another chain."""
-        found, own = replace(self, chain=chain), self.chain
-        if chain.robot is own.robot and (chain.moment_frame, chain.targets) == (own.moment_frame, own.targets):
-            # Parameters don't depend on how base and tool stand: models of many stations have the same.
-            found.__dict__.update({name: self.__dict__[name] for name in _OF_PARAMETERS if name in self.__dict__})
-        return found
+        return replace(self, chain=chain)
 
     def predict(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the target's poses in the instrument's frame.
@@ -144,7 +145,7 @@ class Model:
         Returns:
             Shape (N, 3, 4): rotation and translation [m].
         """
-        state = State.at(self, values, conditions)
+        state = Evaluation.at(self, values, conditions)
         return np.moveaxis(kernels.tip_poses(self.chain.layout, state.deformed, state.places), -1, 0)
 
     def linearise(
@@ -161,7 +162,7 @@ class Model:
         Returns:
             Poses, shape (N, 3, 4), and Jacobian, shape (N, rows, number of free parameters).
         """
-        state = State.at(self, values, conditions)
+        state = Evaluation.at(self, values, conditions)
         columns = np.arange(self.n_parameters) if free is None else np.where(free, np.cumsum(free) - 1, -1)
         poses, jacobian = self._linearise(state, columns, [], rows)
         return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
@@ -175,7 +176,7 @@ class Model:
             Poses, shape (N, 3, 4); Jacobian, shape (D + L, rows, N), of the D free parameters that share nothing, in
             order, and of the coordinates that the L groups of the others act on; these groups.
         """
-        state = State.at(self, values, conditions)
+        state = Evaluation.at(self, values, conditions)
         shared = state.shared(free)
         apart = free.copy()
         for group in shared:
@@ -186,33 +187,29 @@ class Model:
         return np.moveaxis(poses, -1, 0), jacobian, shared
 
     def _linearise(
-        self, state: State, columns: np.ndarray, coordinates: list[int], rows: int
+        self, state: Evaluation, columns: np.ndarray, coordinates: list[int], rows: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
         n_columns = int(columns.max(initial=-1)) + 1
-        poses, _, jacobian = kernels.evaluate(
-            state.layout,
-            state.deformed,
-            state.rigid,
-            state.places,
-            state.payload,
+        wanted = Wanted(
             state.kernel_terms(columns, coordinates, n_columns),
             state.compliances(),
-            state.kernel_bodies(columns),
+            state.mass_terms(columns),
             n_columns + len(coordinates),
             rows,
             _SWEEPS if self.equilibrium else 0,
         )
+        poses, _, jacobian = kernels.evaluate(state.layout, state.deformed, state.rigid, state.places, state.payload, wanted)
         return poses, jacobian
 
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
-        state = State.at(self, values, conditions)
+        state = Evaluation.at(self, values, conditions)
         return np.asarray(kernels.static_moments(state.layout, state.rigid, state.payload).T)
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
-        deformed = State.at(self, values, conditions).deformed
+        deformed = Evaluation.at(self, values, conditions).deformed
         out = np.tile(deformed.constant, (len(conditions), 1))
         varies = deformed.slot >= 0
         out[:, varies] = deformed.varying[deformed.slot[varies]].T
@@ -220,7 +217,7 @@ class Model:
 
     def layout(self, values: np.ndarray) -> Layout:
         """Return the chain's constant part, with the masses that the links have at these values, shape (P,)."""
-        return _laden(self, _RowValues(values))
+        return laden(self.chain, self.bodies, RowValues(values))
 
     def rigid_coordinates(self, values: np.ndarray) -> np.ndarray:
         """Return the coordinates at q = 0, shape (K,), by all that is the same in every pose: the geometry alone."""
@@ -235,14 +232,14 @@ class Model:
 
 
 @dataclass(frozen=True)
-class State:
+class Evaluation:
     """Terms and coordinates of a model at one set of values."""
 
     model: Model
     layout: Layout
     terms: list[tuple[int, Term]]
     curves: list[Thin]
-    values: _RowValues
+    values: RowValues
     rigid: Values
     deformed: Values
     moments: np.ndarray
@@ -250,7 +247,7 @@ class State:
     payload: Payload
 
     @classmethod
-    def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> State:
+    def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> Evaluation:
         """Return the state of a model at values of its parameters, shape (P,) or (P, S), at some poses."""
         conditions = _sighted(model, values, conditions)
         target = np.require(conditions.target, np.int64, ["C", "W"])
@@ -259,14 +256,14 @@ class State:
         setup = conditions.setup
         base = np.zeros(len(target), np.int64) if setup is None else np.require(setup, np.int64, ["C", "W"])
         places = Places(base, target if setup is None else target + len(model.chain.targets) * base)
-        by_row = _RowValues.of(values, base)
+        by_row = RowValues.of(values, base)
         mass = np.require(conditions.payload, np.float64, ["C", "W"])
         payload = Payload(mass, np.array(conditions.payload_centre, float))
         plain, curves = _plain(model, conditions)
         if by_row.varied:
             plain, curves = [*plain, *(term for curve in curves for term in curve.terms())], []
-        rigid = _coordinates(model, by_row, conditions, plain, curves)
-        layout = _laden(model, by_row)
+        rigid = coordinates_of(model.chain, by_row, conditions, plain, curves)
+        layout = laden(model.chain, model.bodies, by_row)
         if not any(effect.uses_moments for effect in model.effects):
             return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
         deformed = rigid
@@ -274,7 +271,7 @@ class State:
             before = deformed
             moments = kernels.static_moments(layout, deformed, payload)
             elastic = _elastic(model, conditions, moments.T)
-            deformed = _coordinates(model, by_row, conditions, plain + elastic, curves)
+            deformed = coordinates_of(model.chain, by_row, conditions, plain + elastic, curves)
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
@@ -303,13 +300,13 @@ class State:
             parameter=np.array([column for column, _ in used], np.int64),
             slot=np.where(varies, np.cumsum(varies) - 1, -1),
             elastic=np.array([term.moment is not None for _, term in used], bool),
-            basis=_stack(bases, len(self.places.tool)),
+            basis=stacked(bases, len(self.places.tool)),
         )
 
-    def kernel_bodies(self, columns: np.ndarray) -> Bodies:
+    def mass_terms(self, columns: np.ndarray) -> MassTerms:
         """Return what the parameters that have a column add to the masses."""
         used = [(int(columns[body.parameter]), body) for body in self.model.bodies if columns[body.parameter] >= 0]
-        return Bodies(
+        return MassTerms(
             joint=np.array([body.joint for _, body in used], np.int64),
             parameter=np.array([column for column, _ in used], np.int64),
             mass=np.array([body.mass for _, body in used], float),
@@ -334,7 +331,7 @@ class State:
             if curves := thin.get(k):
                 families.append((np.concatenate([c.parameters for c in curves]), joined_rows([c.basis for c in curves])))
             if len(group := loose.get(k, [])) >= WORTH_SHARING:
-                families.append((np.array([p for p, _ in group]), _stack([basis for _, basis in group], n)))
+                families.append((np.array([p for p, _ in group]), stacked([basis for _, basis in group], n)))
             if families:
                 found.append(Shared(k, tuple(families)))
         return found
@@ -347,7 +344,7 @@ class State:
             rate = np.array([values[p] for p, _ in elastic], float).reshape(-1, 1)
         else:
             n = len(self.places.tool)
-            rate = _stack([values[p] * (np.ones(n) if t.slope is None else t.slope) for p, t in elastic], n)
+            rate = stacked([values[p] * (np.ones(n) if t.slope is None else t.slope) for p, t in elastic], n)
         return Compliances(
             coordinate=np.array([term.coordinate for _, term in elastic], np.int64),
             moment=np.array([term.moment for _, term in elastic], np.int64),
@@ -375,74 +372,3 @@ def _elastic(model: Model, conditions: Conditions, moments: np.ndarray) -> list[
     """Return the terms, with their place in the vector of values, of the effects that use moments, shape (N, 3 n)."""
     pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if e.uses_moments]
     return [(at + t.parameter, t) for at, effect in pairs for t in effect.terms(model.chain, conditions, moments)]
-
-
-def _laden(model: Model, by_row: _RowValues) -> Layout:
-    """Return the chain's layout with the masses that the links have at these values, the same at all poses."""
-    layout = model.chain.layout
-    if not model.bodies:
-        return layout
-    masses, moments = layout.masses.copy(), layout.masses[:, None] * layout.centres
-    for body in model.bodies:
-        value = by_row.of_parameter[body.parameter]
-        assert body.parameter not in by_row.varied, "masses are the robot's, not a station's"
-        masses[body.joint] += value * body.mass
-        moments[body.joint] += value * np.array(body.moment)
-    masses = np.where(np.abs(masses) < _LIGHTEST, _LIGHTEST, masses)
-    return layout._replace(masses=masses, centres=moments / masses[:, None])
-
-
-class _RowValues(NamedTuple):
-    """Values of the parameters, where some may differ from row to row.
-
-    Attributes:
-        of_parameter: for each parameter its value, or its values at all rows, shape (N,).
-        varied: the parameters that have several.
-    """
-
-    of_parameter: Sequence[float | np.ndarray] | np.ndarray
-    varied: frozenset[int] = frozenset()
-
-    @classmethod
-    def of(cls, values: np.ndarray, setup: np.ndarray) -> _RowValues:
-        """Return the values at all rows, given for each set-up, and the set-up of each row."""
-        if values.ndim == 1:
-            return cls(values.tolist())
-        varied = np.any(values != values[:, :1], axis=1)
-        by_row = [value[setup] if varies else value[0] for value, varies in zip(values, varied, strict=True)]
-        return cls(by_row, frozenset(np.flatnonzero(varied).tolist()))
-
-
-def _coordinates(
-    model: Model, by_row: _RowValues, conditions: Conditions, terms: list[tuple[int, Term]], curves: list[Thin]
-) -> Values:
-    values, varied = by_row
-    # Python adds its own numbers faster than those of an array.
-    constant = model.chain.nominal.tolist()
-    for p, term in terms:
-        if term.basis is None and p not in varied:
-            constant[term.coordinate] += values[p]
-    varying: dict[int, np.ndarray] = {}
-    for i, k in enumerate(model.chain.drives.tolist()):
-        varying[k] = constant[k] + conditions.q[:, i]
-    for p, term in terms:
-        # Candidates of a discovery stand at zero, hundreds of them.
-        if p in varied or (term.basis is not None and values[p]):
-            k = term.coordinate
-            change = values[p] if term.basis is None else values[p] * term.basis
-            varying[k] = (varying[k] if k in varying else constant[k]) + change
-    for at, k, basis in curves:
-        heights = np.array([values[p] for p in at.tolist()])
-        if heights.any():
-            varying[k] = (varying[k] if k in varying else constant[k]) + sparse_across(basis, heights[:, None])[:, 0]
-    slot = np.full(len(constant), -1)
-    slot[list(varying)] = np.arange(len(varying))
-    return Values(np.array(constant), slot, _stack(list(varying.values()), len(conditions)))
-
-
-def _stack(rows: list[np.ndarray], n: int) -> np.ndarray:
-    """Return the rows as one writeable, row-major array, shape (number of rows, n)."""
-    out = np.empty((len(rows), n))
-    for j, row in enumerate(rows):
-        out[j] = row
-    return out

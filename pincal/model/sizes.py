@@ -5,15 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.model.conditions import UNFELT, Conditions
-from pincal.model.effect import Effect
 from pincal.model.evaluated import key_of
-from pincal.model.latest import Latest
-from pincal.model.model import Model, State
+from pincal.model.model import Evaluation, Model
 from pincal.model.sparse_basis import dense_rows
-
-# How far effects move coordinates at most, on the latest tables: a discovery asks for the same candidates at every step.
-# The effects are held, too.
-_LARGEST = Latest[tuple[Effect, np.ndarray, np.ndarray]](4)
 
 
 def largest_basis(model: Model, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
@@ -36,7 +30,8 @@ def largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> t
     if model.bodies or not model.effects or conditions.setup is not None:
         # Whether masses act depends on what else follows moments; rows of several set-ups are put together each time.
         return _largest_bases(model, conditions, starts)
-    known, parts = _LARGEST.of(model.chain, conditions), starts.tobytes()
+    # A discovery asks for the same candidates at every step; effects are held, too.
+    known, parts = model.chain.known("largest", conditions), starts.tobytes()
     keys = [(key_of(effect), parts) for effect in model.effects]
     new = model.with_effects([e for key, e in zip(keys, model.effects, strict=True) if key not in known])
     if new.effects:
@@ -48,7 +43,7 @@ def largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> t
 
 
 def _largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    state = State.at(model, np.zeros(model.n_parameters), conditions)
+    state = Evaluation.at(model, np.zeros(model.n_parameters), conditions)
 
     def most(of_rows: np.ndarray) -> np.ndarray:
         return np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))

@@ -45,7 +45,7 @@ def dense_rows(basis: SparseBasis) -> np.ndarray:
     return dense
 
 
-def some_rows(basis: SparseBasis, which: np.ndarray) -> SparseBasis:
+def some_functions(basis: SparseBasis, which: np.ndarray) -> SparseBasis:
     """Return some functions of a basis, in this order."""
     slot = np.full(basis.size, -1)
     slot[which] = np.arange(len(which))

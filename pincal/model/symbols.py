@@ -43,10 +43,10 @@ class Symbol:
     __slots__ = ("__weakref__", "about", "operands", "operation")
 
     operation: str
-    operands: tuple[float | Symbol, ...]
+    operands: tuple[Expression, ...]
     about: Any
 
-    def __new__(cls, operation: str, *operands: float | Symbol, about: Any = None) -> Symbol:
+    def __new__(cls, operation: str, *operands: Expression, about: Any = None) -> Symbol:
         """Return the one symbol of an operation on operands."""
         key = (operation, about, *(id(a) if isinstance(a, Symbol) else float(a).hex() for a in operands))
         found = _NODES.get(key)
@@ -59,7 +59,7 @@ class Symbol:
     def __repr__(self) -> str:
         return f"Symbol({self.about or self.operation})"
 
-    def __getattr__(self, name: str) -> Callable[[], float | Symbol]:
+    def __getattr__(self, name: str) -> Callable[[], Expression]:
         # NumPy calls a function of an array of objects as a method of each of them.
         if name not in FUNCTIONS:
             raise AttributeError(name)
@@ -103,7 +103,7 @@ class Symbol:
             return apply("sqrt", self)
         if float(power) not in (1.0, 2.0, 3.0, 4.0):
             raise TypeError(f"power {power}; expected 1, 2, 3, 4 or 0.5")
-        product: float | Symbol = self
+        product: Expression = self
         for _ in range(int(power) - 1):
             product = multiply(product, self)
         return product
@@ -143,6 +143,9 @@ class Symbol:
         return Symbol("arctan2", self, _scalar(other))
 
 
+Expression = float | Symbol
+
+
 class _UndecidedError(Exception):
     """An effect's code asks whether a comparison holds that depends on the pose."""
 
@@ -163,20 +166,20 @@ def _outcome(comparison: Symbol) -> bool | None:
     return None
 
 
-def _scalar(value: Any) -> float | Symbol:
+def _scalar(value: Any) -> Expression:
     return value if isinstance(value, Symbol) else float(value)
 
 
-def _with(other: Any, operation: Callable[[float | Symbol], Any]) -> Any:
+def _with(other: Any, operation: Callable[[Expression], Any]) -> Any:
     return NotImplemented if isinstance(other, np.ndarray) else operation(_scalar(other))
 
 
-def apply(function: str, x: float | Symbol) -> float | Symbol:
+def apply(function: str, x: Expression) -> Expression:
     """Return one of ``FUNCTIONS`` of a number or symbol."""
     return Symbol(function, x) if isinstance(x, Symbol) else float(FUNCTIONS[function](x))
 
 
-def add(a: float | Symbol, b: float | Symbol) -> float | Symbol:
+def add(a: Expression, b: Expression) -> Expression:
     """Return the sum."""
     if not isinstance(a, Symbol):
         if not isinstance(b, Symbol):
@@ -189,7 +192,7 @@ def add(a: float | Symbol, b: float | Symbol) -> float | Symbol:
     return Symbol("add", a, b)
 
 
-def multiply(a: float | Symbol, b: float | Symbol) -> float | Symbol:
+def multiply(a: Expression, b: Expression) -> Expression:
     """Return the product; what is multiplied by zero is zero."""
     if not isinstance(a, Symbol):
         if not isinstance(b, Symbol):
@@ -204,19 +207,19 @@ def multiply(a: float | Symbol, b: float | Symbol) -> float | Symbol:
     return Symbol("multiply", a, b)
 
 
-def divide(a: float | Symbol, b: float | Symbol) -> float | Symbol:
+def divide(a: Expression, b: Expression) -> Expression:
     """Return the quotient."""
     if not isinstance(a, Symbol) and not isinstance(b, Symbol):
         return a / b
     return 0.0 if not isinstance(a, Symbol) and a == 0.0 else Symbol("divide", a, b)
 
 
-def less(a: float | Symbol, b: float | Symbol) -> bool | Symbol:
+def less(a: Expression, b: Expression) -> bool | Symbol:
     """Return whether a < b."""
     return Symbol("less", a, b) if isinstance(a, Symbol) or isinstance(b, Symbol) else a < b
 
 
-def select(comparison: bool | Symbol, yes: float | Symbol, no: float | Symbol) -> float | Symbol:
+def select(comparison: bool | Symbol, yes: Expression, no: Expression) -> Expression:
     """Return one of two values by a comparison."""
     if not isinstance(comparison, Symbol):
         return yes if comparison else no
@@ -224,7 +227,7 @@ def select(comparison: bool | Symbol, yes: float | Symbol, no: float | Symbol) -
     return yes if same else Symbol("select", comparison, yes, no)
 
 
-def cubic(curve: Cubic, x: float | Symbol) -> float | Symbol:
+def cubic(curve: Cubic, x: Expression) -> Expression:
     """Return the value of a curve."""
     return Symbol("cubic", x, about=curve) if isinstance(x, Symbol) else curve(x)
 

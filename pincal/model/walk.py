@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pincal.model.kernels import BLOCK, FRAME, Layout
-from pincal.model.symbols import Symbol, apply
-
-Number = float | Symbol
+from pincal.model.kernel_inputs import BLOCK, FRAME, Layout
+from pincal.model.symbols import Expression, Symbol, apply
 
 
 class _Frame:
@@ -29,7 +27,7 @@ class _Frame:
             self.p = self.p + self.R @ p.astype(object)
         self.R = self.R @ R.astype(object)
 
-    def step(self, kind: int, x: Number) -> None:
+    def step(self, kind: int, x: Expression) -> None:
         """Go on by a coordinate."""
         axis = kind % 3
         if kind >= 3:
@@ -44,13 +42,13 @@ class _Frame:
 Axes = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
-def _walk(layout: Layout, x: Sequence[Number], frame: _Frame, *, first: int, last: int) -> Axes:
+def _walk(layout: Layout, x: Sequence[Expression], frame: _Frame, *, first: int, last: int) -> Axes:
     """Move a frame over the coordinates first .. last - 1; return axis and origin of each.
 
     Coordinates about one axis that follow each other are one step: neither moves the axis of the other.
     """
     seen: Axes = {}
-    step: Number = 0.0
+    step: Expression = 0.0
     for k in range(first, last):
         kind = int(layout.kind[k])
         if layout.fixed_before[k] >= 0:
@@ -64,13 +62,13 @@ def _walk(layout: Layout, x: Sequence[Number], frame: _Frame, *, first: int, las
     return seen
 
 
-def _step(layout: Layout, x: Sequence[Number], k: int) -> Number:
+def _step(layout: Layout, x: Sequence[Expression], k: int) -> Expression:
     """Return how far the chain goes by a coordinate."""
     return x[k] - x[layout.less[k]] if layout.less[k] >= 0 else x[k]
 
 
 def tip_pose(
-    layout: Layout, x: Sequence[Number], tool_rotation: np.ndarray, drives: Sequence[int]
+    layout: Layout, x: Sequence[Expression], tool_rotation: np.ndarray, drives: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the target's pose in the instrument's frame, shape (3, 4), and how the joints move and turn it, (6, n).
 
@@ -94,7 +92,7 @@ def tip_pose(
     return np.column_stack([frame.R, frame.p]), np.column_stack(columns)
 
 
-def static_moments(layout: Layout, x: Sequence[Number], payload: Number, payload_centre: np.ndarray) -> list[Any]:
+def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expression, payload_centre: np.ndarray) -> list[Any]:
     """Return the static moments, components x, y, z of each joint in turn [N m].
 
     Gravity goes out along the arm, from frame to frame; mass and first moment of mass come back, each in the axes and about
@@ -127,7 +125,7 @@ def static_moments(layout: Layout, x: Sequence[Number], payload: Number, payload
     return moments
 
 
-def _turned(vector: np.ndarray, kind: int, x: Number, *, mass: Number = 0.0, back: bool = False) -> np.ndarray:
+def _turned(vector: np.ndarray, kind: int, x: Expression, *, mass: Expression = 0.0, back: bool = False) -> np.ndarray:
     """Return a vector of the frame behind a coordinate in the axes before it, or ``back`` in those behind it.
 
     A first moment of mass, whose ``mass`` is given, is then about the origin before the coordinate.

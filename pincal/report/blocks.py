@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,14 +11,14 @@ from markupsafe import Markup
 from pincal.notes import Note, doubts_of
 
 
-class Block(Protocol):
-    """Anything that can stand on the page: what these functions return, or a :class:`pincal.tables.Table`."""
+class PageBlock(Protocol):
+    """Anything that can stand on the page: what these functions return, or a :class:`pincal.result_table.Table`."""
 
     def __html__(self) -> str:
         """Return the block as HTML."""
 
 
-def joined(blocks: Iterable[Block | str], between: str = "") -> Markup:
+def merged(blocks: Iterable[PageBlock | str], between: str = "") -> Markup:
     """Return blocks or texts as one, texts escaped."""
     return Markup(between).join(blocks)
 
@@ -63,33 +63,41 @@ def heading(text: str, anchor: str = "") -> Markup:
 
 def bullets(items: Iterable[str]) -> Markup:
     """Return a list."""
-    return rich("<ul>{}</ul>", joined(rich("<li>{}</li>", item) for item in items))
+    return rich("<ul>{}</ul>", merged(rich("<li>{}</li>", item) for item in items))
 
 
 def facts(items: Iterable[tuple[str, str]]) -> Markup:
     """Return names with what is to be said of each."""
-    lines = joined((rich("<dt>{}</dt><dd>{}</dd>", name, text) for name, text in items), "\n")
+    lines = merged((rich("<dt>{}</dt><dd>{}</dd>", name, text) for name, text in items), "\n")
     return rich('<dl class="facts">\n{}\n</dl>', lines)
 
 
-def card(title: str, *blocks: Block) -> Markup:
+def card(title: str, *blocks: PageBlock) -> Markup:
     """Return a short titled box; several stand side by side in a group of "cards"."""
-    return rich('<div class="card"><h3>{}</h3>{}</div>', title, joined(blocks))
+    return rich('<div class="card"><h3>{}</h3>{}</div>', title, merged(blocks))
 
 
-def group(kind: str, *blocks: Block) -> Markup:
+def arranged(kind: str, *blocks: PageBlock) -> Markup:
     """Return blocks that the page arranges together: "cards", "split", "glance" or "figures"; "plain" in a column."""
-    return rich(f'<div class="{kind}">\n{{}}\n</div>', joined(blocks, "\n"))
+    return rich(f'<div class="{kind}">\n{{}}\n</div>', merged(blocks, "\n"))
 
 
-def bars(title: str, before: str, after: str, shares: tuple[float, float]) -> Markup:
-    """Return one statistic before and after as numbers and as bars, whose lengths are given in percent."""
+def glance(entries: Sequence[tuple[str, tuple[float, float], tuple[str, str]]]) -> Iterator[Markup]:
+    """Yield statistics before and after as numbers and as bars of one scale.
+
+    Args:
+        entries: for each a title, its values before and after in one unit, and these as text.
+    """
+    largest = max((max(values) for _, values, _ in entries), default=0.0) or 1.0
     row = (
         '<div class="bar"><span>{0}</span><span class="track"><span class="{0}" style="width:{1:.1f}%"></span></span></div>'
     )
-    both = joined(rich(row, name, share) for name, share in zip(("before", "after"), shares, strict=True))
-    numbers = rich('<span class="big">{}</span> <span class="from">was {}</span>', after, before)
-    return rich("<div><h3>{}</h3>{}{}</div>", title, numbers, both)
+    for title, values, (before, after) in entries:
+        both = merged(
+            rich(row, name, 100.0 * value / largest) for name, value in zip(("before", "after"), values, strict=True)
+        )
+        numbers = rich('<span class="big">{}</span> <span class="from">was {}</span>', after, before)
+        yield rich("<div><h3>{}</h3>{}{}</div>", title, numbers, both)
 
 
 def picture(svg: str, caption: str) -> Markup:
@@ -106,10 +114,10 @@ class Section:
 
     anchor: str
     title: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[PageBlock, ...]
     label: str = ""
     style: str = ""
 
     def __html__(self) -> str:
         opening = Markup(f'<section class="{self.style}">' if self.style else "<section>")
-        return rich('{}\n<h2 id="{}">{}</h2>\n{}\n</section>', opening, self.anchor, self.title, joined(self.blocks, "\n"))
+        return rich('{}\n<h2 id="{}">{}</h2>\n{}\n</section>', opening, self.anchor, self.title, merged(self.blocks, "\n"))

@@ -7,16 +7,29 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from pincal.diagnosis.run import Diagnosis
+from pincal.diagnosis.robot_diagnosis import Diagnosis
 from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
-from pincal.report.blocks import Section, bars, bullets, code, doubts, facts, group, heading, paragraph, plain_notes, rich
+from pincal.parameters import split_name
+from pincal.report.blocks import (
+    Section,
+    arranged,
+    bullets,
+    code,
+    doubts,
+    facts,
+    glance,
+    heading,
+    paragraph,
+    plain_notes,
+    rich,
+)
+from pincal.report.found_tables import show_chance
 from pincal.report.html import render
-from pincal.report.tables import show_chance
 from pincal.report.words import effect_meaning
-from pincal.tables import Cell, Column, Kind, Table
+from pincal.result_table import Cell, Column, Kind, Table
 from pincal.units import fixed, format_small
 
-_STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
+_STATISTICS = {"mean_mm": "mean", "p95_mm": "95 %", "max_mm": "worst"}
 # Parameters that are named in a line.
 _SHOWN = 3
 _ARCSEC = 180.0 * 3600.0 / np.pi
@@ -25,11 +38,11 @@ _ARCSEC = 180.0 * 3600.0 / np.pi
 def headline(found: DiagnosisFile) -> str:
     """Return the answer in a sentence."""
     if not found.is_judged:
-        return f"These {found.rows} rows can't tell whether the robot has changed."
+        return f"These {found.rows} rows can't show whether the robot has changed."
     if not found.changed:
         return (
-            f"Nothing has changed that these {found.rows} poses could show (p = {found.p_value:.2g}): "
-            "the robot still is what its model says."
+            f"No change was detected in these {found.rows} poses (p = {found.p_value:.2g}): the robot "
+            "still matches its model."
         )
     changes = "; ".join(in_words(change) + (f", {sizes(change)}" if change.parameters else "") for change in found.changes)
     return f"The robot has changed ({_chance(found.p_value)}): {changes}."
@@ -76,7 +89,7 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
         Column("moved"),
         Column("p", kind=Kind.NUMBER, show=show_chance),
         Column("could also be"),
-        Column("told apart by"),
+        Column("distinguished by"),
     )
     rows = tuple(
         (
@@ -92,10 +105,26 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
     return Table("What has changed", columns, rows)
 
 
+def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
+    """Return the parameters of all changes, as they were and as they are."""
+    columns = (
+        Column("parameter", kind=Kind.NAME),
+        Column("before", kind=Kind.NUMBER),
+        Column("after", kind=Kind.NUMBER),
+        Column("moved", kind=Kind.NUMBER),
+        Column("sigma", kind=Kind.NUMBER),
+    )
+    moved = (
+        (name, p.before, p.after, p.after - p.before, p.sigma, p.unit) for c in changes for name, p in c.parameters.items()
+    )
+    rows = tuple((name, *(format_small(value, unit) for value in values)) for name, *values, unit in moved)
+    return Table("Parameters, as they were and as they are", columns, rows)
+
+
 def curve_table(found: CurvesEntry) -> Table:
     """Return what each drive's curve contributes to the error of the new rows."""
     columns = (
-        Column("curve taken anew", kind=Kind.NAME),
+        Column("curve re-estimated", kind=Kind.NAME),
         Column("mean error", "mm", Kind.NUMBER, fixed(3)),
         Column("correlation", kind=Kind.NUMBER, show=fixed(2)),
         Column("difference", "arcsec, mm", Kind.NUMBER, fixed(1)),
@@ -107,8 +136,8 @@ def curve_table(found: CurvesEntry) -> Table:
         rows.append((entry.joint, entry.error_mm, entry.correlation, small, 100.0 * entry.seen))
     rows.append(("all", found.all_anew_mm, None, None, None))
     notes = (
-        "Blocks of poses left out, outliers too. Correlation and difference (rms, its mean apart) of the old curve and the "
-        "new one at the new poses; seen: poses at which the calibration knew the curve.",
+        "Cross-validated over blocks of poses, without outliers. Correlation and difference (rms about its mean) of the old "
+        "and the new curve at the new poses; seen before: poses at which the calibration had determined the curve.",
     )
     return Table(f"Curves of the drives in {found.session}", columns, tuple(rows), notes)
 
@@ -120,7 +149,7 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
     joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
     smallest: dict[str, dict[str, float]] = {}
     for entry in entries:
-        symbol = entry.parameter.rpartition(".")[2]
+        symbol = split_name(entry.parameter)[1]
         several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
         sizes_on = smallest.setdefault(f"{entry.effect} {symbol}" if several and symbol else entry.effect, {})
         # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is hardest to notice.
@@ -128,17 +157,17 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
         sizes_on[where] = max(entry.tip_mm, sizes_on.get(where, 0.0))
     columns = (Column("change"), *(Column(joint, "mm", Kind.NUMBER, fixed(2)) for joint in joints))
     rows: tuple[tuple[Cell, ...], ...] = tuple((name, *(on.get(joint) for joint in joints)) for name, on in smallest.items())
-    notes = ("A dash: these poses see nothing of it, or not on this joint. Sizes in their own units are in diagnosis.json.",)
-    return Table("Smallest change that would have been noticed with 90 %, as motion of the target", columns, rows, notes)
+    notes = ("A dash: not observable in these poses, or not on this joint. Sizes in SI units are in diagnosis.json.",)
+    return Table("Smallest change that would have been detected with 90 %, as motion of the target", columns, rows, notes)
 
 
-def moved_words(found: DiagnosisFile) -> str:
+def set_up_words(found: DiagnosisFile) -> str:
     """Return how far instrument and target moved."""
     at = found.station
     parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
     parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
     parts += [] if at.target_moved_mm is None else [f"the target sits {at.target_moved_mm:.2f} mm from where it was"]
-    return ", ".join(parts) or "these readings don't tell where the instrument stands"
+    return ", ".join(parts) or "these readings do not determine where the instrument stands"
 
 
 def lines(found: DiagnosisFile) -> Iterator[str]:
@@ -150,10 +179,10 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
             yield f"  to tell: {change.tell_apart}"
     before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
     if found.changed:
-        yield f"mean error {before:.4f} mm by the model as it was, {after:.4f} mm by the mended one"
+        yield f"mean error {before:.4f} mm with the old model, {after:.4f} mm with the re-identified one"
     else:
         yield f"mean error {before:.4f} mm"
-    yield f"{moved_words(found)}; that is no change of the robot"
+    yield f"{set_up_words(found)}; this is not a change of the robot"
     if worst := _least_offsets(found):
         yield worst
 
@@ -176,7 +205,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
     made = (_answer(found), _changes(found), _curves(found), _noticed(found, robot.joint_names), _station(found))
     return render(
         f"Diagnosis of {robot.name}",
-        f"{found.rows} new poses against the robot as it was calibrated",
+        f"{found.rows} new poses compared with the calibrated robot",
         [section for section in made if section is not None],
         version=version,
     )
@@ -186,28 +215,25 @@ def _answer(found: DiagnosisFile) -> Section:
     tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
     tone, tag = (tone, tag) if found.is_judged else ("bad", "not judged")
     answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
-    left = group("plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings))
-    columns = group("split", left, group("plain", heading("What to do next"), bullets(_next_steps(found))))
+    left = arranged("plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings))
+    columns = arranged("split", left, arranged("plain", heading("What to do next"), bullets(_next_steps(found))))
     before, after = found.gap["before"], found.gap["after"]
-    largest = max(before["max_mm"], after["max_mm"]) or 1.0
-    glance = (
-        bars(
-            f"{words} error",
-            f"{before[f'{name}_mm']:.4f}",
-            f"{after[f'{name}_mm']:.4f} mm",
-            (100.0 * before[f"{name}_mm"] / largest, 100.0 * after[f"{name}_mm"] / largest),
-        )
-        for name, words in _STATISTICS
-    )
-    return Section("answer", "Has it changed?", (columns, group("glance", *glance)), style="panel")
+    if not found.changed:
+        errors = facts((f"{words} error", f"{before[key]:.4f} mm") for key, words in _STATISTICS.items())
+        return Section("answer", "Has it changed?", (columns, errors), style="panel")
+    shown = glance([
+        (f"{words} error", (before[key], after[key]), (f"{before[key]:.4f}", f"{after[key]:.4f} mm"))
+        for key, words in _STATISTICS.items()
+    ])  # fmt: skip
+    return Section("answer", "Has it changed?", (columns, arranged("glance", *shown)), style="panel")
 
 
 def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
     if not found.is_judged:
-        yield "Find out what these rows are, and measure again."
+        yield "Find out where these rows come from, and measure again."
         return
     if not found.changed:
-        yield rich("Go on with the model; {} takes these poses in for good.", code("pincal update"))
+        yield rich("Keep using the model; {} adds these poses to it permanently.", code("pincal update"))
         return
     for change in found.changes:
         if not change.parameters:
@@ -215,18 +241,25 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
         meaning = f" ({effect_meaning(change.effect)})"
         yield f"Look at {change.joint or 'the whole arm'}: {change.effect}{meaning}."
         if change.equivalent:
-            yield f"It could also be {'; '.join(map(in_words, change.equivalent))}. To tell: {change.tell_apart}."
+            yield f"It could also be {'; '.join(map(in_words, change.equivalent))}. To distinguish: {change.tell_apart}."
     named = any(change.parameters for change in found.changes)
     if named:
-        yield rich("Until then {} is the mended model: only what changed was found anew.", code("model.json"))
+        yield rich("Until then {} is the re-identified model: only what changed was estimated again.", code("model.json"))
     else:
         yield rich("Measure more poses and calibrate again: {}.", code("pincal discover"))
 
 
 def _changes(found: DiagnosisFile) -> Section | None:
-    if not found.changes:
+    if found.changes:
+        blocks = (change_table(found.changes), moved_parameters(found.changes))
+        return Section("changes", "What has changed", blocks, label="What has changed")
+    if not found.is_judged:
         return None
-    return Section("changes", "What has changed", (change_table(found.changes),), label="What has changed")
+    text = (
+        f"Nothing: the model as it was calibrated predicts these {found.rows} poses as well as its noise allows "
+        f"(p = {found.p_value:.2g}; below {found.alpha:g} the robot would count as changed)."
+    )
+    return Section("changes", "What has changed", (paragraph(text),), label="What has changed")
 
 
 def _curves(found: DiagnosisFile) -> Section | None:
@@ -239,8 +272,8 @@ def _noticed(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None
     if not found.excluded:
         return None
     words = (
-        "Each of these changes would have been noticed, with a chance of 90 %, from the size on at which it moves the "
-        "target by so many millimetres at the most in these poses."
+        "Smallest size of each change that would have been detected with a probability of 90 %, as the largest motion of "
+        "the target in these poses."
     )
     return Section(
         "noticed",
@@ -252,7 +285,7 @@ def _noticed(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None
 
 def _station(found: DiagnosisFile) -> Section:
     items = (
-        ("instrument and target", f"{moved_words(found)}; that is no change of the robot"),
-        ("false alarms", f"one in {1.0 / found.alpha:.0f} diagnoses of a robot that has not changed"),
+        ("instrument and target", f"{set_up_words(found)}; this is not a change of the robot"),
+        ("false alarms", f"one in {1.0 / found.alpha:.0f} diagnoses of an unchanged robot"),
     )
     return Section("station", "Set-up", (facts(items),))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from pincal.report import moments, search, sections, stations
+from pincal.report import missing, sections
 from pincal.report.blocks import Section
 from pincal.report.subject import Subject
 
@@ -15,10 +15,10 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     sections.summary,
     sections.setup,
     sections.accuracy,
-    stations.stations,
-    search.missing,
+    sections.stations,
+    missing.missing,
     sections.where,
-    moments.moments,
+    sections.moments,
     sections.parameters,
     sections.unidentified,
     sections.basis,

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import html
+import io
+import re
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 
+import matplotlib
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from pincal.calibration.parameters import ParameterRow
+from pincal.calibration.result_tables import ParameterRow
 from pincal.discover.run import Discovery
-from pincal.io.discovery_file import SURE, Findings
-from pincal.io.result_file import MovedParameter, StationRecord
-from pincal.report.blocks import group, picture
-from pincal.report.evidence import Evidence
-from pincal.report.plots import errors, found, stations
-from pincal.report.svg import inline_svg
+from pincal.io.discovery_file import Findings
+from pincal.report.blocks import arranged, picture
+from pincal.report.plots import found, row_figures, style
+from pincal.report.row_errors import RowErrors
 from pincal.report.words import effect_words
+from pincal.validate.misfit import SURE
+from pincal.validate.outcome import MovedParameter, StationRecord
 
 # Parameters whose course is drawn.
 _MOST_COURSES = 4
@@ -31,10 +36,44 @@ def figures(key: str, drawings: Iterable[Drawing]) -> Markup:
         picture(inline_svg(figure, key=f"{key}{i}", title=title), caption)
         for i, (figure, title, caption) in enumerate(drawings)
     ]
-    return group("figures", *shown) if shown else Markup("")
+    return arranged("figures", *shown) if shown else Markup("")
 
 
-def error_drawings(readings: Iterable[Evidence]) -> Iterator[Drawing]:
+def inline_svg(figure: Figure, *, key: str, title: str) -> str:
+    """Return a figure as an SVG element for an HTML page.
+
+    Colours of :mod:`pincal.report.plots.style` become the variables ``--ink``, ``--muted``, ``--grid``, ``--before``,
+    ``--after``, ``--third``, which the page sets for light and for dark.
+
+    Args:
+        figure: what to draw.
+        key: prefix of the identifiers of this figure; each figure of a page has its own.
+        title: what the figure shows, for those who can't see it.
+    """
+    drawn = io.StringIO()
+    # The SVG's text is set in the page's own fonts, so it matters to nobody which characters matplotlib's have.
+    with warnings.catch_warnings(), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
+        warnings.filterwarnings("ignore", message=".*[Gg]lyph.*")
+        figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None})
+    svg = drawn.getvalue()[drawn.getvalue().index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->\s*", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
+    svg = _with_own_identifiers(svg, key)
+    for colour, name in style.VARIABLES.items():
+        svg = svg.replace(colour.lower(), f"var(--{name})")
+    box = re.search(r'viewBox="[^"]*"', svg)
+    label = html.escape(" ".join(title.split()), quote=True)
+    opening = f'<svg {box.group() if box else ""} role="img" aria-label="{label}">'
+    return opening + re.sub(r"\n\s*", "\n", svg[svg.index(">") + 1 :]).strip()
+
+
+def _with_own_identifiers(svg: str, key: str) -> str:
+    """Drop identifiers that nothing refers to, and give the others the figure's key: a page holds many figures."""
+    used = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg))
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m.group(1)}"' if m.group(1) in used else "", svg)
+    return re.sub(r'(url\(#|href="#)', rf"\g<1>{key}-", svg)
+
+
+def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
     """Yield the distribution of errors, held-out and fitted, of each kind of reading."""
     for evidence in readings:
         for held, rows, use in ((True, "held-out", "not used"), (False, "fitted", "used")):
@@ -44,12 +83,12 @@ def error_drawings(readings: Iterable[Evidence]) -> Iterator[Drawing]:
                     "Share of poses by size of error, on a logarithmic scale: the further left, the better. These poses "
                     f"were {use} by the fit."
                 )
-                yield errors.histogram_figure(evidence, held=held), title, caption
+                yield row_figures.histogram_figure(evidence, held=held), title, caption
         caption = (
-            "Share of poses with a smaller error: solid lines held-out, dotted lines fitted poses. Where both coincide, new "
-            "poses will do as well as these. The dashed curve is what the noise of the instrument alone would leave."
+            "Share of poses with a smaller error: solid lines held-out, dotted lines fitted poses. Where both "
+            "coincide, expect the same accuracy at new poses. The dashed curve is the noise of the instrument alone."
         )
-        yield errors.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", caption
+        yield row_figures.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", caption
 
 
 def course_drawings(records: Sequence[StationRecord]) -> Iterator[Drawing]:
@@ -59,40 +98,42 @@ def course_drawings(records: Sequence[StationRecord]) -> Iterator[Drawing]:
         for entry in record.get("parameters", ()):
             entries.setdefault(entry["name"], []).append((k, entry))
     for name, course in list(entries.items())[:_MOST_COURSES]:
-        drawn = stations.course_figure(name, [record["name"] for record in records], course)
+        drawn = found.course_figure(name, [record["name"] for record in records], course)
         caption = f"{name} at each station; bars are intervals of 95 %. Filled: it moved since the station before."
         yield drawn, f"{name} from station to station", caption
 
 
-def joint_drawings(evidence: Evidence) -> Iterator[Drawing]:
+def joint_drawings(evidence: RowErrors) -> Iterator[Drawing]:
     """Yield the error against the position of each joint."""
     for i, name in enumerate(evidence.joint_names):
         title = f"Error against the position of {name}, before and after calibration"
-        low, high = errors.median_range(evidence, i)
+        low, high = row_figures.median_range(evidence, i)
         caption = f"{name}: after calibration the median error varies from {low:.3g} to {high:.3g} {evidence.unit}."
-        yield errors.joint_figure(evidence, i), title, caption
+        yield row_figures.joint_figure(evidence, i), title, caption
 
 
-def workspace_drawings(evidence: Evidence) -> Iterator[Drawing]:
+def workspace_drawings(evidence: RowErrors) -> Iterator[Drawing]:
     """Yield the mean error over the workspace, from above and from the side."""
     caption = (
         "The workspace from above, the robot at the origin; each cell shows the mean error of its poses, brighter is worse, "
         "on the same scale before and after."
     )
-    yield errors.workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", caption
+    yield row_figures.workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", caption
     caption = "The same from the side: distance from the robot's vertical axis, and height."
-    yield errors.workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", caption
+    yield row_figures.workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", caption
 
 
-def order_drawings(evidence: Evidence) -> Iterator[Drawing]:
+def order_drawings(evidence: RowErrors) -> Iterator[Drawing]:
     """Yield the error and the mean residual in the order of measurement."""
-    caption = "Each pose in the order of measurement, with the running median. A step or a slope means that something moved."
-    yield errors.order_figure(evidence), "Error in the order of measurement", caption
+    caption = (
+        "Each pose in the order of measurement, with the running median. A step or a slope indicates a change or drift."
+    )
+    yield row_figures.order_figure(evidence), "Error in the order of measurement", caption
     caption = (
         "Residuals after calibration, x, y, z in the instrument's frame, averaged over neighbouring poses; bars are two "
-        "standard deviations. If the bars include zero, nothing drifted."
+        "standard deviations. If the bars include zero, there is no drift."
     )
-    yield errors.drift_figure(evidence), "Mean residual in the order of measurement", caption
+    yield row_figures.drift_figure(evidence), "Mean residual in the order of measurement", caption
 
 
 def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]:
@@ -115,10 +156,10 @@ def stability_drawings(findings: Findings) -> Iterator[Drawing]:
         return
     counts, of = {words: stability.named for words, stability in often.items()}, max(s.of for s in often.values())
     caption = (
-        f"The search repeated on {of} halves of the poses, {findings.poses_in_a_half} each, whole regions of joint space "
-        "left out. What stays left of the line is a hint: other poses may well give it another name."
+        f"The search repeated on {of} subsamples of {findings.poses_in_a_half} poses each, whole regions of joint space "
+        "left out. Names left of the line are hints: other poses may well give another name."
     )
-    yield found.stability_figure(counts, of, SURE), "In how many halves of the poses each name comes up", caption
+    yield found.stability_figure(counts, of, SURE), "Number of subsamples in which each name is found", caption
 
 
 def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
@@ -126,8 +167,8 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     gaps = discovery.gaps
     sizes = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
     caption = (
-        "Error on poses used neither by the fit nor by the search, step by step from top to bottom. The vertical line marks "
-        "the noise of the instrument."
+        "Error on poses used neither by the fit nor by the search, after each step from top to bottom. The vertical "
+        "line marks the noise of the instrument."
     )
     figure = found.shrinking_figure([gap.name for gap in gaps], sizes, discovery.findings.noise_floor_mm)
     yield figure, "Error on held-out rows after each step", caption

@@ -2,46 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from urllib.parse import quote
 
 from markupsafe import Markup
 from msgspec import UNSET
 
+from pincal.calibration.held_out import StationRows
 from pincal.calibration.result import Result
-from pincal.calibration.rows import StationRows
-from pincal.calibration.tables import correlation_table, error_table, iso9283_table, parameter_table, shown_parameters
-from pincal.report.advice import unidentified_groups
+from pincal.calibration.result_tables import (
+    correlation_table,
+    error_table,
+    iso9283_table,
+    moved_table,
+    parameter_table,
+    repeated_table,
+    shown_parameters,
+    station_table,
+)
+from pincal.identify.found_masses import FoundMoments, found_moments
 from pincal.report.blocks import (
-    Block,
+    PageBlock,
     Section,
-    bars,
+    arranged,
     bullets,
     card,
     code,
     doubts,
     facts,
-    group,
+    glance,
     heading,
-    joined,
+    merged,
     paragraph,
     plain_notes,
     rich,
 )
 from pincal.report.illustrations import (
     correction_drawings,
+    course_drawings,
     error_drawings,
     figures,
     joint_drawings,
     order_drawings,
     workspace_drawings,
 )
+from pincal.report.judgement import judged, next_steps, unidentified_groups
 from pincal.report.subject import Subject
-from pincal.report.verdict import next_steps, verdict_of
 from pincal.report.words import TERMS, effect_meaning, noise_words
-from pincal.tables import Tone
-from pincal.validate.replicates import cycle_words
-from pincal.validate.verdict import Verdict
+from pincal.result_table import Column, Kind, RowTone, Table
+from pincal.units import fixed
+from pincal.validate.accuracy import cycle_words
+from pincal.validate.misfit import Verdict
+from pincal.validate.outcome import StationRecord
 
 REPEATED = Markup(
     "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its measurements; <b>pose "
@@ -55,20 +67,20 @@ _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 _LISTED = 12
 # Ratio of errors before and after from which an improvement is mentioned; below it rounds to 1.0.
 _IMPROVED = 1.05
-_TONES: dict[str, Tone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
+_TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
 
 
 def summary(subject: Subject) -> Section:
     """Whether the model is good, what to do next, and the errors at a glance."""
-    result, verdict = subject.result, verdict_of(subject.result, subject.discovery)
+    result, verdict = subject.result, judged(subject.result, subject.discovery)
     tone = _TONES.get(verdict.judgement, "bad")
     tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
     steps = bullets(next_steps(subject.calibration, subject.discovery))
-    left = group(
+    left = arranged(
         "plain", *doubts(result.warnings), paragraph(_headline(subject)), paragraph(tag), *plain_notes(result.warnings)
     )
-    columns = group("split", left, group("plain", heading("What to do next"), steps))
-    return Section("summary", "Summary", (columns, group("glance", *_glance(subject))), style="panel")
+    columns = arranged("split", left, arranged("plain", heading("What to do next"), steps))
+    return Section("summary", "Summary", (columns, arranged("glance", *_glance(subject))), style="panel")
 
 
 def _headline(subject: Subject) -> Markup:
@@ -77,7 +89,7 @@ def _headline(subject: Subject) -> Markup:
     unit = "mm" if "mean_mm" in result.error["calibrated"][part] else "px"
     before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
     rows = (
-        "On set-ups that the calibration never saw, each predicted by the model of the others"
+        "On set-ups not used by the calibration, each predicted by the model of the others"
         if result.left_out_mm is not None
         else f"On {subject.calibration.n_poses('test')} poses not used by the calibration"
         if part == "test"
@@ -100,18 +112,15 @@ def _size(value: float, unit: str) -> str:
     return f"{value:.4f} {unit}" if value < 0.1 else f"{value:.3f} {unit}"
 
 
-def _glance(subject: Subject) -> list[Markup]:
-    """Return mean, 95 % and worst error, before and after."""
+def _glance(subject: Subject) -> Iterator[Markup]:
+    """Yield mean, 95 % and worst error, before and after."""
     before, after = (subject.result.error[model][subject.part] for model in ("nominal", "calibrated"))
-    found = []
     for unit, suffix in (("mm", ""), ("mrad", " of orientation")):
-        keys = [(f"{name}_{unit}", words) for name, words in _STATISTICS if f"{name}_{unit}" in after]
-        largest = max((max(before[key], after[key]) for key, _ in keys), default=0.0) or 1.0
-        for key, words in keys:
-            shares = (100.0 * before[key] / largest, 100.0 * after[key] / largest)
-            title = f"{words} error{suffix}"
-            found.append(bars(title, _size(before[key], "").rstrip(), _size(after[key], unit), shares))
-    return found
+        keys = {f"{words} error{suffix}": f"{name}_{unit}" for name, words in _STATISTICS if f"{name}_{unit}" in after}
+        yield from glance([
+            (title, (before[key], after[key]), (_size(before[key], "").rstrip(), _size(after[key], unit)))
+            for title, key in keys.items()
+        ])  # fmt: skip
 
 
 def setup(subject: Subject) -> Section:
@@ -129,9 +138,9 @@ def setup(subject: Subject) -> Section:
     )
     items = (
         ("robot", rich("{}: {} joints from {} to {}", robot.name, robot.n_joints, code(robot.base), code(robot.tip))),
-        ("joints", joined(map(code, robot.joint_names), ", ")),
+        ("joints", merged(map(code, robot.joint_names), ", ")),
         ("data", _data(subject)),
-        ("model", joined((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; ")),
+        ("model", merged((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; ")),
         (
             "fit",
             f"{result.iterations} iterations in {result.seconds:.2f} s; identifiable rank {result.rank}, condition number "
@@ -145,7 +154,7 @@ def setup(subject: Subject) -> Section:
 def _data(subject: Subject) -> Markup:
     stations, result = subject.calibration.stations, subject.result
     rejected = [result.outliers] if result.stations is UNSET else [station["outliers"] for station in result.stations]
-    return joined((_rows_of(rows, lines) for rows, lines in zip(stations, rejected, strict=True)), Markup("<br>"))
+    return merged((_rows_of(rows, lines) for rows, lines in zip(stations, rejected, strict=True)), Markup("<br>"))
 
 
 def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
@@ -168,7 +177,7 @@ def accuracy(subject: Subject) -> Section:
         "which no calibration improves. “Nominal” is the robot as in its URDF, with only the placement of instrument and "
         "target fitted."
     )
-    blocks: list[Block] = [paragraph(intro)]
+    blocks: list[PageBlock] = [paragraph(intro)]
     if not result.rows["test"]:
         text = (
             "No rows were held out: the errors are those of the poses that were fitted. Expect somewhat larger ones at new "
@@ -183,10 +192,10 @@ def accuracy(subject: Subject) -> Section:
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
 
 
-def _replicates(result: Result) -> list[Block]:
+def _replicates(result: Result) -> list[PageBlock]:
     """Return what repeated measurements of poses say of accuracy, repeatability and lack of fit."""
     iso, lack = result.iso9283, result.lack_of_fit
-    blocks: list[Block] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
+    blocks: list[PageBlock] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
     if iso:
         text = rich(
             "{} {}. A pose that the fit has used in any of its measurements does not count as held out.",
@@ -200,6 +209,57 @@ def _replicates(result: Result) -> list[Block]:
     return blocks
 
 
+def stations(subject: Subject) -> Section | None:
+    """Errors station by station, before and after; None where there is only one."""
+    records = subject.result.stations
+    if records is UNSET:
+        return None
+    text = (
+        "Each station, a set-up of instrument and targets, has its own base frame, targets and noise; the robot is the same "
+        "at all of them."
+    )
+    if any("left_out" in record for record in records):
+        text += (
+            " Left out: the model of the other stations, with only the placement of this one fitted to it. That is the "
+            "accuracy to expect on another day."
+        )
+    pairs = [_before_and_after(record, subject.part) for record in records]
+    drawn = glance([
+        (f"{record['name']}: mean error", pair, (f"{pair[0]:.3f}", f"{pair[1]:.4f} mm"))
+        for record, pair in zip(records, pairs, strict=True)
+    ])  # fmt: skip
+    blocks: list[PageBlock] = [paragraph(text), arranged("glance", *drawn), station_table(records), *_moved(records)]
+    if (again := repeated_table(records)) is not None:
+        blocks += [heading("Repeated measurements of poses", "repeatability"), paragraph(REPEATED), again]
+    return Section("stations", "Stations", tuple(blocks), "Stations")
+
+
+def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
+    """Yield which parameters of the robot are not the same at all stations."""
+    yield heading("Changes between stations", "moved")
+    table = moved_table(records)
+    if table is None:
+        yield paragraph(
+            "No parameter of the robot differs between stations, as far as these rows show; if the robot is the same at all "
+            "of them, the probability of a false report is 1 %."
+        )
+        return
+    yield paragraph(
+        "One model describes the robot at all stations, except that these parameters have different values at some of "
+        "them. Where several could have moved, the one that explains most is named; pincal diagnose lists the alternatives "
+        "for the rows of a later station.",
+        "care",
+    )
+    yield table
+    yield figures("moved", course_drawings(records))
+
+
+def _before_and_after(record: StationRecord, part: str) -> tuple[float, float]:
+    """Return the mean error of the nominal robot and of the model [mm], of the model of the others if it is known."""
+    nominal, calibrated = (by_part.get(part, by_part["train"]) for by_part in record["error"].values())
+    return nominal["mean_mm"], record.get("left_out", calibrated)["mean_mm"]
+
+
 def where(subject: Subject) -> Section:
     """Errors by joint position, over the workspace, and in the order of measurement."""
     first, is_timed = subject.readings[0], subject.calibration.stations[0].train.time is not None
@@ -209,9 +269,9 @@ def where(subject: Subject) -> Section:
     )
     by_joint = (
         "Lines are medians, bands hold 90 % of the poses, fitted and held out together. A calibrated arm has flat bands; a "
-        "remaining wave or slope means that this joint does something that the model lacks. "
+        "remaining wave or slope means that the model lacks an effect of this joint. "
     )
-    line = "" if is_timed else " No times were recorded, so the line of the table stands in for them."
+    line = "" if is_timed else " No times were recorded, so the line of the table is used instead."
     residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)
     blocks = (
         *(heading("By joint position"), paragraph(rich("{}{}", by_joint, key)), figures("joint", joint_drawings(first))),
@@ -219,6 +279,39 @@ def where(subject: Subject) -> Section:
         *(heading("In the order of measurement"), paragraph(residual), figures("order", order_drawings(first))),
     )
     return Section("where", "Where the errors are", blocks, "Where the errors are")
+
+
+def moments(subject: Subject) -> Section | None:
+    """Which moments are identified, at a typical pose; None where the masses are those of the URDF."""
+    found = found_moments(subject.calibration.fit)
+    if found is None:
+        return None
+    held = (
+        f"The robot description has no usable masses for {len(found.links)} links. They were estimated with the "
+        "compliances, starting from the shape of the arm. Only compliance times moment deflects the arm, so all "
+        f"moments share a factor with the inverse of the compliances: it is known to {100.0 * found.factor_sigma:.2g} "
+        "%, and predictions do not depend on it. The robot's mass from its data sheet (--mass) or rows with other payloads "
+        "would determine it."
+    )
+    pose = ", ".join(f"{value:.2f}" for value in found.q)
+    return Section("moments", "Static moments", (paragraph(held), moment_table(found, f"at the pose {pose}")), "Moments")
+
+
+def moment_table(found: FoundMoments, where: str) -> Table:
+    """Return the moments that are felt at a pose, and how well they are known if the common factor is held."""
+    columns = (
+        Column("joint", kind=Kind.NAME),
+        Column("axis", kind=Kind.LABEL),
+        Column("moment", "N m", Kind.NUMBER, fixed(1)),
+        Column("sigma", "N m", Kind.NUMBER, fixed(1)),
+        Column("", kind=Kind.LABEL),
+    )
+    rows = tuple(
+        (of.joint, of.axis, of.moment, of.sigma, "identified" if of.is_identified else "fixed by the shape")
+        for of in found.axes
+    )
+    note = f"sigma: with the moment about {found.largest.axis} of {found.largest.joint} held, and so the common factor."
+    return Table(f"Static moments {where}", columns, rows, (note,))
 
 
 def parameters(subject: Subject) -> Section:
@@ -231,7 +324,7 @@ def parameters(subject: Subject) -> Section:
         "dominated by prior knowledge; <b>unidentifiable</b>: these poses cannot determine it by itself, whatever the "
         "noise; predictions do not depend on it."
     )
-    blocks: list[Block] = [paragraph(intro), figures("correction", correction_drawings(result.parameters))]
+    blocks: list[PageBlock] = [paragraph(intro), figures("correction", correction_drawings(result.parameters))]
     blocks += [parameter_table(result.parameters), heading("Strong correlations")]
     if result.correlations:
         text = (
@@ -250,11 +343,11 @@ def unidentified(subject: Subject) -> Section:
         card(
             found.advice.title,
             paragraph(found.advice.text),
-            paragraph(rich("{}: {}", len(found.names), joined(map(code, found.names), ", ")), "mute"),
+            paragraph(rich("{}: {}", len(found.names), merged(map(code, found.names), ", ")), "mute"),
         )
         for found in unidentified_groups(shown_parameters(subject.result.parameters))
     ]
-    blocks: list[Block] = [group("cards", *cards) if cards else paragraph("All parameters are identified.")]
+    blocks: list[PageBlock] = [arranged("cards", *cards) if cards else paragraph("All parameters are identified.")]
     if subject.notes:
         blocks += [heading("Not included in the calibrated URDF"), bullets(subject.notes)]
     title = "What is not identifiable, and what to measure"

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
+from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
-from pincal.calibration.run import Calibration
 from pincal.discover.run import Discovery
-from pincal.report.evidence import Evidence, evidence_of
+from pincal.report.row_errors import RowErrors, evidence_of
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Subject:
         return self.calibration.result
 
     @cached_property
-    def readings(self) -> tuple[Evidence, ...]:
+    def readings(self) -> tuple[RowErrors, ...]:
         """Errors row by row, one for each kind of reading, positions first."""
         return evidence_of(self.calibration)
 

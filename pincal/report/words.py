@@ -8,14 +8,14 @@ from typing import Any
 
 from pincal.identify.reasons import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
-from pincal.model.registry import meaning_of
+from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
 
 # What became of parameters that the data do not identify, of so many of them.
 _NOT_IDENTIFIED = {
     Status.UNIDENTIFIABLE: "unidentifiable",
-    Status.PRIOR: "resting on priors",
-    Status.AT_BOUND: "stopped at a bound",
+    Status.PRIOR: "determined by priors",
+    Status.AT_BOUND: "at a bound",
     Status.FIXED: "fixed",
 }
 # What an effect may follow whose name is not plain.
@@ -42,12 +42,12 @@ TERMS = (
     ("sigma", "standard deviation: in 95 of 100 cases the true value lies within two of them."),
     (
         "identifiable rank",
-        "number of independent combinations of parameters that the data determine better than prior knowledge does.",
+        "number of independent combinations of parameters that the data determine better than the priors do.",
     ),
     ("prior", "what is known of a parameter before any measurement, as a standard deviation about its nominal value."),
     ("compliance", "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse of stiffness."),
     ("rms", "root mean square: like the mean, but large errors count more."),
-    ("p", "probability that noise alone looks like this. A small value says that there is an effect, not which."),
+    ("p", "probability that noise alone would look like this. A small value shows that there is an effect, not which one."),
 )
 """The terms of the report; every text uses them in this sense."""
 
@@ -108,20 +108,20 @@ def line_words(entry: FoundEffect) -> str:
         >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "parameters": {}, "equivalent": (), "tell_apart": ""}
         >>> entry = FoundEffect(**names, p_value=0.0, gap_before_mm=1.0, gap_after_mm=1.0, order=405.0, beside=(401.4,))
         >>> line_words(entry)
-        'one line that waxes and wanes over the span of the joint, fitted as waves of order 405 and 401.4'
+        'one spectral line whose amplitude varies over the span of the joint, fitted as harmonics of order 405 and 401.4'
     """
     orders = " and ".join(f"{order:g}" for order in (entry.order or 0.0, *entry.beside))
-    whole = f"one line that waxes and wanes over the span of the joint, fitted as waves of order {orders}"
+    whole = f"one spectral line whose amplitude varies over the span of the joint, fitted as harmonics of order {orders}"
     return "; ".join(filter(None, [entry.origin, whole if entry.beside else ""]))
 
 
-HINTS = "Hints: named in less than 60 % of the halves of the poses"
+HINTS = "Hints: named in less than 60 % of the subsamples"
 
 
-def only_in_halves_words(found: Findings) -> str:
+def subsample_only_words(found: Findings) -> str:
     """Return which names most halves of the poses bring up and all poses don't."""
     names = ", ".join(f"{effect_words(entry)} ({entry.stability})" for entry in found.only_in_halves)
-    return f"Named in most halves of the poses, but not by all poses: {names}"
+    return f"Named in most subsamples, but not in the full data set: {names}"
 
 
 def bootstrap_words(last: Bootstrap) -> str:
@@ -146,15 +146,15 @@ def gain_words(entry: FoundEffect) -> str:
         >>> names = {"effect": "transmission_error", "joint": "axis_6", "parameters": {}, "equivalent": (), "tell_apart": ""}
         >>> entry = FoundEffect(**names, p_value=1e-9, gap_before_mm=0.0425, gap_after_mm=0.0434, **turned)
         >>> gain_words(entry)
-        '0.0425 to 0.0434 mm, 0.1680 to 0.0920 mrad: it gains in orientation only'
+        '0.0425 to 0.0434 mm, 0.1680 to 0.0920 mrad: improves orientation only'
         >>> gain_words(structs.replace(entry, gap_before_mrad=None, gap_after_mrad=None))
-        '0.0425 to 0.0434 mm: it gains nothing on these rows'
+        '0.0425 to 0.0434 mm: no improvement on these rows'
     """
     figures, gains = [f"{entry.gap_before_mm:.4f} to {entry.gap_after_mm:.4f} mm"], [_falls(entry, "mm")]
     if entry.gap_before_mrad is not None:
         figures.append(f"{entry.gap_before_mrad:.4f} to {entry.gap_after_mrad:.4f} mrad")
         gains.append(_falls(entry, "mrad"))
-    said = "" if gains[0] else ": it gains in orientation only" if any(gains) else ": it gains nothing on these rows"
+    said = "" if gains[0] else ": improves orientation only" if any(gains) else ": no improvement on these rows"
     return ", ".join(figures) + said
 
 

@@ -10,16 +10,22 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import BadInputError, PincalWarning
-from pincal.robot.robot import Robot, find_file
+from pincal.robot.robot import Robot
+from pincal.robot.urdf_file import find_file
 
 # Frames that are closer than this [m, rad] make no other robot.
 _SAME = 1e-5
 
 
 def robots_alike(robot: Robot) -> Iterator[tuple[str, Robot]]:
-    """Yield the names of robots whose joints have the same names but stand elsewhere, and the robots, each size once."""
-    from example_robot_data import robots_loader
+    """Yield the names of robots whose joints have the same names but stand elsewhere, and the robots, each size once.
 
+    None without example-robot-data.
+    """
+    try:
+        from example_robot_data import robots_loader
+    except ImportError:
+        return
     marks = [f'"{name}"'.encode() for name in robot.joint_names]
     middle = np.clip(0.3, robot.lower, robot.upper)[None]
     seen = [robot.forward_kinematics(middle)]

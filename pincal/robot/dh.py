@@ -9,7 +9,7 @@ i+1. The nominal chain of a joint is
 common normal of such axes may lie kilometres away, so they are taken as parallel and the remaining tilt goes into s_x
 and s_y of the next joint. The frames are exact either way.
 
-Where an origin is free (the first axis, parallel axes) it is where the URDF has its joint: bearings give way about this
+Where an origin is free (the first axis, parallel axes) it is where the URDF has its joint: bearings are compliant about this
 point, so it is not a mere convention.
 """
 

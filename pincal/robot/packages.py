@@ -16,7 +16,7 @@ _MARK = "package.xml"
 _LARGEST_MESH, _LARGEST_ROBOT = 40_000_000, 200_000_000
 
 
-def packages_beside(file: str | os.PathLike[str]) -> dict[str, Path]:
+def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:
     """Return the folders of the ROS packages around a file, by name; of two with one name, the nearer one.
 
     A workspace is walked up from the file: each folder above it, with the packages in it and one level deeper, until one
@@ -98,7 +98,7 @@ def _in_packages(path: Path, source: str, folders: Sequence[Path]) -> Iterator[P
     yield from (home / inside for home in homes if path.parts[:1] == (home.name,))
     yield from (home / path for home in (*homes, *folders, *_ros_folders()))
     yield from (folder / inside for folder in folders)
-    yield from (home / inside for name, home in packages_beside(source).items() if path.parts[:1] == (name,))
+    yield from (home / inside for name, home in neighbouring_packages(source).items() if path.parts[:1] == (name,))
 
 
 def _ros_folders() -> Iterator[Path]:

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import os
-import warnings
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.errors import BadInputError, PincalWarning, RobotFileError, nearest_first
-from pincal.robot.dh import DhFrames, dh_frames
-from pincal.robot.inertia import are_placeholders, guessed_masses
-from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree
-from pincal.robot.urdf import arm_text, parse_urdf, read_urdf, robot_name
-from pincal.units import LARGEST
+from pincal.errors import BadInputError, nearest_first
+from pincal.robot.arm_of_tree import arm_model, arm_of_tree
+from pincal.robot.dh import DhFrames
+from pincal.robot.tree import Coupling, Mimic, UrdfTree
+from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# A limit beyond this [rad or m] is how URDFs write "none".
-_NO_LIMIT = 1e3
-# Mass of a robot [kg] below which grams were not meant, but nothing at all.
-_LIGHTEST = 1e-3
-# No serial arm has more joints that move; memory and time grow with their cube.
-_MOST_JOINTS = 50
+# Of reported positions that tell those of the joints.
+_LEAST_DETERMINANT = 1e-3
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,15 +36,18 @@ class Robot:
         tip: name of the tip link.
         frames: Denavit-Hartenberg frames at q = 0 in the base frame.
         T_link_joint: shape (n, 4, 4), the URDF's joint frame i in the link frame S_i; both move with joint i.
-        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with joint i+1; guessed from the shape
-            of the arm where the URDF does not tell.
+        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with joint i+1; estimated from the shape
+            of the arm where the URDF has none.
         centres: shape (n, 3), its centre of mass in the link frame S_i [m]; likewise.
-        massless: names of the links on the arm for which the URDF has no mass, or only a placeholder, as one that all have.
+        massless: names of the links of the arm without a mass in the URDF, or with a placeholder, such as one that all
+            links have.
         gravity: shape (3,), gravity in the base frame [m/s^2]: along -z of the URDF's root link.
-        notes: what was locked, and what of the URDF was read in one of two ways, in words.
+        notes: which joints were locked, and how ambiguous parts of the URDF were read.
         urdf: the URDF's text as it was read.
         source: where the URDF came from.
-        mimics: the joints that follow another one of the arm; that one's limits keep theirs.
+        mimics: the mimic joints of the arm; the joint that they follow respects their limits.
+        couplings: the joints whose controller reports a combination of positions. Tables, arrays and commands hold what is
+            reported, everything else of the library the positions of the URDF.
     """
 
     name: str
@@ -71,6 +67,7 @@ class Robot:
     urdf: bytes
     source: str
     mimics: tuple[Mimic, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}: {self.n_joints} joints from {self.base} to {self.tip})"
@@ -126,12 +123,7 @@ class Robot:
         mass: float | None = None,
     ) -> Robot:
         """Take an arm from a URDF that has been read; see :meth:`from_urdf`."""
-        tip = tree.default_tip(joints) if tip is None else tip
-        base = _default_base(tree, tip, joints) if base is None else base
-        path = _checked_path(tree, base, tip)
-        if mass is not None and not _LIGHTEST <= mass <= LARGEST:
-            raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
-        return _build(cls, tree, path, base, tip, mass=mass)
+        return cls(**arm_of_tree(tree, tip=tip, base=base, joints=joints, mass=mass))
 
     @property
     def n_joints(self) -> int:
@@ -167,6 +159,48 @@ class Robot:
             return J
         moves = np.eye(self.n_joints)[:, self.own_joints]
         return np.asarray(J @ (self.following(moves.T) - self.following(0.0 * moves.T)).T)
+
+    def with_couplings(self, *couplings: Coupling | str) -> Robot:
+        """Return the robot with joints whose controller reports a combination of positions.
+
+        Args:
+            couplings: each as an object, or in words: ``joint_3=+joint_2`` if joint 3 stands where its own reported position
+                and that of joint 2 add up to, ``joint_5=-1/3*joint_4``.
+
+        Raises:
+            BadInputError: for a joint that the robot does not have or that mimics another, or positions that do not tell
+                where all joints are.
+
+        Example:
+            >>> robot = Robot.from_urdf("ur10").with_couplings("elbow_joint=-shoulder_lift_joint")
+            >>> robot.from_reported(np.ones((1, 6)))[0, :3].tolist()
+            [1.0, 1.0, 0.0]
+        """
+        given = [Coupling.of(one) if isinstance(one, str) else one for one in couplings]
+        own = [self.joint_names[i] for i in self.own_joints]
+        for name in (name for one in given for name in (one.joint, one.source) if name not in own):
+            raise BadInputError(f"coupling of the joint {name!r}; expected one of {', '.join(nearest_first([name], own))}")
+        found = replace(self, couplings=(*self.couplings, *given))
+        if abs(np.linalg.det(found.combination)) < _LEAST_DETERMINANT:
+            raise BadInputError("couplings from which the positions of the joints do not follow; expected others")
+        return found
+
+    @property
+    def combination(self) -> np.ndarray:
+        """Matrix of joint positions by what is reported, shape (n, n)."""
+        out, index = np.eye(self.n_joints), self.joint_names.index
+        for one in self.couplings:
+            out[index(one.joint), index(one.source)] += one.factor
+        return out
+
+    def from_reported(self, q: np.ndarray) -> np.ndarray:
+        """Return the positions of the URDF's joints, shape (N, n), from those that the controller reports."""
+        return self.following(np.asarray(q @ self.combination.T)) if self.couplings else q
+
+    def as_reported(self, q: np.ndarray) -> np.ndarray:
+        """Return what the controller reports, and is commanded, at positions of the URDF's joints, shape (N, n)."""
+        own = np.asarray(q, float) @ np.linalg.inv(self.combination).T if self.couplings else q
+        return self.following(own) if self.couplings else own
 
     @property
     def joint_units(self) -> tuple[str, ...]:
@@ -205,7 +239,7 @@ class Robot:
 
     def pinocchio_model(self) -> pin.Model:
         """Return the nominal ``pin.Model`` of the arm, everything off the path locked."""
-        return _arm_model(self.urdf, self.joint_names, self.source)
+        return arm_model(self.urdf, self.joint_names, self.source)
 
     def configuration(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration vector of ``model`` for joint positions ``q``, shape (n,).
@@ -234,184 +268,3 @@ class Robot:
     def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none)."""
         return self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
-
-
-def find_file(source: str | os.PathLike[str]) -> Path:
-    """Return the path of a URDF given by path or by its name in example-robot-data.
-
-    Raises:
-        RobotFileError: for a name that is neither.
-    """
-    path = Path(source)
-    # A folder of a robot's name, such as that of its results, is no URDF.
-    if path.is_file() or path.suffix or os.sep in os.fspath(source):
-        return path
-    from example_robot_data import robots_loader
-
-    loaders = robots_loader.ROBOTS
-    if path.name not in loaders:
-        raise RobotFileError(
-            f"{path.name!r} is neither a file nor a robot of example-robot-data; "
-            f"expected a path to a URDF or a name like {', '.join(nearest_first([path.name], sorted(loaders))[:12])}"
-        )
-    loader: Any = loaders[path.name]
-    if not loader.urdf_filename:
-        raise RobotFileError(f"example-robot-data has no URDF for {path.name!r}; give the path of one")
-    inside = Path(str(loader.path), str(loader.urdf_subpath), str(loader.urdf_filename))
-    folder: str = robots_loader.getModelPath(inside.as_posix())
-    return _of_this_name(path.name, Path(folder, inside), known=loaders)
-
-
-def _of_this_name(name: str, file: Path, known: Collection[str]) -> Path:
-    """Return the file of a robot, another one beside it where this one calls itself by the name of another known robot.
-
-    The table of example-robot-data mixes some up: its "ur3" is the file of a UR5.
-
-    Raises:
-        RobotFileError: if there is no other.
-    """
-    found = robot_name(file)
-    # A variant, such as "panda_collision", has the name of its robot.
-    if found is None or found not in known or name.startswith(found):
-        return file
-    told = f"example-robot-data has {file.name} under the name {name!r}, whose robot is called {found!r}"
-    other = file.with_name(file.name.replace(found, name))
-    if robot_name(other) != name:
-        near = ", ".join(nearest_first([name], sorted(one for one in known if one != name))[:12])
-        raise RobotFileError(f"{told}; expected {name!r}: give the path of its URDF, or another name, such as {near}")
-    warnings.warn(f"{told}; {other.name} beside it is read instead", PincalWarning, stacklevel=4)
-    return other
-
-
-def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str:
-    """Return the root, or the link behind the moving joints that stand before the first of ``joints``."""
-    moving = [joint for joint in tree.path(tree.root, tip) if joint.kind in MOVING_TYPES]
-    if joints is None or not moving or moving[0].name in joints:
-        return tree.root
-    return next((joint.parent for joint in moving if joint.name in joints), tree.root)
-
-
-def _checked_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
-    """Return all joints from base to tip, fixed ones too."""
-    path = tree.path(base, tip)
-    moving = [joint for joint in path if joint.kind in MOVING_TYPES]
-    for joint in path:
-        if joint.kind not in (*MOVING_TYPES, "fixed"):
-            where = f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r}"
-            expected = "expected revolute, continuous, prismatic or fixed joints: choose another base or tip"
-            raise RobotFileError(f"{where} is {joint.kind}; {expected}")
-    if not moving:
-        raise RobotFileError(f"{tree.source}: no moving joint between {base!r} and {tip!r}; choose another tip")
-    if len(moving) > _MOST_JOINTS:
-        raise RobotFileError(
-            f"{tree.source}: {len(moving)} moving joints between {base!r} and {tip!r}; expected at most {_MOST_JOINTS}: "
-            "choose another base or tip"
-        )
-    tree.refuse_loops(path)
-    return path
-
-
-def _arm_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
-    """Build the model from text of any encoding; what Pinocchio can't do with it is passed on in words."""
-    import pinocchio as pin
-
-    try:
-        return pin.buildModelFromXML(arm_text(urdf, joint_names, source))
-    except (ValueError, RuntimeError) as error:
-        raise RobotFileError(f"{source}: Pinocchio can't read this URDF: {error}") from None
-
-
-def _build(
-    cls: type[Robot], tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str, *, mass: float | None
-) -> Robot:
-    import pinocchio as pin
-
-    mimics = tree.mimics(path)
-    path = tuple(joint for joint in path if joint.kind in MOVING_TYPES)
-    names = tuple(joint.name for joint in path)
-    model = _arm_model(tree.text, names, tree.source)
-    data = model.createData()
-    ids = [model.getJointId(name) for name in names]
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    T_base_world = data.oMf[model.getFrameId(base, pin.BODY)].inverse()
-    joints = np.array([(T_base_world * data.oMi[i]).homogeneous for i in ids])
-    axes = np.einsum("nij,nj->ni", joints[:, :3, :3], _local_axes(model, data, ids))
-    frames = dh_frames(joints[:, :3, 3], axes, (T_base_world * data.oMf[model.getFrameId(tip, pin.BODY)]).homogeneous)
-    T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
-    levers = np.array([model.inertias[i].lever for i in ids])
-    centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
-    masses = np.array([model.inertias[i].mass for i in ids])
-    unknown = (masses <= 0.0) | are_placeholders(masses.tolist()) | (mass is not None)
-    if unknown.any():
-        tip_at = (frames.T_base_link[-1] @ frames.T_last_tip)[:3, 3]
-        masses, middles = guessed_masses(masses, np.vstack([joints[:, :3, 3], tip_at]), unknown, total=mass)
-        middles = np.einsum("nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3])
-        centres = np.where(unknown[:, None], middles, centres)
-    places = [model.joints[i].idx_q for i in ids]
-    lower, upper = model.lowerPositionLimit[places], model.upperPositionLimit[places]
-    turns = np.array([joint.kind == "continuous" for joint in path])
-    bounded = ~turns & (upper > lower) & (upper - lower < _NO_LIMIT)
-    limits = np.where(bounded, lower, -np.inf), np.where(bounded, upper, np.inf)
-    limits = _with_mimics(*limits, names=names, mimics=mimics)
-    return cls(
-        name=tree.name,
-        joint_names=names,
-        joint_types=tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path),
-        lower=limits[0],
-        upper=limits[1],
-        base=base,
-        tip=tip,
-        frames=frames,
-        T_link_joint=T_link_joint,
-        masses=masses,
-        centres=centres,
-        massless=tuple(joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown),
-        gravity=T_base_world.rotation @ model.gravity.linear,
-        notes=_notes(tree, names, base, tip),
-        urdf=tree.text,
-        source=tree.source,
-        mimics=mimics,
-    )
-
-
-def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
-    """Return the unit axes of the joints in their own frames, shape (n, 3), whatever Pinocchio's type of joint."""
-    import pinocchio as pin
-
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    axes = []
-    for i in ids:
-        column = np.reshape(pin.getJointJacobian(model, data, i, pin.LOCAL), (6, -1))[:, model.joints[i].idx_v]
-        axes.append(column[3:] if np.any(column[3:]) else column[:3])
-    return np.array(axes)
-
-
-def _with_mimics(
-    lower: np.ndarray, upper: np.ndarray, *, names: tuple[str, ...], mimics: tuple[Mimic, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return limits, shape (n,) each, within which the joints that follow others keep their own limits, too."""
-    low, high = lower.copy(), upper.copy()
-    for mimic in mimics:
-        i, k = names.index(mimic.joint), names.index(mimic.source)
-        if mimic.multiplier:
-            ends = np.sort((np.array([lower[i], upper[i]]) - mimic.offset) / mimic.multiplier)
-            if max(low[k], ends[0]) < min(high[k], ends[1]):
-                low[k], high[k] = max(low[k], ends[0]), min(high[k], ends[1])
-    for mimic in mimics:
-        i, k = names.index(mimic.joint), names.index(mimic.source)
-        if mimic.multiplier:
-            low[i], high[i] = np.sort(mimic.multiplier * np.array([low[k], high[k]]) + mimic.offset)
-    return low, high
-
-
-def _notes(tree: UrdfTree, names: tuple[str, ...], base: str, tip: str) -> tuple[str, ...]:
-    """Return what the user should know of how the arm was read; it is also warned of."""
-    locked = [joint for joint in tree.joints if joint.kind != "fixed" and joint.name not in names]
-    notes = tree.notes
-    if locked:
-        more = f" and {len(locked) - 6} more" if len(locked) > 6 else ""
-        shown = ", ".join(joint.name for joint in locked[:6]) + more
-        notes += (f"{len(locked)} joints off the path from {base} to {tip} are locked at their neutral position: {shown}",)
-    for note in notes:
-        warnings.warn(f"{tree.source}: {note}", PincalWarning, stacklevel=5)
-    return notes

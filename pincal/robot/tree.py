@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from pincal.errors import RobotFileError, nearest_first
+from pincal.errors import BadInputError, RobotFileError, nearest_first
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 # How ROS-Industrial and makers' URDFs name the link that a tool is mounted on, most specific first.
@@ -38,6 +38,43 @@ class Mimic:
     source: str
     multiplier: float
     offset: float
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint whose position as reported lacks a part of another's: it is what it reports plus ``factor`` times that one.
+
+    Attributes:
+        joint: name of the joint.
+        source: name of the joint whose reported position is added.
+        factor: of what that one reports [rad or m per rad or m].
+
+    Example:
+        >>> Coupling.of("joint_5 = -1/3 * joint_4")
+        Coupling(joint='joint_5', source='joint_4', factor=-0.3333333333333333)
+    """
+
+    joint: str
+    source: str
+    factor: float
+
+    @classmethod
+    def of(cls, text: str) -> Coupling:
+        """Return what a text such as ``joint_3=+joint_2`` or ``joint_5=-1/3*joint_4`` says.
+
+        Raises:
+            BadInputError: if it says nothing of the kind.
+        """
+        joint, _, term = text.replace(" ", "").partition("=")
+        found = re.fullmatch(r"([+-]?)(?:([0-9.]+)(?:/([0-9.]+))?\*)?([^*]+)", term)
+        try:
+            assert found is not None and joint and joint != found[4]
+            factor = float(found[2] or 1.0) / float(found[3] or 1.0) * (-1.0 if found[1] == "-" else 1.0)
+        except (AssertionError, ValueError, ZeroDivisionError):
+            raise BadInputError(
+                f"coupling {text!r}; expected one such as joint_3=+joint_2 or joint_5=-1/3*joint_4"
+            ) from None
+        return cls(joint, found[4].removeprefix("+"), factor)
 
 
 @dataclass(frozen=True)

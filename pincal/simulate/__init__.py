@@ -1,4 +1,9 @@
-"""The true machine: an independent oracle that measures a robot whose errors are known."""
+"""The true machine: an independent oracle that measures a robot whose errors are known.
+
+The oracle is what tests hold the model against, and shares nothing with it: ``arm``, ``chain``, ``state``, ``machine``,
+``paper_machine``, the effects (``drive``, ``elastic``, ``surroundings``, ``tracker``) and what sensors read (``lens``, the
+set-ups). The rest plans campaigns for ``pincal simulate``: ``planning``, ``layout``, ``typical``, ``campaign``, ``request``.
+"""
 
 from pincal.simulate.arm import Arm, read_arm
 from pincal.simulate.calibration_object import CalibrationObject, grid_object, paper_object

@@ -83,13 +83,19 @@ def needs_order(effects: Iterable[HiddenEffect], poses: Poses) -> bool:
     return any(e.needs_order and (poses.approach is None or e.column != "approach") for e in effects)
 
 
-class SizedByLoad(ABC):
-    """An effect that follows from loads: it needs an arm with masses, and they determine its typical size."""
+class SizedByLoad:
+    """An effect that follows from loads: it needs an arm with masses, and they determine its typical size.
+
+    Attributes:
+        at_largest: What it typically does under the largest moment, of a size that is per moment [rad].
+    """
+
+    at_largest: ClassVar[float]
 
     @classmethod
-    @abstractmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
         """Return typical values of the fields that depend on the arm, ``size`` among them."""
+        return {"size": cls.at_largest / site.moment}
 
 
 class DeformingEffect(HiddenEffect):

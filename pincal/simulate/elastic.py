@@ -32,11 +32,7 @@ class JointElasticity(DriveEffect, SizedByLoad):
 
     effect: ClassVar[str] = "joint_elasticity"
     unit: ClassVar[str] = "rad/(N m)"
-
-    @classmethod
-    def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return half of a drive's wind-up under the largest moment."""
-        return {"size": 0.5 * WINDUP / site.moment}
+    at_largest: ClassVar[float] = 0.5 * WINDUP
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         return np.asarray(self.size * loads.drive[:, joint])
@@ -53,13 +49,9 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
 
     effect: ClassVar[str] = "bearing_elasticity"
     unit: ClassVar[str] = "rad/(N m)"
+    at_largest: ClassVar[float] = 0.3 * WINDUP
     size_y: float | None = None
     moment_frame: str = "paper"
-
-    @classmethod
-    def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return a tilt of 0.3 times a drive's wind-up."""
-        return {"size": 0.3 * WINDUP / site.moment}
 
     def __post_init__(self) -> None:
         """Refuse an unknown moment frame."""
@@ -160,12 +152,8 @@ class ServoDroop(ReadBackEffect, SizedByLoad):
 
     effect: ClassVar[str] = "servo_droop"
     unit: ClassVar[str] = "rad/(N m)"
+    at_largest: ClassVar[float] = 2e-4
     stiction: float = 1e-4
-
-    @classmethod
-    def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return 0.2 mrad at the largest moment."""
-        return {"size": 2e-4 / site.moment}
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         return np.asarray(self.size * loads.drive[:, joint] + bool(self.size) * self.stiction * poses.scatter[:, joint])
@@ -268,13 +256,9 @@ class BaseElasticity(DeformingEffect, SizedByLoad):
 
     effect: ClassVar[str] = "base_elasticity"
     unit: ClassVar[str] = "rad/(N m)"
+    at_largest: ClassVar[float] = 0.1 * WINDUP
     scope: ClassVar[Scope] = Scope.ARM
     weights: tuple[float, float, float] = (1.0, 1.0, 0.0)
-
-    @classmethod
-    def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return a tilt of a tenth of a drive's wind-up."""
-        return {"size": 0.1 * WINDUP / site.moment}
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         """Turn the base in proportion to the moment of the arm about its origin."""

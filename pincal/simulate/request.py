@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -14,10 +15,17 @@ from pincal.simulate.campaign import draw_conditions, spread_payloads
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.state import Conditions
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect
-from pincal.simulate.weights import draw_weights
 
 # Columns that a campaign may record of its conditions.
 _RECORDED = ("temperature", "time", "approach")
+# Mass of an arm of 1 m [kg], and the power of its reach with which it grows.
+_MASS, _GROWTH = 45.0, 2.4
+# How far masses are from these rules: least and largest factor.
+_OF_ARM, _OF_LINK = (0.7, 1.3), (0.6, 1.5)
+# Weight of a joint's drive over that of as much link as the arm is long.
+_DRIVE = 0.3
+# Where a link has its centre: least and largest part of the way to the next joint, and off that way.
+_ALONG, _BESIDE = (0.2, 0.6), 0.1
 
 
 class Stream(IntEnum):
@@ -56,7 +64,7 @@ def draw_machine(
     Raises:
         BadInputError: If an effect is unknown.
     """
-    nominal = draw_weights(nominal, unweighed, Stream.WEIGHTS.generator(seed))
+    nominal = _draw_weights(nominal, unweighed, Stream.WEIGHTS.generator(seed))
     machine = draw_typical_errors(nominal, Stream.ERRORS.generator(seed), scale=errors)
     machine = machine.draw_masses(Stream.MASSES.generator(seed), sigma=masses_off / 100.0)
     if elastic:
@@ -65,44 +73,75 @@ def draw_machine(
     return machine.with_effects(*(typical_effect(machine, name, rng, **values) for name, values in effects))
 
 
-def repeat_poses(
-    machine: TrueMachine,
-    q: np.ndarray,
-    *,
-    given: Mapping[str, np.ndarray],
-    seed: int = 0,
-    cycles: int = 1,
-    recorded: Sequence[str] = (),
-    payload: Sequence[float] | None = None,
-    payload_order: str = "blocks",
-    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> tuple[np.ndarray, Conditions]:
-    """Return the poses of all cycles, shape (cycles N, n), and the conditions under which they are measured.
+def _draw_weights(machine: TrueMachine, joints: Sequence[str], rng: np.random.Generator) -> TrueMachine:
+    """Return the machine whose links behind some joints have masses and centres drawn at random.
+
+    Links and drives get lighter towards the tip, as they carry less; where other links have masses, these are the measure.
 
     Args:
-        machine: The machine, whose effects decide which conditions matter.
-        q: Joint positions of one cycle [rad or m], shape (N, n).
-        given: Conditions of these poses that are not to be drawn, shape (N, ...).
-        seed: Seed of poses, conditions and noise.
+        machine: The machine; its errors of mass are relative to what is drawn.
+        joints: Names of the joints whose links have no mass.
+        rng: Source of randomness.
+    """
+    arm, n = machine.nominal, len(machine.names)
+    drawn = np.isin(machine.names, joints)
+    if not drawn.any():
+        return machine
+    beyond = np.cumsum(arm.lengths[::-1])[::-1] + 0.05 * arm.reach
+    sizes = (_DRIVE * arm.reach + arm.lengths) * beyond * rng.uniform(*_OF_LINK, n)
+    known = float(arm.masses[~drawn].sum())
+    whole = _MASS * arm.reach**_GROWTH * rng.uniform(*_OF_ARM)
+    scale = known / sizes[~drawn].sum() if known else whole / sizes.sum()
+    ways = arm.placements[1:, :3, 3] * rng.uniform(*_ALONG, (n, 1))
+    ways += np.maximum(arm.lengths, 0.1 * arm.reach)[:, None] * rng.uniform(-_BESIDE, _BESIDE, (n, 3))
+    masses = np.where(drawn, scale * sizes, arm.masses)
+    return replace(machine, nominal=replace(arm, masses=masses, centres=np.where(drawn[:, None], ways, arm.centres)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repetition:
+    """How poses are measured again, and with which payloads.
+
+    Attributes:
         cycles: Number of times that every pose is measured, one round after the other.
         recorded: Of temperature, time and approach, columns to record whether an effect needs them or not.
         payload: Payloads [kg]; None for no payload column.
         payload_order: As in :func:`pincal.simulate.campaign.spread_payloads`.
         payload_com: Centre of mass of the payload in the tip frame [m].
     """
-    needed = {effect.column for effect in machine.effects} | set(recorded)
+
+    cycles: int = 1
+    recorded: Sequence[str] = ()
+    payload: Sequence[float] | None = None
+    payload_order: str = "blocks"
+    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def repeat_poses(
+    machine: TrueMachine, q: np.ndarray, wanted: Repetition, *, given: Mapping[str, np.ndarray], seed: int = 0
+) -> tuple[np.ndarray, Conditions]:
+    """Return the poses of all cycles, shape (cycles N, n), and the conditions under which they are measured.
+
+    Args:
+        machine: The machine, whose effects decide which conditions matter.
+        q: Joint positions of one cycle [rad or m], shape (N, n).
+        wanted: How they are repeated.
+        given: Conditions of these poses that are not to be drawn, shape (N, ...).
+        seed: Seed of poses, conditions and noise.
+    """
+    needed = {effect.column for effect in machine.effects} | set(wanted.recorded)
     names, poses = [name for name in _RECORDED if name in needed], len(q)
     rng = Stream.CONDITIONS.generator(seed)
-    drawn = draw_conditions(names, cycles * poses, joints=len(machine.names), rng=rng)
+    drawn = draw_conditions(names, wanted.cycles * poses, joints=len(machine.names), rng=rng)
     fixed = dict(given)
-    if payload is not None:
-        fixed["payload"] = spread_payloads(payload, poses, order=payload_order)
+    if wanted.payload is not None:
+        fixed["payload"] = spread_payloads(wanted.payload, poses, order=wanted.payload_order)
     if "approach" in drawn:
         # Every cycle comes to a pose from the same side, as ISO 9283 has it.
         fixed = {"approach": drawn["approach"][:poses]} | fixed
-    repeated = {name: np.tile(value, (cycles, *[1] * (value.ndim - 1))) for name, value in fixed.items()}
-    conditions: Any = drawn | repeated | {"payload_com": payload_com}
-    return np.tile(q, (cycles, 1)), conditions
+    repeated = {name: np.tile(value, (wanted.cycles, *[1] * (value.ndim - 1))) for name, value in fixed.items()}
+    conditions: Any = drawn | repeated | {"payload_com": wanted.payload_com}
+    return np.tile(q, (wanted.cycles, 1)), conditions
 
 
 def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray]]:

@@ -1,19 +1,40 @@
-"""Errors of a model at measured poses, in the words and units that people use.
+r"""Errors of a model at measured poses, in the words and units that people use, and those of replicates by ISO 9283.
 
 The error at a pose is the distance between the predicted and the measured target: the pose accuracy of position of
-ISO 9283 for a single measurement (for replicates and repeatability see :mod:`pincal.validate.replicates`). Orientation
-likewise, as one angle.
+ISO 9283 for a single measurement. Orientation likewise, as one angle.
+
+Which rows are replicates, repeated measurements of one pose, is the matter of :mod:`pincal.measure.poses`. With l_j the
+distance of replicate j from the mean of n replicates,
+
+.. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|, \quad RP_a = 3 S_a
+
+(ISO 9283:1998, 7.2; S with n - 1; a, b, c turn about x, y, z). The standard's commanded pose is here the one that the model
+predicts for the joints that were read: AP is the accuracy of a controller that uses this model. Both come from residuals,
+so that joints that come to rest a little differently do not count as the arm's own error.
+
+A pose with any replicate among the fitted rows does not count as held out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.identify.station import Station
+from pincal.measure.measurements import Measurements
 from pincal.units import readable_unit
+
+CYCLES = 30
+"""Cycles, measurements of each pose, that ISO 9283 asks for."""
+
+_ANGLES = "abc"
+
+ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axis in zip(_ANGLES, "xyz", strict=True)}
+"""What each kind of accuracy is given in."""
 
 
 def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -38,7 +59,7 @@ def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
     return {"position": np.linalg.norm(station.displacements(values), axis=1) * readable_unit("m").factor} | found
 
 
-def error_table(station: Station, values: np.ndarray) -> dict[str, float]:
+def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
     """Return the statistics of the errors as :func:`pose_errors` has them, by name and unit; empty without rows.
 
     Returns:
@@ -70,3 +91,135 @@ def _statistics(errors: np.ndarray, unit: str) -> Iterator[tuple[str, float]]:
     yield f"rms_{unit}", float(np.sqrt(np.mean(errors**2)))
     yield f"p95_{unit}", float(np.percentile(errors, 95))
     yield f"max_{unit}", float(np.max(errors))
+
+
+@dataclass(frozen=True)
+class Replicates:
+    """Rows of one table under a model.
+
+    Attributes:
+        part: "train" or "test".
+        table: the rows.
+        station: model and readings.
+        pose: shape (N,), number of each row's pose; the tables of one calibration share the numbers.
+        counted: shape (N,), rows that are not outliers.
+    """
+
+    part: str
+    table: Measurements
+    station: Station
+    pose: np.ndarray
+    counted: np.ndarray
+
+
+def position_accuracy(residuals: np.ndarray) -> tuple[float, float]:
+    """Return AP and RP of one pose.
+
+    Args:
+        residuals: attained minus predicted position in n >= 2 replicates, shape (3, n) [m].
+
+    Returns:
+        Pose accuracy AP and pose repeatability RP [m].
+
+    Example:
+        >>> position_accuracy(np.array([[1.0, 3.0], [0.0, 0.0], [0.0, 0.0]]))
+        (2.0, 1.0)
+    """
+    mean = residuals.mean(axis=1)
+    distance = np.linalg.norm(residuals - mean[:, None], axis=0)
+    return float(np.linalg.norm(mean)), float(distance.mean() + 3.0 * distance.std(ddof=1))
+
+
+def angle_accuracy(residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return AP and RP of one pose's orientation about each axis, shape (3,) [rad], for residuals as above [rad]."""
+    return np.abs(residuals.mean(axis=1)), 3.0 * residuals.std(axis=1, ddof=1)
+
+
+def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+    """Return accuracy and repeatability of all poses with replicates.
+
+    Args:
+        parts: fitted and held-out rows; outliers count in neither.
+        models: name of a model -> shape (P,), its values; the last one's figures stand pose by pose.
+
+    Returns:
+        What ``result.json`` has under this key: number of poses and cycles, mean and largest AP and RP by model and part
+        [mm, mrad], and the poses one by one. None without any such pose, or where no position is measured.
+    """
+    if not parts[0].station.sensor.reads_pose:
+        return None
+    by_model = {model: _all_poses(parts, values) for model, values in models.items()}
+    poses = by_model[list(models)[-1]]
+    if not poses:
+        return None
+    cycles, rows = [pose["cycles"] for pose in poses], [pose["rows"] for pose in poses]
+    counts = {part: rows.count(part) for part in dict.fromkeys(rows)}
+    return {
+        "poses": counts,
+        "cycles": {"min": min(cycles), "max": max(cycles), "standard": CYCLES},
+        **{m: {part: _summary([e for e in found if e["rows"] == part]) for part in counts} for m, found in by_model.items()},
+        "per_pose": poses,
+    }
+
+
+def _all_poses(parts: Sequence[Replicates], values: np.ndarray) -> list[dict[str, Any]]:
+    """Return AP and RP of each pose with replicates, in the order of the tables."""
+    residuals = np.hstack([v.station.residuals(values) for v in parts])
+    pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in parts])
+    rows = [(v, i) for v in parts for i in range(len(v.table))]
+    found = []
+    for members in groups(pose):
+        part, i = rows[members[0]]
+        table, is_fitted = part.table, any(rows[member][0].part == "train" for member in members)
+        entry: dict[str, Any] = {
+            "file": table.source,
+            "line": int(table.rows[i]),
+            "rows": "train" if is_fitted else "test",
+            "target": str(table.target[i]),
+            "payload_kg": None if table.payload is None else float(table.payload[i]),
+            "cycles": len(members),
+        }
+        found.append(entry | _figures(residuals[:, members]))
+    return found
+
+
+def groups(pose: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each pose with replicates.
+
+    Args:
+        pose: shape (N,), the number of each row's pose; -1 for none.
+
+    Returns:
+        Indices of rows, one array per pose.
+    """
+    order = np.argsort(pose, kind="stable")
+    cuts = np.flatnonzero(np.diff(pose[order])) + 1
+    return [rows for rows in np.split(order, cuts) if len(rows) > 1 and pose[rows[0]] >= 0]
+
+
+def _figures(residuals: np.ndarray) -> dict[str, float]:
+    """Return AP and RP by name [mm, mrad], of residuals of a position, shape (3, n), or a pose, shape (6, n)."""
+    accuracy, repeatability = position_accuracy(residuals[:3])
+    found = {"AP_mm": 1e3 * accuracy, "RP_mm": 1e3 * repeatability}
+    if len(residuals) == 6:
+        for axis, a, r in zip(_ANGLES, *angle_accuracy(residuals[3:]), strict=True):
+            found |= {f"AP_{axis}_mrad": 1e3 * float(a), f"RP_{axis}_mrad": 1e3 * float(r)}
+    return found
+
+
+def _summary(poses: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    names = [name for name in poses[0] if name.startswith(("AP", "RP"))]
+    values = {name: [pose[name] for pose in poses] for name in names}
+    return {name: {"mean": float(np.mean(found)), "max": float(np.max(found))} for name, found in values.items()}
+
+
+def cycle_words(iso: Mapping[str, Any]) -> str:
+    """Return how many cycles there were, and whether the standard asks for more.
+
+    Example:
+        >>> cycle_words({"poses": {"train": 4, "test": 1}, "cycles": {"min": 3, "max": 5, "standard": 30}})
+        '5 poses, 3 to 5 cycles each; ISO 9283 asks for 30, so AP and especially RP are rough estimates'
+    """
+    poses, least, most = sum(iso["poses"].values()), iso["cycles"]["min"], iso["cycles"]["max"]
+    words = f"{poses} pose{'s' * (poses > 1)}, {least if least == most else f'{least} to {most}'} cycles each"
+    return words if least >= CYCLES else f"{words}; ISO 9283 asks for {CYCLES}, so AP and especially RP are rough estimates"

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pincal.errors import BadInputError, IdentificationError, MeasurementError
-from pincal.identify.beliefs import bounds_of, frames_of, released_of
-from pincal.identify.calibrate import calibrate
-from pincal.identify.fit import Fit
+from pincal.identify.beliefs import bounds_of, is_frame, released_of
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.initial import place, starts_of
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors, most_probable
+from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.measure.rows import some_rows
-from pincal.model.effects import GEOMETRIC
+from pincal.measure.sampling import sample_rows
+from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.robot.robot import Robot
-from pincal.validate.cures import Cure, cures, scaled
+from pincal.validate.cures import Correction, TableCorrection, cures, scaled
+from pincal.validate.zeros import shifts_found, typical_left
 
 # Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
 _SUSPICIOUS = 0.01
@@ -31,10 +32,19 @@ _HOPELESS = 0.2
 # What no real arm leaves when it is calibrated: relative to the reach, and at least [m]; and in orientation [rad]. Real arms
 # leave a tenth of that, an elastic one with the rigid model less than half.
 _IMPLAUSIBLE, _IMPLAUSIBLE_M, _IMPLAUSIBLE_RAD = 0.002, 0.0015, 0.02
+# Typical error [m] below which places are computed from the joints, and rounded: instruments read ten times worse.
+_COMPUTED = 2e-6
 # Unless the instrument is declared to be as bad: so many times its noise.
 _NOISY = 5.0
 # Factor by which undoing a mistake has to reduce the error before it is named.
 _CURED = 4.0
+# A cure that leaves less than so many times what the best leaves is as likely.
+_RIVAL = 2.0
+# Zeros that are farther off than this are named [rad]; beside them those that are farther off than that are shifted, too.
+_SHIFT, _SLIGHT = np.deg2rad(2.0), 0.01
+# What shifted zeros have to explain of what a calibration leaves: a third of it; or nothing, where the data have pulled a
+# zero by so many times its prior.
+_IMPROVED, _NO_WORSE, _PULLED = 1.5, 1.1, 5.0
 # A correction by the calibration that is smaller than so many times what is left of it anyway tells no robots apart.
 _TELLING = 2.0
 # Rows that are looked at; every trial is a fit. How many of the best are fitted in full.
@@ -42,8 +52,6 @@ _ROWS, _FITTED = 200, 3
 # Cures that base and tool are fitted with, those whose closed-form placement leaves least: what cures leaves some mm there,
 # what does not hundreds. A six-axis arm has some 120, and they grow with the square of the joints.
 _PLACED = 20
-# Rows from which a typical error is told.
-_TYPICAL = 1000
 # Of the rows these are looked at: neighbours matter, and all of a long table would add nothing.
 _MOST_ROWS = 20_000
 # Scales of lengths, as logarithms: factors beyond show at the door, smaller ones are no mistake but an instrument's error.
@@ -62,7 +70,7 @@ class _Limits:
         return max(left[0] / self.position, left[1] / self.orientation)
 
 
-def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: Fit) -> None:
+def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit) -> Correction | None:
     """Refuse a table that is not of this robot, or whose columns are mixed up, if what is wrong can be told.
 
     Args:
@@ -70,30 +78,90 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: Fit) -> N
         tables: the rows of each station, in the order in which they were measured.
         fit: their calibration.
 
+    Returns:
+        What of the robot's description is not as its controller has it, with which the robot is to be calibrated again; None
+        for nearly all robots.
+
     Raises:
-        MeasurementError: naming what, undone, makes the table fit.
+        MeasurementError: naming what, undone, makes the table fit, or two things that do so equally well.
     """
+    pulled = _pulled(fit)
     for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
-        error, left = (_left(station, values[places]) for values in (fit.nominal.values, fit.values))
+        error, left = (typical_left(station, values[places]) for values in (fit.nominal.values, fit.values))
         limits = _limits(fit, k, table)
-        if error[0] < _SUSPICIOUS * robot.reach and limits.exceeded(left) < 1.0:
+        if error[0] < _SUSPICIOUS * robot.reach and limits.exceeded(left) < 1.0 and not pulled:
             continue
         options = fit.options.at(station.name)
         got = f"base and tool alone leave {error[0] * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
-        for cure, after in _cured(robot, table, error=limits.exceeded(error), limits=limits, options=options):
-            now = _calibrated(cure, options)
-            if now is not None and limits.exceeded(now) < min(1.0, limits.exceeded(left) / _CURED):
-                raise MeasurementError(
-                    f"{table.source}: {cure.words}: {got}, with this undone {after[0] * 1e3:.1f} mm; {cure.advice}"
-                )
+        found = [
+            (exceeded, cure, after)
+            for cure, after in _cured(robot, table, error=limits.exceeded(error), limits=limits, options=options)
+            if (exceeded := limits.exceeded(_calibrated(cure, options)[1])) < min(1.0, limits.exceeded(left) / _CURED)
+        ]
+        shifted, after = _shifted(robot, table, options)
+        if shifted is not None and shifted.correction is not None:
+            insisted = pulled & shifted.correction.shifts.keys()
+            exceeded = limits.exceeded(after)
+            if exceeded < min(1.0, limits.exceeded(left) * (_NO_WORSE if insisted else 1.0 / _IMPROVED)):
+                found.append((exceeded, shifted, after))
+        if found:
+            return _chosen(found, f"{table.source}: ", got, is_held=fit.options.earlier is not None)
         if error[0] > _HOPELESS * robot.reach:
             raise MeasurementError(
                 f"{table.source}: {got}; expected some mm. "
                 f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
             )
+    return None
 
 
-def implausible(fit: Fit, tables: Iterable[Measurements]) -> Iterator[tuple[str, str]]:
+def _chosen(
+    found: Sequence[tuple[float, TableCorrection, tuple[float, float]]], source: str, got: str, *, is_held: bool
+) -> Correction | None:
+    """Return the correction among cures that leave so much, if it is the only one that leaves so little."""
+    least = min(exceeded for exceeded, *_ in found)
+    # Of mistakes that are undone equally well, the first is meant.
+    best, *others = [(cure, after) for exceeded, cure, after in found if exceeded < _RIVAL * least]
+    cure, after = best
+    rivals = [
+        other.words
+        for other, _ in others
+        if (other.correction is not None or cure.correction is not None) and not _is_same(cure, other)
+    ]
+    if cure.correction is not None and not rivals and not is_held:
+        return cure.correction
+    words = f"{cure.words}, or {rivals[0]}" if rivals else cure.words
+    raise MeasurementError(f"{source}{words}: {got}, with this undone {after[0] * 1e3:.1f} mm; {cure.advice}")
+
+
+def _is_same(sign: TableCorrection, zero: TableCorrection) -> bool:
+    """Return whether two corrections describe one robot: the last joint of a wrist turned round is another's half a turn."""
+    if sign.correction is None or zero.correction is None or not sign.correction.turned:
+        return False
+    return any(abs(abs(shift) - np.pi) < _SHIFT for shift in zero.correction.shifts.values())
+
+
+def _pulled(fit: ModelFit) -> set[str]:
+    """Return the joints whose zeros the data have pulled far from what is believed of them."""
+    offsets = [(p, fit.values[i]) for i, p in enumerate(fit.problem.parameters) if p.effect == JointOffset.name]
+    return {p.name.split(".")[0] for p, value in offsets if p.unit == "rad" and abs(value) > _PULLED * p.size}
+
+
+def _shifted(robot: Robot, table: Measurements, options: Options) -> tuple[TableCorrection | None, tuple[float, float]]:
+    """Return the cure that shifts the zeros of joints, None if they are about right, and what a calibration leaves then."""
+    few = table.select(_few(table))
+    shifts = {name: shift for name, shift in shifts_found(robot, few, options).items() if abs(shift) > _SLIGHT}
+    if max(map(abs, shifts.values()), default=0.0) < _SHIFT:
+        return None, (np.inf, np.inf)
+    fit, left = _calibrated(Correction(shifts).cure(robot, few, ""), options)
+    if fit is None:
+        return None, left
+    offsets = {p.name: value for p, value in zip(fit.problem.parameters, fit.values, strict=True)}
+    shifts = {name: shift + float(offsets[f"{name}.theta"]) for name, shift in shifts.items()}
+    words = " and ".join(f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in shifts.items())
+    return Correction(shifts).cure(robot, few, f"joints look shifted: {words}"), left
+
+
+def implausible(fit: ModelFit, tables: Iterable[Measurements]) -> Iterator[tuple[str, str]]:
     """Yield the stations at which a calibration leaves what no real arm does, and how much, in words.
 
     Args:
@@ -101,11 +169,25 @@ def implausible(fit: Fit, tables: Iterable[Measurements]) -> Iterator[tuple[str,
         tables: the rows of each station that it was fitted to.
     """
     for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
-        left, limits = _left(station, fit.values[places]), _limits(fit, k, table)
+        left, limits = typical_left(station, fit.values[places]), _limits(fit, k, table)
         if limits.exceeded(left) >= 1.0:
             found = f"{left[0] * 1e3:.2g} mm" + (f" and {left[1] * 1e3:.2g} mrad" if left[1] else "")
             expected = f"{limits.position * 1e3:.2g} mm" + (f" and {limits.orientation * 1e3:.2g} mrad" if left[1] else "")
-            yield station.name, f"typical rows are still off by {found}, more than {expected}"
+            yield station.name, f"typical rows still have an error of {found}, more than {expected}"
+
+
+def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
+    """Yield the stations whose places agree with a model as only numbers computed from the joints do.
+
+    Yields:
+        Name, whether it is the nominal model (else the calibrated one), and what is left in words.
+    """
+    for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
+        nominal, left = (typical_left(station, values[places])[0] for values in (fit.nominal.values, fit.values))
+        is_spare = len(station) * sum(block.size for block in station.sensor.blocks) > 2 * len(fit.values)
+        is_place = (station.sensor.blocks[0].unit, station.sensor.blocks[0].size) == ("m", 3)
+        if is_place and is_spare and min(nominal, left) < _COMPUTED:
+            yield station.name, nominal < _COMPUTED, f"{min(nominal, left) * 1e6:.2g} um"
 
 
 def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, options: Options) -> str:
@@ -117,7 +199,7 @@ def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, 
         values: shape (P,), of the station's parameters.
         options: how the nominal robot is placed.
     """
-    robot, left = station.model.chain.robot, _left(station, values)
+    robot, left = station.model.chain.robot, typical_left(station, values)
     if left[0] < _SUSPICIOUS * robot.reach:
         return ""
     limits = _Limits(max(_IMPLAUSIBLE * robot.reach, _IMPLAUSIBLE_M), _IMPLAUSIBLE_RAD)
@@ -125,7 +207,7 @@ def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, 
     return found[0][0].words if found else ""
 
 
-def _limits(fit: Fit, k: int, table: Measurements) -> _Limits:
+def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
     """Return what the k-th station may leave; its table may declare the noise of lengths row by row."""
     station, places = fit.problem.stations[k], fit.problem.places[k]
     reach, declared = fit.problem.chain.robot.reach, fit.noise.declared[fit.problem.block_spans[k]]
@@ -143,25 +225,24 @@ def _limits(fit: Fit, k: int, table: Measurements) -> _Limits:
 
 def _cured(
     robot: Robot, table: Measurements, *, error: float, limits: _Limits, options: Options
-) -> list[tuple[Cure, tuple[float, float]]]:
+) -> list[tuple[TableCorrection, tuple[float, float]]]:
     """Return the cures that make most of an error go away, the best first, and what base and tool alone leave with them."""
     table = table.select(slice(0, _MOST_ROWS))
-    names = table.point_names
-    rows = some_rows(len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1])
+    rows = _few(table)
 
-    def of_few(cure: Cure) -> Cure:
+    def of_few(cure: TableCorrection) -> TableCorrection:
         return replace(cure, table=cure.table.select(rows[rows < len(cure.table)]))
 
-    def at_start(cure: Cure) -> float:
+    def at_start(cure: TableCorrection) -> float:
         try:
             starts = starts_of(cure.robot, cure.table, options)
-            return min(limits.exceeded(_left(station, values)) for station, values in starts)
+            return min(limits.exceeded(typical_left(station, values)) for station, values in starts)
         except (BadInputError, IdentificationError, np.linalg.LinAlgError):
             return np.inf
 
-    def tried(few: Cure) -> tuple[Cure, tuple[float, float]]:
+    def tried(few: TableCorrection) -> tuple[TableCorrection, tuple[float, float]]:
         try:
-            return few, _left(*_nominal_placement(few.robot, few.table, options))
+            return few, typical_left(*_nominal_placement(few.robot, few.table, options))
         except (BadInputError, IdentificationError, np.linalg.LinAlgError):
             return few, (np.inf, np.inf)
 
@@ -183,28 +264,22 @@ def _cured(
     return [one for one in found if limits.exceeded(one[1]) * _CURED < error][:_FITTED]
 
 
-def _calibrated(cure: Cure, options: Options) -> tuple[float, float] | None:
-    """Return what a calibration of the geometry leaves with a mistake undone; None if there is none."""
+def _few(table: Measurements) -> np.ndarray:
+    """Return the rows that trials are made with."""
+    names = table.point_names
+    return sample_rows(len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1])
+
+
+def _calibrated(cure: TableCorrection, options: Options) -> tuple[ModelFit | None, tuple[float, float]]:
+    """Return a calibration of the geometry with a mistake undone, and what it leaves; None if there is none."""
     try:
-        fit = calibrate(cure.robot, cure.table, replace(options, effects=GEOMETRIC, earlier=None, moment_frame="paper"))
+        fit = fit_tables(cure.robot, cure.table, replace(options, effects=GEOMETRIC, earlier=None, moment_frame="paper"))
     except (BadInputError, IdentificationError, np.linalg.LinAlgError):
-        return None
-    return _left(fit.station, fit.values)
+        return None, (np.inf, np.inf)
+    return fit, typical_left(fit.station, fit.values)
 
 
-def _left(station: Station, values: np.ndarray) -> tuple[float, float]:
-    """Return the robust size of the errors of position [m] and orientation [rad]: outliers have no say."""
-    station = station.sample(_TYPICAL)
-    position = float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
-    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
-    turned = [slice(a, a + b.size) for a, b in zip(ends, station.sensor.blocks, strict=False) if b.unit == "rad"]
-    if not turned:
-        return position, 0.0
-    residuals = station.residuals(values)
-    return position, max(float(np.median(np.linalg.norm(residuals[part], axis=0))) for part in turned)
-
-
-def is_anothers(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:
+def belongs_to_other_robot(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:
     """Return whether rows speak against a calibration as such: the nominal robot is no farther from them.
 
     With d the correction that it makes, the rows show (|nominal|^2 - |left|^2 + |d|^2) / 2 |d|^2 of it: all of it for
@@ -228,7 +303,7 @@ def nominal_displacements(robot: Robot, measurements: Measurements, options: Opt
 def _nominal_placement(robot: Robot, measurements: Measurements, options: Options) -> tuple[Station, np.ndarray]:
     ((station, values),) = place(robot, {"": measurements}, options)
     problem = Problem((station,))
-    frames = frames_of(problem) & released_of(problem, options)
+    frames = is_frame(problem) & released_of(problem, options)
     priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
     noise = Noise((None,) * len(problem.blocks))
-    return station, most_probable(problem, values, frames, priors, noise, loss="huber", rough=True)
+    return station, likeliest_values(problem, values, frames, priors, noise, Course("huber", rough=True))

@@ -1,16 +1,19 @@
-"""What may be wrong with a table that does not fit its robot, each with what undoes it, so that it can be tried."""
+"""What may be wrong with a table, or with the description of its robot, each with what undoes it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import chain, combinations
+from itertools import chain, combinations, permutations
 
 import numpy as np
 
 from pincal.measure.measurements import Measurements
 from pincal.robot.alike import robots_alike
+from pincal.robot.mastering import free_joints, remastered
 from pincal.robot.robot import Robot
+from pincal.robot.tree import Coupling
 
 HEADER = "correct the header of the table and run again"
 _TABLE = "correct the table and run again"
@@ -18,10 +21,72 @@ _FRAME = "give positions and orientations in a right-handed frame and run again"
 _RECORD = "name their columns as the joints (--columns) and run again"
 # Rows by which a column may stand off: a record that is written before or after the motion.
 _DELAYS = tuple(sign * rows for rows in (1, 2, 3, 4, 5) for sign in (1, -1))
+_OPTION = "if that is so, say it (--sign, --coupling or --zeros), and run again"
+# Parts of a neighbour's position that joints report; those of wrists, whose last joints are so many; and simple fractions.
+_ADDED, _WRIST = (1.0, -1.0), 3
+_OF_WRISTS = tuple(sign * part for part in (1 / 2, 1 / 3, 2 / 3, 1 / 4) for sign in (1, -1))
+_FRACTIONS = {1.0: "", 1 / 2: "1/2 of ", 1 / 3: "1/3 of ", 2 / 3: "2/3 of ", 1 / 4: "1/4 of "}
 
 
 @dataclass(frozen=True)
-class Cure:
+class Correction:
+    """What of the description of a robot is not as its controller has it.
+
+    Attributes:
+        shifts: where joints stand by the URDF when they report zero [rad], by name.
+        turned: names of the joints that count the other way.
+        couplings: joints that report a combination of positions.
+    """
+
+    shifts: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    turned: tuple[str, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+
+    def of(self, robot: Robot) -> Robot:
+        """Return the robot with its description corrected."""
+        if self.shifts or self.turned:
+            robot = remastered(robot, shifts=self.shifts, turned=self.turned)
+        return robot.with_couplings(*self.couplings) if self.couplings else robot
+
+    def cure(self, robot: Robot, table: Measurements, words: str) -> TableCorrection:
+        """Return a table that holds what the robot as it is described would have reported."""
+        shifts = [self.shifts.get(name, 0.0) for name in robot.joint_names]
+        signs = np.where(np.isin(robot.joint_names, self.turned), -1.0, 1.0)
+        found = robot.with_couplings(*self.couplings) if self.couplings else robot
+        q = robot.as_reported(found.from_reported(table.q)) * signs + shifts
+        return TableCorrection(words, robot, replace(table, q=q), _OPTION, self)
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """What coupled joints report, in words: one each."""
+        ways = (f"{'minus' if one.factor > 0.0 else 'plus'} {_FRACTIONS.get(abs(one.factor), '')}" for one in self.couplings)
+        return tuple(f"like its position {way}that of {one.source!r}" for way, one in zip(ways, self.couplings, strict=True))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said of it, in words."""
+        told = [shift_words(name, shift) for name, shift in self.shifts.items()]
+        told += [
+            f"{name} counts the other way than the URDF has it: the model has its axis turned round, and takes and gives "
+            "positions as they are reported"
+            for name in self.turned
+        ]
+        for one, lacks in zip(self.couplings, self.lacks, strict=True):
+            way = lacks.removeprefix("like ").replace("'", "")
+            added = f"{'+' if one.factor > 0.0 else '-'} {_FRACTIONS.get(abs(one.factor), '')}{one.source} reported"
+            told.append(
+                f"{one.joint} reports {way}, as coupled drives do: the model has {one.joint} = {one.joint} reported {added}"
+            )
+        return tuple(told)
+
+
+def shift_words(joint: str, shift: float) -> str:
+    """Return what is to be said of a joint that stands elsewhere than it reports [rad], in words."""
+    return f"{joint} is shifted by {np.rad2deg(shift):+.1f} deg: is it mastered?"
+
+
+@dataclass(frozen=True)
+class TableCorrection:
     """One thing that may be wrong.
 
     Attributes:
@@ -29,28 +94,44 @@ class Cure:
         robot: whose table it is then.
         table: the table with this undone.
         advice: what to do.
+        correction: of the robot's description, where that is what is wrong; nobody has to do anything then.
     """
 
     words: str
     robot: Robot
     table: Measurements
     advice: str = HEADER
+    correction: Correction | None = None
 
 
-def exchanges(robot: Robot, table: Measurements) -> Iterator[Cure]:
-    """Yield joint columns swapped, or turned round in sign."""
+def exchanges(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
+    """Yield joint columns swapped."""
     names = robot.joint_names
     for i, j in combinations(range(robot.n_joints), 2):
         q = table.q.copy()
         q[:, [i, j]] = q[:, [j, i]]
-        yield Cure(f"the columns {names[i]!r} and {names[j]!r} look swapped", robot, replace(table, q=q))
-    for i, name in enumerate(names):
-        q = table.q.copy()
-        q[:, i] *= -1.0
-        yield Cure(f"the column {name!r} looks turned round in sign", robot, replace(table, q=q))
+        yield TableCorrection(f"the columns {names[i]!r} and {names[j]!r} look swapped", robot, replace(table, q=q))
 
 
-def delays(robot: Robot, table: Measurements) -> Iterator[Cure]:
+def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
+    """Yield joints that count the other way than the URDF's, or report a combination of positions as makers have it.
+
+    A joint stands where its own position and its neighbour's, or a part of it in wrists, add up to; or at their difference.
+    """
+    free = free_joints(robot)
+    for name in free:
+        correction = Correction(turned=(name,))
+        yield correction.cure(robot, table, f"the column {name!r} looks turned round in sign")
+    pairs = [(i, j) for i, j in permutations(range(robot.n_joints), 2) if abs(i - j) == 1]
+    turns = [kind != "prismatic" and name in free for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)]
+    for i, j in (pair for pair in pairs if turns[pair[0]] and turns[pair[1]]):
+        for factor in (*_ADDED, *(_OF_WRISTS if min(i, j) >= robot.n_joints - _WRIST else ())):
+            correction = Correction(couplings=(Coupling(robot.joint_names[i], robot.joint_names[j], factor),))
+            if correction.couplings[0] not in robot.couplings:
+                yield correction.cure(robot, table, f"the column {robot.joint_names[i]!r} looks {correction.lacks[0]}")
+
+
+def delays(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield a joint column, or all of them, recorded some rows too late or too early."""
     n, everything = len(table), tuple(range(robot.n_joints))
     for rows in _DELAYS:
@@ -58,9 +139,9 @@ def delays(robot: Robot, table: Measurements) -> Iterator[Cure]:
         word = f"{abs(rows)} row{'s' * (abs(rows) > 1)} {'late' if rows > 0 else 'early'}"
         for columns in ((i,) for i in everything) if len(kept) > 1 else ():
             name = f"the column {robot.joint_names[columns[0]]!r} looks"
-            yield Cure(f"{name} {word}", robot, _late(table, kept, rows, columns), _TABLE)
+            yield TableCorrection(f"{name} {word}", robot, _late(table, kept, rows, columns), _TABLE)
         if len(kept) > 1:
-            yield Cure(f"all joint columns look {word}", robot, _late(table, kept, rows, everything), _TABLE)
+            yield TableCorrection(f"all joint columns look {word}", robot, _late(table, kept, rows, everything), _TABLE)
 
 
 def _late(table: Measurements, kept: np.ndarray, rows: int, columns: tuple[int, ...]) -> Measurements:
@@ -70,29 +151,29 @@ def _late(table: Measurements, kept: np.ndarray, rows: int, columns: tuple[int, 
     return replace(found, q=q)
 
 
-def records(robot: Robot, table: Measurements) -> Iterator[Cure]:
+def records(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield the other positions of the joints, where a table has those commanded and those read back."""
     if table.droop is not None:
         for name, other, sign in (("commanded", "read back", 1.0), ("read back", "commanded", -1.0)):
             words = f"the joints stood where they were {name}, not where the columns of the joints say, as {other}"
-            yield Cure(words, robot, replace(table, q=table.q + sign * table.droop, droop=None), _RECORD)
+            yield TableCorrection(words, robot, replace(table, q=table.q + sign * table.droop, droop=None), _RECORD)
 
 
-def misreadings(robot: Robot, table: Measurements) -> Iterator[Cure]:
+def misreadings(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield what the sensor's fields know of how their columns get mixed up."""
     sensor = table.sensor
     for field in () if sensor is None else sensor.fields:
         for words, undo in field.mistakes:
             changed = table.with_readings(**{field.name: undo(table.readings[field.name])})
-            yield Cure(words, robot, changed)
+            yield TableCorrection(words, robot, changed)
     mirrors = {field.name: field.mirror for field in (() if sensor is None else sensor.fields) if field.mirror is not None}
     # Of one field alone that is one of its own mistakes.
     if len(mirrors) > 1:
         changed = table.with_readings(**{name: mirror(table.readings[name]) for name, mirror in mirrors.items()})
-        yield Cure("the frame of the readings looks left-handed", robot, changed, _FRAME)
+        yield TableCorrection("the frame of the readings looks left-handed", robot, changed, _FRAME)
 
 
-def scaled(robot: Robot, table: Measurements, factor: float) -> Cure | None:
+def scaled(robot: Robot, table: Measurements, factor: float) -> TableCorrection | None:
     """Return the cure that multiplies all measured lengths; None where no length was measured."""
     fields = () if table.sensor is None else table.sensor.fields
     lengths = [field.name for field in fields if field.quantity == "length" and field.name in table.readings]
@@ -100,15 +181,17 @@ def scaled(robot: Robot, table: Measurements, factor: float) -> Cure | None:
         return None
     changed = table.with_readings(**{name: table.readings[name] * factor for name in lengths})
     advice = "check the units of the table and the scale of the instrument, and run again"
-    return Cure(f"the measured lengths look {1.0 / factor:.3g} times what they should be", robot, changed, advice)
+    return TableCorrection(f"the measured lengths look {1.0 / factor:.3g} times what they should be", robot, changed, advice)
 
 
-def others(robot: Robot, table: Measurements) -> Iterator[Cure]:
+def others(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield other robots with joints of these names."""
     for name, other in robots_alike(robot):
-        yield Cure(f"the table looks like that of a {name}", other, table, "give the URDF of that robot and run again")
+        yield TableCorrection(
+            f"the table looks like that of a {name}", other, table, "give the URDF of that robot and run again"
+        )
 
 
-def cures(robot: Robot, table: Measurements) -> Iterator[Cure]:
+def cures(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield all that may be wrong with a table, but for a scale, which has to be found."""
-    return chain(*(kind(robot, table) for kind in (exchanges, misreadings, records, delays, others)))
+    return chain(*(kind(robot, table) for kind in (exchanges, descriptions, misreadings, records, delays, others)))

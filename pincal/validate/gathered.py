@@ -1,36 +1,59 @@
-"""Whether rows that were rejected as outliers gather somewhere: readings go wrong anywhere, a robot in one place.
+"""Whether what is off gathers somewhere: readings go wrong anywhere, a robot in one place; what such rows have in common.
 
 Rejected rows that lie next to each other in the positions of a joint, or in the order of the rows, are counted in windows
 from one of them to another. The chance that as many of all rejected rows fall into a window of so many rows is at
 most binomial; all windows are paid for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26, 1481-1496.
+
+A bump of a drive, which need not make outliers, moves the targets of all poses in a narrow window of its joint alike: what
+is off along the joint's lever has one sign there. The mean of each such window, each row clipped so that no few wrong
+readings make one, is compared with those of all other windows as wide: a model that misses something everywhere makes
+these larger, too, and is no bump.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import bdtrc
+from scipy.special import bdtrc, stdtr
 
 from pincal.identify.station import Station
+from pincal.measure.measurements import Measurements
+from pincal.validate.motion_fields import MotionField, fields_of_joints
 
 # Chance that outliers anywhere are taken to gather.
 _CHANCE = 1e-4
 # Fewest outliers that can gather, and the most of which all windows are looked at.
 _FEWEST, _MOST = 3, 200
+# Fewest rows in a window in which a joint may have a bump, the ratio of each width to the next, and the part of all rows
+# that the widest may be: others have to tell what windows are like.
+_IN_BUMP, _WIDER, _PART = 5, 1.4, 1 / 8
+# A row counts as no more than so many times the typical one, and not at all from so many on, where it is an outlier: a few
+# wrong rows make no bump. Of 12000 draws of normal noise with 5 or 10 % of gross errors to one side, 9 then have one by the
+# chance below, and of 4500 without errors none.
+_CLIPPED, _OUTLIER = 3.0, 8.0
+# Chance of a bump in a table without one as Bonferroni counts it, as if windows had no rows in common.
+_CHANCE_OF_BUMP = 0.05
+# Standard deviation over the median of what is off, for normal noise.
+_NORMAL = 1.4826
+# Part of the squares that a joint read wrong has to explain to be named.
+_EXPLAINED = 0.8
+# Rows that a region may tell wrongly, as a part of those that are apart.
+_MISTOLD = 0.3
 
 
 @dataclass(frozen=True)
 class Gathering:
-    """Outliers that lie together.
+    """Rows that are off and lie together.
 
     Attributes:
-        rows: which rows of the station they are, all of them rejected.
+        rows: which rows of the station they are.
         among: number of rows there, rejected or not.
         variable: name of the joint along whose positions they gather, "line" for the order of the rows.
         low, high: from where to where [rad or m; line].
         p_value: chance of as many outliers in any such place.
+        size: how far the joint is off there on average [rad or m]; None for outliers, which are off anyhow.
     """
 
     rows: np.ndarray
@@ -39,6 +62,7 @@ class Gathering:
     low: float
     high: float
     p_value: float
+    size: float | None = None
 
 
 def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
@@ -66,6 +90,45 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
     return Gathering(np.flatnonzero(inside & rejected), int(inside.sum()), names[k], low, high, p_value)
 
 
+def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
+    """Return where in a joint's travel all targets are off alike, as by a bump of its drive; None if nowhere.
+
+    Args:
+        station: the calibrated model over N rows, rejected ones among them.
+        values: shape (P,), of its parameters.
+    """
+    if not station.sensor.reads_pose or station.serial is not None or len(station) * _PART < _IN_BUMP:
+        return None
+    off, fields = station.displacements(values), list(fields_of_joints(station, values))
+    bumps = [_highest(field, station, off) for field in fields]
+    best = min(bumps, key=lambda bump: bump.p_value, default=None)
+    if best is None or (p_value := best.p_value * len(fields)) > _CHANCE_OF_BUMP:
+        return None
+    return replace(best, p_value=p_value)
+
+
+def _highest(field: MotionField, station: Station, off: np.ndarray) -> Gathering:
+    """Return the most surprising window of a joint: targets are off by ``off``, shape (N, 3) [m]."""
+    q = station.conditions.q[:, station.model.chain.robot.joint_names.index(field.name)]
+    order, lever = np.argsort(q, kind="stable"), field.directions[:, :, 0]
+    length = np.maximum(np.linalg.norm(lever, axis=1), 1e-300)[order]
+    along = np.einsum("na,na->n", lever, off)[order] / length
+    typical = max(_NORMAL * float(np.median(np.abs(along))), 1e-300)
+    clipped = np.where(np.abs(along) < _OUTLIER * typical, np.clip(along, -_CLIPPED * typical, _CLIPPED * typical), 0.0)
+    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (length * clipped, length**2))
+    count = 1 + int(np.log(_PART * len(q) / _IN_BUMP) / np.log(_WIDER))
+    widths = (_IN_BUMP * _WIDER ** np.arange(count)).astype(int)
+    found = []
+    for m in map(int, widths):
+        means = (sums[m:] - sums[:-m]) / (typical * np.sqrt(squares[m:] - squares[:-m]))
+        first = int(np.argmax(np.abs(means)))
+        surprise = np.abs(means[first]) / max(1.0, _NORMAL * float(np.median(np.abs(means))))
+        found.append((2.0 * float(stdtr(len(q) / m, -surprise)) * len(q) * len(widths), first, m))
+    p_value, first, m = min(found)
+    rows, size = order[first : first + m], (sums[first + m] - sums[first]) / (squares[first + m] - squares[first])
+    return Gathering(np.sort(rows), m, field.name, float(q[rows[0]]), float(q[rows[-1]]), p_value, float(size))
+
+
 def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, float, float]]:
     """Yield the chance of the window of x with the most surprising number of rejected rows, and its ends."""
     order = np.sort(x)
@@ -76,3 +139,54 @@ def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, floa
         chances = bdtrc(j - i, len(ends), (last[j] - first[i]) / len(x))
         best = int(np.argmin(chances))
         yield float(chances[best]) * len(i), float(ends[i[best]]), float(ends[j[best]])
+
+
+def in_common(station: Station, values: np.ndarray, table: Measurements, apart: np.ndarray) -> str:
+    """Return what rows that do not fit have in common, in words; empty if nothing is found.
+
+    Args:
+        station: the calibrated model over all rows.
+        values: shape (P,), of its parameters.
+        table: the rows.
+        apart: shape (N,), which do not fit.
+    """
+    for name, unit, feature in _features(table):
+        for word, inside in _subsamples(feature, apart):
+            if (inside == apart).mean() >= 1.0 - _MISTOLD * min(float(apart.mean()), 0.5):
+                end = feature[inside].min() if word == "at least" else feature[inside].max()
+                return f"nearly all of them have {name} {word} {end:.6g}{unit}"
+    off = station.displacements(values)[apart]
+    squares = float(np.sum(off**2))
+    explained = []
+    for field in fields_of_joints(station, values):
+        along = field.directions[apart, :, 0]
+        angle = float(np.sum(off * along) / max(float(np.sum(along**2)), 1e-300))
+        explained.append((1.0 - float(np.sum((off - along * angle) ** 2)) / squares, field.name, angle, field.unit))
+    share, name, angle, unit = max(explained, default=(0.0, "", 0.0, ""))
+    return f"{name} looks read {abs(angle) * 1e3:.3g} m{unit} wrong in them" if share >= _EXPLAINED else ""
+
+
+def _features(table: Measurements) -> Iterator[tuple[str, str, np.ndarray]]:
+    yield "line", "", table.rows.astype(float)
+    if table.time is not None:
+        yield "time", " s", table.time
+    for name, q in zip(table.joint_names, table.q.T, strict=True):
+        yield name, "", q
+    for name, unit, column in (("payload", " kg", table.payload), ("temperature", " deg C", table.temperature)):
+        if column is not None:
+            yield name, unit, column
+
+
+def _subsamples(feature: np.ndarray, apart: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the rows above and below the value that tells those that are apart best."""
+    order = np.argsort(feature, kind="stable")
+    wrong = np.cumsum(apart[order])
+    n, total = len(apart), int(apart.sum())
+    ends = np.flatnonzero(np.append(np.diff(feature[order]) > 0, False))
+    if not len(ends):
+        return
+    below = wrong[ends] + (n - (ends + 1)) - (total - wrong[ends])
+    k = int(ends[np.argmax(below)])
+    yield "at most", feature <= feature[order][k]
+    k = int(ends[np.argmin(below)])
+    yield "at least", feature > feature[order][k]

@@ -2,7 +2,7 @@
 
 Replicates of a pose differ by the random errors of instrument and robot, whatever the model. If residuals exceed that
 scatter, the model is incomplete: an F test on the sums of squares (Draper and Smith, Applied Regression Analysis, 2.1).
-:mod:`pincal.validate.replicates` defines which rows are replicates of one pose.
+:mod:`pincal.validate.accuracy` defines which rows are replicates of one pose.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
+from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import replicate_groups
 from pincal.units import format_readable
-from pincal.validate.misfit import MISFIT, misfit
-from pincal.validate.pure_error import Squares, evenness, squares_of
-from pincal.validate.replicates import Replicates, iso9283
+from pincal.validate.accuracy import Replicates, groups, iso9283
+from pincal.validate.misfit import MISFIT, NoiseTest, misfit_at, tells
 
 # Replicates that differ by less than this many rounding errors of a reading carry no information on the noise.
 _ROUNDINGS = 10.0
@@ -75,6 +75,13 @@ class LackOfFit:
         return f"{test}: the residuals are within the scatter between replicates"
 
     @property
+    def beside(self) -> NoiseTest | None:
+        """The residuals beside the scatter between replicates; None where too few tell it."""
+        if not tells(self.degrees.misfit, self.degrees.pure_error):
+            return None
+        return NoiseTest("the scatter between repeated measurements of a pose", self.F**0.5, self.p_value)
+
+    @property
     def scatter(self) -> str:
         """The scatter between replicates of a pose in words."""
         sizes = [format_readable(sigma, name.removeprefix("sigma_")) for name, sigma in self.pure_error.items()]
@@ -98,7 +105,7 @@ def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarr
     Returns:
         The outcome; None where no pose has replicates, or they differ by no more than rounding.
     """
-    squares = [squares_of(part, values, sigma) for part in parts]
+    squares = [replicate_squares(part, values, sigma) for part in parts]
     fitted = squares[0]
     return _f_test(squares, parts[0].station, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
 
@@ -118,15 +125,15 @@ def lack_of_prediction(
         covariance: shape (P, P), of the values.
         found: shape (P,), parameters that were found from these rows; default: none.
     """
-    squares = squares_of(rows_of, values, sigma)
+    squares = replicate_squares(rows_of, values, sigma)
     if not _is_enough([squares], rows_of.station):
         return None
     scale = squares.pure / squares.degrees
-    left = misfit(
+    left = misfit_at(
         rows_of.station,
         values,
         covariance=covariance,
-        found=np.zeros(len(values), bool) if found is None else found,
+        found=found,
         sigma=sigma * np.sqrt(scale),
         robust=rows_of.counted.astype(float),
     )
@@ -135,14 +142,14 @@ def lack_of_prediction(
     )
 
 
-def _is_enough(parts: Sequence[Squares], station: Station) -> bool:
+def _is_enough(parts: Sequence[ReplicateSquares], station: Station) -> bool:
     """Return whether replicates differ by more than rounding."""
     pure = np.sum([part.by_block for part in parts], axis=0)
     sizes = [np.sqrt(squares / degrees) if degrees else 0.0 for squares, degrees in pure]
     return any(size > _ROUNDINGS * block.rounding for size, block in zip(sizes, station.sensor.blocks, strict=True))
 
 
-def _f_test(parts: Sequence[Squares], station: Station, misfit: float, degrees: float) -> LackOfFit | None:
+def _f_test(parts: Sequence[ReplicateSquares], station: Station, misfit: float, degrees: float) -> LackOfFit | None:
     if not _is_enough(parts, station) or degrees < 1.0:
         return None
     free = sum(part.degrees for part in parts)
@@ -187,3 +194,98 @@ def replicate_statistics(
     rows_of = Replicates("test", table, station, replicate_groups([table])[0], np.ones(len(table), bool))
     lack = lack_of_prediction(rows_of, values, sigma, covariance, found=found)
     return iso9283([rows_of], {"calibrated": values}), lack
+
+
+@dataclass(frozen=True)
+class ReplicateSquares:
+    """Sums of squared residuals in units of the variances, and of the differences between replicates.
+
+    Attributes:
+        total: sum of squares.
+        readings: number of readings in it.
+        pure: sum of squares about the poses' means.
+        degrees: its degrees of freedom.
+        poses: number of poses with replicates.
+        by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each block.
+        spread: of :func:`spread_of`.
+    """
+
+    total: float
+    readings: int
+    pure: float
+    degrees: int
+    poses: int
+    by_block: np.ndarray
+    spread: np.ndarray
+
+
+def replicate_squares(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray) -> ReplicateSquares:
+    """Return the squares of the rows that are no outliers.
+
+    Args:
+        rows_of: rows of one part; replicates of a pose in another part are not compared with them.
+        values: shape (P,).
+        sigma: shape (blocks,), standard deviations of one component.
+    """
+    rows = np.flatnonzero(rows_of.counted)
+    weight = rows_of.station.weights[rows] ** 2
+    residuals = rows_of.station.residuals(values)[:, rows]
+    _, pose = np.unique(rows_of.pose[rows], return_inverse=True)
+    count, mass = np.bincount(pose), np.bincount(pose, weight)
+    again = count > 1
+    degrees = int((count[again] - 1).sum())
+    means = np.stack([np.bincount(pose, weight * component) / mass for component in residuals])
+    apart = np.sqrt(weight) * (residuals - means[:, pose])
+    blocks = block_rows(rows_of.station)
+    by_block = np.array([((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks])
+    scale = np.repeat(sigma, [b.stop - b.start for b in blocks])[:, None]
+    return ReplicateSquares(
+        total=float((weight * (residuals / scale) ** 2).sum()),
+        readings=residuals.size,
+        pure=float((by_block[:, 0] / sigma**2).sum()),
+        degrees=int(by_block[:, 1].sum()),
+        poses=int(again.sum()),
+        by_block=by_block,
+        spread=scatter_of(apart / scale, pose),
+    )
+
+
+def scatter_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    r"""Return what says how evenly readings scatter over poses and components, to be added over tables.
+
+    With S the covariance in a pose of n = f + 1 > 2 replicates, unbiased
+    :math:`\widehat{tr \Sigma^2} = \frac{f^2}{(f - 1)(f + 2)} (tr S^2 - (tr S)^2 / f)`.
+
+    Args:
+        apart: shape (m, N), differences from the poses' means.
+        pose: shape (N,), numbers of the poses.
+
+    Returns:
+        Sums over the poses of tr S, of the estimate of tr Sigma^2, of the variance of tr S, and of m; shape (4,).
+    """
+    sums = np.zeros(4)
+    for rows in groups(pose):
+        f = len(rows) - 1
+        if f > 1:
+            S = apart[:, rows] @ apart[:, rows].T / f
+            square = f**2 / ((f - 1.0) * (f + 2.0)) * (np.sum(S * S) - np.trace(S) ** 2 / f)
+            sums += [np.trace(S), square, 2.0 * square / f, len(S)]
+    return sums
+
+
+def evenness(spread: np.ndarray) -> float:
+    """Return the factor on the degrees of freedom of sums of squares of readings that scatter unevenly or together.
+
+    A robot scatters more where it is stretched out, and its errors in x, y and z go together; sums of squares then vary
+    more than those of independent readings (Box, Ann. Math. Stat. 25, 1954, Eq. 3.1).
+
+    Args:
+        spread: shape (4,), sums of :func:`spread_of`.
+
+    Returns:
+        1 where all readings scatter alike and each by itself, down to 1 / readings.
+    """
+    trace, square, variance, readings = spread
+    if square <= 0.0:
+        return 1.0
+    return float(np.clip((trace**2 - variance) / (readings * square), 1.0 / readings, 1.0))

@@ -14,7 +14,6 @@ is a step only if it and its C are far likelier than the likeliest C without any
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +21,8 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtri
 
 from pincal.identify.station import Station
-from pincal.measure.rows import some_rows
+from pincal.measure.sampling import sample_rows
+from pincal.validate.motion_fields import MotionField, fields_of_joints, fields_of_setup
 
 # Fewest rows on either side of a step.
 _EACH = 10
@@ -51,8 +51,6 @@ _RANK = 1e-5
 # Functions of a curve that follow a step by themselves; of more, neighbours do together, as the curve is smooth: the few
 # rows would not tell so many apart, nor leave anything of a step.
 _FUNCTIONS = 24
-# Differences [rad or m] by which things are moved for a derivative.
-_MOVED = 1e-5
 # Correlation lengths that are tried, in rows, and how far the process goes from one row to the next, in white noise's
 # variances: from what 400 rows would hardly show to nothing but the process. The longest is a random walk.
 _LENGTHS, _WALKS = (3.0, 10.0, 30.0, 100.0, 1000.0), (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
@@ -63,7 +61,7 @@ _TURNS = 20
 
 
 @dataclass(frozen=True)
-class Cause:
+class StepCause:
     """What may have happened between two rows.
 
     Attributes:
@@ -86,7 +84,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Change:
+class StepChange:
     """A place in a table from which on something is other than before.
 
     Attributes:
@@ -96,24 +94,11 @@ class Change:
     """
 
     line: int
-    cause: Cause
-    others: tuple[Cause, ...] = ()
+    cause: StepCause
+    others: tuple[StepCause, ...] = ()
 
     def __str__(self) -> str:
         return " Or: ".join(map(str, (self.cause, *self.others)))
-
-
-@dataclass(frozen=True)
-class _Field:
-    """A motion of the targets: what it is of, and shape (n, 3, m), its directions at each row."""
-
-    name: str
-    directions: np.ndarray
-    unit: str = "m"
-
-    @property
-    def freedoms(self) -> int:
-        return int(self.directions.shape[2])
 
 
 @dataclass(frozen=True)
@@ -130,8 +115,8 @@ class _Rows:
 
     off: np.ndarray
     fitted: np.ndarray
-    fields: tuple[_Field, ...]
-    growth: _Field
+    fields: tuple[MotionField, ...]
+    growth: MotionField
     at: np.ndarray
 
 
@@ -139,7 +124,7 @@ class _Rows:
 class _Best:
     """The best step along a field: its first row, gain and motion, and the gain of all rows."""
 
-    field: _Field
+    field: MotionField
     row: int
     gain: float
     motion: np.ndarray
@@ -150,7 +135,7 @@ class _Best:
         return np.where(np.arange(len(self.field.directions))[:, None, None] >= self.row, self.field.directions, 0.0)
 
 
-def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray) -> Change | None:
+def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray) -> StepChange | None:
     """Return where, in the order of the rows, something changed, and what; None if nothing did.
 
     Args:
@@ -162,7 +147,7 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
     order = np.argsort(lines, kind="stable")
     if not station.sensor.reads_pose or len(order) < 4 * _EACH:
         return None
-    few = some_rows(len(order), _FEW)
+    few = sample_rows(len(order), _FEW)
     rows = _rows(station.select(order[few]), values, free, few * (len(few) / len(order)))
     if not _is_loud(rows):
         return None
@@ -176,13 +161,13 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
     correlated = np.abs(np.diag(noise, 1)).mean() > _CORRELATED * np.diag(noise).mean()
     if correlated and np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(rows.off**2)):
         return None
-    causes: dict[str, Cause] = {}
+    causes: dict[str, StepCause] = {}
     for step in sorted(steps, key=_excess, reverse=True):
         if _excess(step) > max(_excess(best) - _TOLD_APART, 0.0):
             causes.setdefault(step.field.name, _cause(rows, step))
     first, *others = causes.values()
     place = order[few[best.row]] if len(few) == len(order) else order[_near(station, values, free, order, few, best)]
-    return Change(int(lines[place]), first, tuple(others))
+    return StepChange(int(lines[place]), first, tuple(others))
 
 
 def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray) -> _Rows:
@@ -195,39 +180,8 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
     sizes, axes = np.linalg.eigh(J.T @ J)
     kept = sizes > _RANK**2 * sizes[-1]
     fitted = (J @ (axes[:, kept] / np.sqrt(sizes[kept]))).reshape(n, 3, -1)
-    growth, *fields = _fields(station, values)
+    growth, *fields = (*fields_of_setup(station, values), *fields_of_joints(station, values))
     return _Rows(station.displacements(values), fitted, tuple(fields), growth, at)
-
-
-def _fields(station: Station, values: np.ndarray) -> Iterator[_Field]:
-    """Yield growth, then what may happen between two rows, as motions of the targets as far as their readings tell."""
-    of_model, own = station.split(values)
-    sensor, q, robot = station.sensor, station.conditions.q, station.model.chain.robot
-    poses = station.model.predict(of_model, station.conditions)
-    here = sensor.displacement(sensor.residuals(poses, own), poses, own)
-
-    def motion(moved: np.ndarray) -> np.ndarray:
-        return np.asarray(here - sensor.displacement(sensor.residuals(moved, own), moved, own)) / _MOVED
-
-    def shifted(along: np.ndarray) -> np.ndarray:
-        moved = poses.copy()
-        moved[:, :, 3] += _MOVED * along
-        return motion(moved)
-
-    centred = poses[:, :, 3] - poses[:, :, 3].mean(axis=0)
-    shifts = [shifted(axis) for axis in np.eye(3)]
-    turns = [shifted(np.cross(axis, centred)) for axis in np.eye(3)]
-    yield _Field("growth", np.stack([*shifts, shifted(centred)], axis=2))
-    yield _Field("instrument", np.stack(shifts, axis=2))
-    yield _Field("instrument", np.stack([*shifts, *turns], axis=2))
-    yield _Field("tool", np.stack([shifted(poses[:, :, a]) for a in range(3)], axis=2))
-    for j, (name, unit) in enumerate(zip(robot.joint_names, robot.joint_units, strict=True)):
-        moved = q.copy()
-        moved[:, j] += _MOVED
-        field = motion(station.model.predict(of_model, replace(station.conditions, q=moved)))
-        # One that these poses do not see moves nothing.
-        if np.abs(field).max() > _RANK:
-            yield _Field(name, field[:, :, None], unit)
 
 
 def _clipped(off: np.ndarray) -> np.ndarray:
@@ -297,7 +251,7 @@ def _scan(rows: _Rows, precision: np.ndarray | None) -> list[_Best]:
     return [_best(field, metric, weighed, seen, is_plain=precision is None) for field in rows.fields]
 
 
-def _best(field: _Field, metric: np.ndarray, weighed: np.ndarray, seen: np.ndarray, *, is_plain: bool) -> _Best:
+def _best(field: MotionField, metric: np.ndarray, weighed: np.ndarray, seen: np.ndarray, *, is_plain: bool) -> _Best:
     """Return the best step along a field, from the weighed residuals, shape (n, 3), and parameters, shape (n, 3, r)."""
     D = field.directions
     n, _, m = D.shape
@@ -366,16 +320,16 @@ def _robust_step(rows: _Rows, step: _Best) -> np.ndarray:
     return np.asarray((X[:, :m] @ (inverse[:m] @ (fitted + _clipped(rows.off - fitted)).ravel())).reshape(rows.off.shape))
 
 
-def _cause(rows: _Rows, step: _Best) -> Cause:
+def _cause(rows: _Rows, step: _Best) -> StepCause:
     """Return a step as what happened: how far targets moved, or a joint."""
     moved, lever = _robust_step(rows, step), step.step
     if step.field.name in ("instrument", "tool"):
         after = moved[step.row :]
-        return Cause(step.field.name, float(np.sqrt(np.mean(np.sum(after**2, axis=1)))), "m")
-    return Cause(step.field.name, float(abs(np.sum(moved * lever[:, :, 0]) / np.sum(lever**2))), step.field.unit)
+        return StepCause(step.field.name, float(np.sqrt(np.mean(np.sum(after**2, axis=1)))), "m")
+    return StepCause(step.field.name, float(abs(np.sum(moved * lever[:, :, 0]) / np.sum(lever**2))), step.field.unit)
 
 
-def _drift(rows: _Rows, field: _Field, precision: np.ndarray) -> float:
+def _drift(rows: _Rows, field: MotionField, precision: np.ndarray) -> float:
     """Return what a motion along a field gains that comes and goes smoothly over the rows."""
     n = len(rows.off)
     curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _DRIFT)[:, 1:]

@@ -1,4 +1,4 @@
-r"""How far readings are from a calibrated model, against what noise and the calibration's own uncertainty allow.
+r"""How far readings are from a model, against what noise and the calibration's own uncertainty allow, and what that says.
 
 With residuals r of rows that the calibration did not use, weights W by the noise, Jacobians R and F by the parameters that
 are known with covariance C and by those that are found from the very rows,
@@ -7,18 +7,24 @@ are known with covariance C and by those that are found from the very rows,
 
 follows the chi-square distribution if the robot is what the model says. It follows from the same A and b as a station's part
 of a joint fit, see :mod:`pincal.identify.posterior`.
+
+Every verb judges a model by one rule, :func:`judge`: by a noise that the model has no part in, and by what is doubtful.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtr, chdtrc, chdtri, fdtr, fdtrc, fdtri
 
 from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate
+from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
+from pincal.notes import Note
 
 MISFIT = 1e-3
 """Significance level at which residuals count as too large for the noise, in every test of this kind.
@@ -33,6 +39,19 @@ _MATTERS = 0.2
 # What an arm leaves beside noise is a field over the poses. A few rows in a corner of the workspace may call for another
 # place to explain it, by so many times its square: in blocks of 12 to 400 rows of a UR10 under its geometry up to 2.2.
 _LOCAL = 3.0
+
+
+SURE = 0.6
+"""Part of the subsamples of a search, half of the poses each, in which a name has to come up to be more than a hint.
+
+``tests/stability_study.py`` draws how many of the names that come up so often are right.
+"""
+TWICE, POWER = 2.0, 0.9
+"""Residuals of so many times the noise have to be noticed so surely before "adequate" may be said.
+
+A model then misses 1.7 times as much as the noise, which any plot of the residuals shows. At :data:`MISFIT` that takes 18
+degrees of freedom beside a declared noise, and 30 of pure error beside a hundred of the misfit.
+"""
 
 
 @dataclass(frozen=True)
@@ -96,14 +115,14 @@ def has_moved(before: Misfit, after: Misfit) -> bool:
     return bool(fdtrc(more, max(after.degrees, 1), max(gain, 0.0) / more / scale) < MISFIT)
 
 
-def misfit(
+def misfit_at(
     station: Station,
     values: np.ndarray,
     *,
     covariance: np.ndarray,
-    found: np.ndarray,
     sigma: np.ndarray,
     robust: np.ndarray,
+    found: np.ndarray | None = None,
 ) -> Misfit:
     """Return the misfit of a calibrated model to rows that its calibration did not use.
 
@@ -111,31 +130,32 @@ def misfit(
         station: model and readings.
         values: shape (P,).
         covariance: shape (P, P), of what is known of the parameters from elsewhere; zero for those that are exact.
-        found: shape (P,), parameters that were found from these rows; for them the covariance does not count.
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
         robust: shape (N,), 0 for rows that are left out.
+        found: shape (P,), parameters that were found from these rows, whose covariance does not count; default: none.
     """
+    found = np.zeros(len(values), bool) if found is None else found
     free = found | (np.diag(covariance) > 0.0)
     normal = accumulate(station, values, free, robust)
     readings = sum(block.size for block in station.sensor.blocks) * int(np.sum(robust > 0.0))
     squares = float(np.sum(normal.squares / sigma**2))
     if normal.believed is not None and found.any():
         # What the sensor knows of its own parameters counts as readings where these are found.
-        G, g = normal.at(sigma)
-        squares, readings = squares + normal.believed[2], readings + _facts(station, values)
+        squares, readings = squares + normal.believed.square, readings + _facts(station, values)
     else:
-        G, g = replace(normal, believed=None).at(sigma)
+        normal = replace(normal, believed=None)
+    form = normal.at(sigma)
     sizes = np.array([parameter.size for parameter in station.parameters])[free]
-    part = eliminate(G, g, found[free], sizes, values[free])
-    directions = part.alone.visible_rank
-    plain = squares - float(g[found[free]] @ part.alone.step)
+    left, own = eliminate(form, found[free], sizes, values[free])
+    directions = own.alone.visible_rank
+    plain = squares - float(own.balance.form.g @ own.alone.step)
     known = free & ~found
     C = covariance[np.ix_(known, known)]
     degrees = max(readings - directions, 0)
     return Misfit(
-        square=max(plain - explained_by_uncertainty(part.G, part.g, C), 0.0),
+        square=max(plain - explained_by_uncertainty(left, C), 0.0),
         plain=max(plain, 0.0),
-        expected=degrees + float(np.sum(C * part.G)),
+        expected=degrees + float(np.sum(C * left.H)),
         degrees=degrees,
         found=directions,
         systematic=_systematic(station, sigma),
@@ -152,9 +172,102 @@ def _facts(station: Station, values: np.ndarray) -> int:
     return 0 if facts is None else len(facts.residuals)
 
 
-def explained_by_uncertainty(G: np.ndarray, g: np.ndarray, covariance: np.ndarray) -> float:
-    """Return by how much r' r exceeds r' (1 + J C J')^-1 r, for G = J' J and g = J' r, by Woodbury's identity."""
+def explained_by_uncertainty(form: Form, covariance: np.ndarray) -> float:
+    """Return by how much r' r exceeds r' (1 + J C J')^-1 r, for H = J' J and g = J' r, by Woodbury's identity."""
     size, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(size, 0.0))
-    inner = np.eye(len(size)) + root.T @ G @ root
-    return float((root.T @ g) @ np.linalg.solve(inner, root.T @ g))
+    inner = np.eye(len(size)) + root.T @ form.H @ root
+    return float((root.T @ form.g) @ np.linalg.solve(inner, root.T @ form.g))
+
+
+class Verdict(StrEnum):
+    """Whether a model explains the data down to their noise; the values are those of the files and of the report."""
+
+    ADEQUATE = "adequate"
+    NOT_ADEQUATE = "not adequate"
+    NOT_JUDGED = "not judged"
+
+
+def worst(verdicts: Iterable[Verdict]) -> Verdict:
+    """Return the verdict on several together: none is better than the worst.
+
+    Example:
+        >>> worst([Verdict.ADEQUATE, Verdict.NOT_JUDGED]).value
+        'not judged'
+    """
+    order = (Verdict.NOT_ADEQUATE, Verdict.NOT_JUDGED, Verdict.ADEQUATE)
+    return min(verdicts, key=order.index, default=Verdict.NOT_JUDGED)
+
+
+@dataclass(frozen=True)
+class NoiseTest:
+    """Residuals beside a noise that is known without the model: declared, or from poses that were measured again.
+
+    Attributes:
+        noise: which noise, in words.
+        ratio: root mean square of the residuals over the noise.
+        p_value: chance of residuals as large if the model is complete.
+    """
+
+    noise: str
+    ratio: float
+    p_value: float
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether the residuals are larger than the noise allows."""
+        return self.p_value < MISFIT
+
+
+def tells(degrees: float, of_noise: float = np.inf) -> bool:
+    """Return whether so many degrees of freedom notice residuals of twice the noise, by a test at :data:`MISFIT`.
+
+    Args:
+        degrees: of the residuals.
+        of_noise: of the noise; infinite for a declared one.
+
+    Example:
+        >>> tells(17.0), tells(18.0), tells(100.0, 29.0), tells(100.0, 30.0)
+        (False, True, False, True)
+    """
+    if degrees <= 0.0 or of_noise <= 0.0:
+        return False
+    if np.isinf(of_noise):
+        missed = chdtr(degrees, chdtri(degrees, MISFIT) / TWICE**2)
+    else:
+        missed = fdtr(degrees, of_noise, fdtri(degrees, of_noise, 1.0 - MISFIT) / TWICE**2)
+    return bool(missed <= 1.0 - POWER)
+
+
+def judge(
+    beside: NoiseTest | None,
+    doubts: Sequence[Note] = (),
+    *,
+    unusable: bool = False,
+    left: bool = False,
+    few: bool = False,
+) -> Verdict:
+    """Return what is to be said of a model.
+
+    It is "adequate" only if its residuals are those of a known noise, enough poses say so, and nothing is doubtful. Without
+    a known noise, or with too few poses, nothing can be said for it, but something may speak against it.
+
+    Args:
+        beside: the residuals beside a noise that is known without the model; None without any.
+        doubts: what makes the result doubtful.
+        unusable: whether one of them says that it is none.
+        left: whether something is left that is no noise, whatever the size of the residuals.
+        few: whether the poses are too few for the residuals to tell, see :func:`tells`.
+
+    Example:
+        >>> declared = NoiseTest("the declared noise", 1.01, 0.4)
+        >>> judge(declared).value, judge(declared, few=True).value, judge(None).value, judge(None, left=True).value
+        ('adequate', 'not judged', 'not judged', 'not adequate')
+    """
+    if unusable or left or (beside is not None and beside.is_misfit):
+        return Verdict.NOT_ADEQUATE
+    if few:
+        return Verdict.NOT_JUDGED
+    if doubts:
+        return Verdict.NOT_ADEQUATE
+    return Verdict.NOT_JUDGED if beside is None else Verdict.ADEQUATE

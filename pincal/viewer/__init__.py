@@ -6,7 +6,8 @@ Example:
     >>> from pincal.model.chain import Chain
     >>> from pincal.model.effects import GEOMETRIC
     >>> from pincal.model.model import Model
-    >>> from pincal.calibration.calibrated import CalibratedModel, estimate_of
+    >>> from pincal.calibration.calibrated import CalibratedModel
+    >>> from pincal.parameters import estimate_of
     >>> from pincal.calibration.covered import Covered
     >>> from pincal.robot.robot import Robot
     >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
@@ -22,18 +23,17 @@ Example:
 
 from __future__ import annotations
 
-from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
+from pincal.viewer.field import FieldPoses, Fields, Layer, deviation_fields
 from pincal.viewer.in_meshcat import draw_field
 from pincal.viewer.live import LiveView, show
 from pincal.viewer.page import page, write_html
-from pincal.viewer.row_provenance import held_out_rows
-from pincal.viewer.scene import Scene, build_scene
+from pincal.viewer.scene import Scene, build_scene, held_out_rows
 
 __all__ = [
+    "FieldPoses",
     "Fields",
     "Layer",
     "LiveView",
-    "Poses",
     "Scene",
     "build_scene",
     "deviation_fields",

@@ -9,26 +9,32 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
+from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
-from pincal.identify.solve import Priors, most_probable
+from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
 from pincal.io.discovery_file import EffectName
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensing import ideal_readings
+from pincal.measure.registry import simulatable
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.report.words import effect_words
-from pincal.viewer.workspace import at_conditions, workspace_poses
 
 # Poses over which nominal base and tool are laid onto the calibrated robot where there are no measurements.
 _ENOUGH = 400
+# Random poses per place: enough that hardly a cell of the grid is missed.
+_DRAWS = 40
+_MOST_DRAWS = 400_000
+_PIECE = 20_000
+# Halvings of the interval in which the size of a cell is looked for.
+_HALVINGS = 16
 
 
 @dataclass(frozen=True)
-class Poses:
+class FieldPoses:
     """Poses that a field stands on.
 
     Attributes:
@@ -83,7 +89,7 @@ class Fields:
     """
 
     layers: tuple[Layer, ...]
-    poses: tuple[Poses, ...]
+    poses: tuple[FieldPoses, ...]
     notes: tuple[str, ...]
 
     def seen_from(self, T: np.ndarray) -> Fields:
@@ -123,12 +129,12 @@ def deviation_fields(
         BadInputError: if the measurements lack what the model needs, or there is nothing to show.
     """
     layers: list[Layer] = []
-    poses: list[Poses] = []
+    poses: list[FieldPoses] = []
     notes: list[str] = []
     conditions = position = None
     if measurements is not None and len(measurements):
         conditions, position = calibrated.conditions(measurements), measurements.position
-        poses.append(Poses("measured", measurements.q, conditions.target, measurements.rows, held_out, position))
+        poses.append(FieldPoses("measured", measurements.q, conditions.target, measurements.rows, held_out, position))
         nominal, note = _nominal_from_data(calibrated, measurements, held_out)
         notes += note
         layers += _measured_layers(calibrated, measurements, conditions, nominal)
@@ -139,7 +145,7 @@ def deviation_fields(
             nominal = _nominal_from_predictions(part, over)
         notes += note
         layers += _workspace_layers(part, over, part.model.own(nominal))
-        poses.append(Poses("workspace", over.q, over.target))
+        poses.append(FieldPoses("workspace", over.q, over.target))
     if not layers:
         raise BadInputError("nothing to show: no measured poses, and no place of the workspace asked for")
     return Fields(tuple(layers), tuple(poses), tuple(notes))
@@ -215,7 +221,7 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
     rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
     sample = over.select(rows)
     poses = calibrated.predict(sample)
-    sensor = ideal_readings(poses, with_orientation=calibrated.model.has_tool_orientation)
+    sensor = simulatable()["pose" if calibrated.model.has_tool_orientation else "position"].foreseen(poses)
     return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
 
 
@@ -232,7 +238,7 @@ def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
     station.split(free)[0][:] &= largest_basis(station.model, station.conditions)[1]
     nothing = np.full(len(start), np.inf)
     noise = Noise((None,) * len(station.sensor.blocks))
-    return most_probable(Problem((station,)), start, free, Priors(nothing, nothing), noise, loss="huber", rough=True)
+    return likeliest_values(Problem((station,)), start, free, Priors(nothing, nothing), noise, Course("huber", rough=True))
 
 
 def _workspace(
@@ -243,8 +249,8 @@ def _workspace(
     columns = {} if seen is None else {"temperature": seen.temperature, "time": seen.time}
     known = {name: float(np.median(values)) for name, values in columns.items() if values is not None}
     part, left_out = _without_unknown(calibrated, known)
-    q = workspace_poses(part, grid, payload=payload, known=known, seed=seed)
-    over = at_conditions(q, calibrated, payload, known)
+    q = _workspace_poses(part, grid, payload=payload, known=known, seed=seed)
+    over = _at_conditions(q, calibrated, payload, known)
     notes = [
         f"workspace: {len(q)} places that the joints reach within the range that the calibration covered, each with one of "
         f"the poses that reach it, at a payload of {payload:g} kg"
@@ -262,3 +268,60 @@ def _without_unknown(calibrated: CalibratedModel, known: dict[str, float]) -> tu
 
     left_out = [effect_name(effect) for effect in calibrated.model.effects if not is_known(effect)]
     return (calibrated.with_effects(is_known) if left_out else calibrated), left_out
+
+
+def _workspace_poses(
+    calibrated: CalibratedModel, places: int, *, payload: float, known: dict[str, float], seed: int
+) -> np.ndarray:
+    """Return joint positions that reach about ``places`` cells of a regular grid, one pose per cell.
+
+    Args:
+        calibrated: the robot; poses lie within the joint range that its calibration covered.
+        places: about how many cells.
+        payload: mass at the tip [kg].
+        known: temperature [deg C] and time [s], where the model needs them.
+        seed: of the random poses from which those nearest to the cells' centres are taken.
+
+    Returns:
+        Shape (about ``places``, n) [rad or m].
+    """
+    rng = np.random.default_rng(seed)
+    lower, upper = calibrated.covered.q.T
+    q = rng.uniform(lower, upper, (min(_DRAWS * places, max(_MOST_DRAWS, places)), len(lower)))
+    q = calibrated.model.chain.robot.following(q)
+    pieces = (_at_conditions(q[i : i + _PIECE], calibrated, payload, known) for i in range(0, len(q), _PIECE))
+    reached = np.concatenate([calibrated.predict(piece)[:, :, 3] for piece in pieces])
+    size = _cell_size(reached, places)
+    off_centre = np.linalg.norm(reached - np.round(reached / size) * size, axis=1)
+    order = np.argsort(off_centre, kind="stable")
+    _, first = np.unique(_cells(reached[order], size), return_index=True)
+    return np.asarray(q[order[first]])
+
+
+def _at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]) -> Conditions:
+    """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
+    plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
+    columns = {name: np.full(len(q), value) for name, value in known.items()}
+    # How joints arrived is unknown: 0, as for a table that does not tell; and they stand as they are commanded.
+    unknown = np.zeros(q.shape)
+    return replace(plain, approach=unknown, move=unknown, droop=unknown, **columns)
+
+
+def _cell_size(reached: np.ndarray, places: int) -> float:
+    """Return the size of a cell [m] at which about ``places`` of them are reached."""
+    extent = float(np.ptp(reached, axis=0).max())
+    if extent == 0.0:
+        return 1.0
+    low, high = extent / 1e3, 2.0 * extent
+    for _ in range(_HALVINGS):
+        size = float(np.sqrt(low * high))
+        count = len(np.unique(_cells(reached, size)))
+        low, high = (size, high) if count > places else (low, size)
+    return high
+
+
+def _cells(points: np.ndarray, size: float) -> np.ndarray:
+    """Return the number of each point's cell, shape (N,)."""
+    steps = np.round(points / size).astype(np.int64)
+    steps -= steps.min(axis=0)
+    return np.asarray(np.ravel_multi_index(tuple(steps.T), tuple(steps.max(axis=0) + 1)))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated
-from pincal.errors import BadInputError, nearest_first
+from pincal.errors import BadInputError, nearest_first, needed
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 from pincal.viewer.field import Layer, deviation_fields
@@ -50,8 +50,9 @@ def draw_field(
     Raises:
         BadInputError: if there is no such field, or the factor is not positive.
     """
-    import meshcat
-    import meshcat.geometry as g
+    with needed("meshcat", "fields in a viewer"):
+        import meshcat
+        import meshcat.geometry as g
 
     if scale is not None and not 0.0 < scale < np.inf:
         raise BadInputError(f"scale is {scale}; expected a positive number")

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pincal.atomic import write_whole
+from pincal.atomic import write_atomic
 from pincal.errors import OutputError
 from pincal.viewer.scene import Scene
 
@@ -40,7 +40,7 @@ def write_html(path: str | os.PathLike[str], scene: Scene) -> int:
         OutputError: if the place can't be written to.
     """
     text = page(scene).encode()
-    write_whole(path, text, advice="choose another file")
+    write_atomic(path, text, advice="choose another file")
     return len(text)
 
 
@@ -86,8 +86,9 @@ def _resource(name: str) -> str:
 def _viewer() -> str:
     """Return meshcat's viewer; its Python side, which talks to a server of its own, is not loaded."""
     spec = find_spec("meshcat")
-    folder = "" if spec is None or spec.submodule_search_locations is None else next(iter(spec.submodule_search_locations))
-    path = Path(folder, "viewer", "dist", "main.min.js")
+    if spec is None or spec.submodule_search_locations is None:
+        raise OutputError("pages in 3D need meshcat: run pip install meshcat")
+    path = Path(next(iter(spec.submodule_search_locations)), "viewer", "dist", "main.min.js")
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

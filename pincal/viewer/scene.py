@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +18,15 @@ from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.se3 import placed, shortest_turn
 from pincal.viewer.arm import Axis, axes_of, round_down
-from pincal.viewer.field import Fields, Layer, Poses, deviation_fields
-from pincal.viewer.shapes import Shape, shapes_of
+from pincal.viewer.field import FieldPoses, Fields, Layer, deviation_fields
+from pincal.viewer.shapes import DrawnShape, shapes_of
 
 # Length, as part of the robot's reach and of the way from one arrow to the next, at which nearly all deviations are drawn.
 _DRAWN, _CROWDED = 0.12, 0.8
 
 
 @dataclass(frozen=True)
-class Frame:
+class DrawnFrame:
     """A coordinate system to draw.
 
     Attributes:
@@ -66,14 +69,27 @@ class Scene:
     q: np.ndarray
     T_scene_base: np.ndarray
     kinematics: Kinematics
-    shapes: tuple[Shape, ...]
+    shapes: tuple[DrawnShape, ...]
     axes: tuple[Axis, ...]
     axis_scale: float
-    frames: tuple[Frame, ...]
+    frames: tuple[DrawnFrame, ...]
     fields: Fields
     scale: float
     reach: float
     notes: tuple[str, ...]
+
+    def opening(self, q: np.ndarray | None = None, *, notes: Sequence[str] = ()) -> Scene:
+        """Return the same scene at another pose, shape (n,) [rad or m], and with more to say.
+
+        Raises:
+            BadInputError: if the pose is not one finite number per joint.
+        """
+        found, names = self.q if q is None else np.asarray(q, float), self.joints
+        if found.shape != (len(names),) or not np.isfinite(found).all():
+            raise BadInputError(
+                f"a pose of {found.size} values ({found.tolist()}); expected {len(names)}: {', '.join(names)}"
+            )
+        return replace(self, q=found, notes=(*notes, *self.notes))
 
 
 def build_scene(
@@ -81,31 +97,27 @@ def build_scene(
     measurements: Measurements | None = None,
     *,
     held_out: np.ndarray | None = None,
-    q: np.ndarray | None = None,
     grid: int = 1000,
     scale: float | None = None,
     axis_scale: float | None = None,
     mesh_folders: Sequence[str | os.PathLike[str]] = (),
-    notes: Sequence[str] = (),
 ) -> Scene:
-    """Return all there is to see of a calibrated robot.
+    """Return all there is to see of a calibrated robot, at the first measured pose.
 
     Args:
         calibrated: the robot.
         measurements: measured poses, of its targets.
         held_out: shape (N,), which of them the fit did not see; None if unknown.
-        q: shape (n,), pose to begin with [rad or m]; default: the first measured one.
         grid: about how many places of the workspace get an arrow; 0 for none.
         scale: factor of the arrows' lengths; default: a round number that makes them visible.
         axis_scale: factor of the axes' distortions, likewise.
         mesh_folders: where else to look for meshes and the packages that the URDF names.
-        notes: what else the page should say.
 
     Returns:
         The scene.
 
     Raises:
-        BadInputError: if a factor or a pose can't be, or there is nothing to show.
+        BadInputError: if a factor can't be, or there is nothing to show.
     """
     chain = calibrated.model.chain
     for name, factor in (("scale", scale), ("axis_scale", axis_scale)):
@@ -122,7 +134,7 @@ def build_scene(
         joints=chain.robot.joint_names,
         lower=lower,
         upper=upper,
-        q=_first_pose(chain.robot.joint_names, fields.poses, q),
+        q=np.asarray(fields.poses[0].q[0], float),
         T_scene_base=upright,
         kinematics=Kinematics.of(chain.robot),
         shapes=shapes,
@@ -132,18 +144,11 @@ def build_scene(
         fields=fields.seen_from(seen),
         scale=visible_scale(fields.layers[0], chain.robot.reach) if scale is None else scale,
         reach=chain.robot.reach,
-        notes=(*notes, *_row_notes(fields.poses), *missing, *fields.notes),
+        notes=(*_row_notes(fields.poses), *missing, *fields.notes),
     )
 
 
-def _first_pose(names: tuple[str, ...], poses: tuple[Poses, ...], q: np.ndarray | None) -> np.ndarray:
-    found = np.asarray(poses[0].q[0] if q is None else q, float)
-    if found.shape != (len(names),) or not np.isfinite(found).all():
-        raise BadInputError(f"a pose of {found.size} values ({found.tolist()}); expected {len(names)}: {', '.join(names)}")
-    return found
-
-
-def _slider_ends(calibrated: CalibratedModel, poses: tuple[Poses, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _slider_ends(calibrated: CalibratedModel, poses: tuple[FieldPoses, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of the joints' sliders, shape (n,) each: limits and all that is shown lie between them."""
     robot = calibrated.model.chain.robot
     lower = np.vstack([calibrated.covered.q[:, 0], *(part.q for part in poses)]).min(axis=0)
@@ -169,7 +174,7 @@ def visible_scale(layer: Layer, reach: float) -> float:
     return round_down(drawn / size) if size > 0.0 else 1.0
 
 
-def _row_notes(poses: tuple[Poses, ...]) -> tuple[str, ...]:
+def _row_notes(poses: tuple[FieldPoses, ...]) -> tuple[str, ...]:
     measured = next((part for part in poses if part.name == "measured"), None)
     if measured is None:
         return ("no measured poses were given: only the workspace is shown",)
@@ -191,16 +196,54 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
 
 def _frames(
     calibrated: CalibratedModel, upright: np.ndarray, seen: np.ndarray, coordinates: np.ndarray
-) -> tuple[Frame, ...]:
+) -> tuple[DrawnFrame, ...]:
     chain, n = calibrated.model.chain, calibrated.model.chain.robot.n_joints
     known = {p.name: v for p, v in zip(calibrated.model.parameters, calibrated.values, strict=False)}
-    found = [Frame("base", 0, upright)]
+    found = [DrawnFrame("base", 0, upright)]
     # A contact knows no instrument: all it says is relative to the robot's base.
     if any(p.effect == "base_frame" for p in calibrated.model.parameters):
-        found.append(Frame("instrument", 0, seen))
+        found.append(DrawnFrame("instrument", 0, seen))
     for target, reference in zip(chain.targets, chain.tool_rotations, strict=True):
         one = len(chain.targets) == 1
         at = [coordinates[chain.tool(s)] if one else known.get(f"{target}.{s}", 0.0) for s in FRAME_SYMBOLS]
         placement = chain.robot.frames.T_last_tip @ placed(reference, np.array(at, float))
-        found.append(Frame(target, n, placement))
+        found.append(DrawnFrame(target, n, placement))
     return tuple(found)
+
+
+def held_out_rows(
+    provenance: dict[str, Any], residuals: Path, data: Path, measurements: Measurements
+) -> tuple[np.ndarray | None, str]:
+    """Return which rows of a table were held out of a calibration, and in words how this is known.
+
+    Args:
+        provenance: of the calibrated model; names its input files with their SHA-256, the training table first.
+        residuals: the calibration's ``residuals.csv``; need not exist.
+        data: the table's file.
+        measurements: its rows.
+
+    Returns:
+        Shape (N,), True for rows that the fit did not see, or None if unknown; and the reason.
+    """
+    import polars as pl
+
+    inputs = provenance.get("inputs")
+    known = list(inputs.values()) if isinstance(inputs, dict) else []
+    if not known:
+        return None, f"the model names no input files, so nobody knows which rows of {data.name} it was fitted to"
+    digest, unseen = hashlib.sha256(data.read_bytes()).hexdigest(), np.ones(len(measurements), bool)
+    if digest not in known:
+        return unseen, f"{data.name} is none of the model's input files: all rows count as held out"
+    try:
+        table = pl.read_csv(residuals)
+        if "station" in table.columns:
+            # Of several stations each table is one of them, named by its file.
+            table = table.filter(pl.col("station") == data.stem)
+        if digest != known[0] and not ("station" in table.columns and len(table)):
+            return unseen, f"{data.name} was held out of the fit as a whole"
+        fitted = table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
+    except (OSError, pl.exceptions.PolarsError):
+        return None, f"which rows were held out stands in {residuals.name}, which is not beside the model: none is marked"
+    held = ~np.isin(measurements.rows, fitted)
+    words = f"{held.sum()} of {len(held)} rows were held out of the fit" if held.any() else "no row was held out of the fit"
+    return held, words

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pincal.errors import RobotFileError
+from pincal.errors import BadInputError, RobotFileError, needed
 from pincal.robot.kinematics import joint_axis
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
-from pincal.robot.urdf import parse_xml
+from pincal.robot.urdf_file import parse_xml
 
 # Faces of all meshes of a robot together; finer ones are thinned, since the page has to stay small and quick.
 _FACES = 60_000
@@ -29,7 +29,7 @@ _SIDES = 20
 
 
 @dataclass(frozen=True)
-class Shape:
+class DrawnShape:
     """One body of one colour.
 
     Attributes:
@@ -47,7 +47,9 @@ class Shape:
     colour: tuple[float, float, float]
 
 
-def shapes_of(robot: Robot, folders: Sequence[str | os.PathLike[str]] = ()) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+def shapes_of(
+    robot: Robot, folders: Sequence[str | os.PathLike[str]] = ()
+) -> tuple[tuple[DrawnShape, ...], tuple[str, ...]]:
     """Return what to draw of an arm, and in words what is drawn in another way than the URDF has it.
 
     Args:
@@ -57,7 +59,7 @@ def shapes_of(robot: Robot, folders: Sequence[str | os.PathLike[str]] = ()) -> t
     Returns:
         The shapes, and notes on meshes that are missing and links without a look.
     """
-    drawn: list[Shape] = []
+    drawn: list[DrawnShape] = []
     notes: list[str] = []
     if robot.urdf:
         try:
@@ -78,12 +80,12 @@ class _NotShown(Exception):
     """A visual that can't be drawn; the message says why."""
 
 
-def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[Shape], list[str]]:
+def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[DrawnShape], list[str]]:
     """Return the shapes of the URDF's visuals, and in words why others can't be shown."""
     root = parse_xml(robot.urdf, robot.source)
     colours = {m.get("name"): _colour(m) for m in root.iterfind("material")}
     places = _link_places(robot)
-    drawn: list[Shape] = []
+    drawn: list[DrawnShape] = []
     notes: dict[str, None] = {}
     meshes = Meshes(robot.source, folders)
     for link in root.iterfind("link"):
@@ -96,7 +98,7 @@ def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[Shape], list[str]]
             at = placement @ _origin(visual)
             try:
                 for vertices, faces, own in _geometry(visual, meshes):
-                    drawn.append(Shape(name, body, _moved(at, vertices), faces, colour or own or _GREY))
+                    drawn.append(DrawnShape(name, body, _moved(at, vertices), faces, colour or own or _GREY))
             except _NotShown as why:
                 notes[f"{name}: {why}"] = None
     return drawn, list(notes)
@@ -151,12 +153,15 @@ def _geometry(visual: Any, files: Meshes) -> list[_Mesh]:
         raise _NotShown(f"mesh {name} {why}")
     try:
         return _read_mesh(path, _numbers(shape, "scale", 3) if shape.get("scale") else np.ones(3))
+    except BadInputError as error:
+        raise _NotShown(f"mesh {name} is not shown: {error}") from None
     except Exception as error:  # Readers of meshes fail in every way there is; the page is worth more than one of them.
         raise _NotShown(f"mesh {name} can't be read ({type(error).__name__}: {str(error)[:120]})") from None
 
 
 def _read_mesh(path: Path, scale: np.ndarray) -> list[_Mesh]:
-    import trimesh
+    with needed("trimesh", "meshes", install="'trimesh[easy]'"):
+        import trimesh
 
     scene = trimesh.load_scene(path)
     shown = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
@@ -176,7 +181,7 @@ def _mesh_colour(mesh: Any) -> tuple[float, float, float] | None:
     return None if rgba is None else (rgba[0] / 255, rgba[1] / 255, rgba[2] / 255)
 
 
-def _thinned(shapes: list[Shape]) -> list[Shape]:
+def _thinned(shapes: list[DrawnShape]) -> list[DrawnShape]:
     """Thin the finest meshes until all together have no more than the faces that a page can carry."""
     total = sum(len(shape.faces) for shape in shapes)
     if total <= _FACES:
@@ -184,7 +189,7 @@ def _thinned(shapes: list[Shape]) -> list[Shape]:
     return [_thin(shape, max(200, int(len(shape.faces) * _FACES / total))) for shape in shapes]
 
 
-def _thin(shape: Shape, most: int) -> Shape:
+def _thin(shape: DrawnShape, most: int) -> DrawnShape:
     """Merge vertices in cells that grow until ``most`` faces are left."""
     extent = float(np.ptp(shape.vertices, axis=0).max())
     cell = extent / 400
@@ -212,7 +217,7 @@ def _alike(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, group
 
 
-def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[Shape]:
+def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[DrawnShape]:
     """Yield a hub on each joint's axis and a bar to the next joint, for some bodies of the arm."""
     frames, places = robot.frames, robot.frames.T_base_link @ robot.T_link_joint
     points = [np.zeros(3), *places[:, :3, 3], (frames.T_base_link[-1] @ frames.T_last_tip)[:3, 3]]
@@ -229,7 +234,7 @@ def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[Shape]:
         else:
             parts.append(_cylinder(np.zeros(3), np.array([0.0, 0.0, 0.4 * radius]), 2.0 * radius))
         for vertices, faces in parts:
-            yield Shape(name, body, _moved(inverses[body], vertices), faces, _GREY)
+            yield DrawnShape(name, body, _moved(inverses[body], vertices), faces, _GREY)
 
 
 def _cylinder(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:

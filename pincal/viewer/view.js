@@ -57,6 +57,10 @@
     return;
   }
   const node = (path) => viewer.scene_tree.find(path);
+  // The picture fills its part of the page: beside the panel, on a phone above it.
+  const view = document.getElementById("view"), resize = viewer.set_3d_pane_size.bind(viewer);
+  viewer.set_3d_pane_size = () => resize(view.clientWidth, view.clientHeight);
+  viewer.set_3d_pane_size();
 
   // --- lengths in words ----------------------------------------------------------------------------------------
   function digits(value) {
@@ -157,7 +161,7 @@
     return mesh;
   }
 
-  // Colours that are told apart by every eye (Okabe and Ito).
+  // Colours that are distinguished by every eye (Okabe and Ito).
   const TRIAD = [["x", "#e36b2c"], ["y", "#1fb58f"], ["z", "#56b4e9"]];
   function buildFrames() {
     const size = 0.13 * scene.reach;
@@ -376,7 +380,7 @@
       redraw();
     });
     const choice = element("select", { id: "fit" });
-    choice.setAttribute("aria-label", "layer that colours and lengths are fitted to");
+    choice.setAttribute("aria-label", "layer that colours and lengths are scaled to");
     layers.forEach((layer, i) => choice.append(element("option", { value: i, textContent: layer.name })));
     choice.addEventListener("change", () => {
       const layer = layers[Number(choice.value)];
@@ -397,9 +401,9 @@
     };
     panel.append(
       heading("Size of a deviation"), bar, ticks,
-      element("div", { className: "line" }, element("span", { textContent: "arrows longer than true by" }), shown),
+      element("div", { className: "line" }, element("span", { textContent: "arrow scale factor" }), shown),
       slider, measure,
-      element("p", { className: "quiet", textContent: "colours and lengths fitted to" }), choice,
+      element("p", { className: "quiet", textContent: "colours and lengths scaled to" }), choice,
     );
     showLegend();
   }
@@ -440,7 +444,7 @@
     slider.setAttribute("aria-label", "pose");
     const play = element("button", { id: "play", textContent: "Play", type: "button" });
     const choice = element("select");
-    choice.setAttribute("aria-label", "poses that the slider goes through");
+    choice.setAttribute("aria-label", "poses of the slider");
     for (const part of poses.values()) {
       choice.append(element("option", { value: part.name, textContent: `${part.name}: ${part.count} poses` }));
     }
@@ -524,7 +528,7 @@
     slider.addEventListener("input", () => {
       stop();
       setPose(pose.map((old, j) => (i === j ? Number(slider.value) : old)));
-      shown.textContent = "a pose of your own";
+      shown.textContent = "a custom pose";
     });
     const show = (angle) => {
       slider.value = angle;
@@ -585,7 +589,8 @@
     // The viewer's own axes: y is up.
     const seen = new THREE.Vector3(middle.x, middle.z, -middle.y);
     viewer.controls.target.copy(seen);
-    viewer.camera.position.set(0.72, 0.34, 0.6).multiplyScalar((0.8 * radius) / Math.tan((21 * Math.PI) / 180)).add(seen);
+    const room = Math.min(1, view.clientWidth / view.clientHeight);
+    viewer.camera.position.set(0.72, 0.34, 0.6).multiplyScalar((0.8 * radius) / Math.tan((21 * Math.PI) / 180) / room).add(seen);
     viewer.controls.update();
   }
 

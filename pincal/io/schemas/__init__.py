@@ -11,12 +11,13 @@ from typing import Any
 
 import msgspec
 
+from pincal.calibration.information import InformationFile
+from pincal.calibration.model_file import ModelFile, StationsFile
+from pincal.calibration.result import ResultFile
 from pincal.io.camera_file import CameraFile
 from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.discovery_file import Findings
-from pincal.io.effect_entry import SCHEMA
-from pincal.io.model_file import ModelFile, StationsFile
-from pincal.io.result_file import ResultFile
+from pincal.io.entries import EFFECT_SCHEMA
 from pincal.model.effects import Effect
 
 FILES: dict[str, type] = {
@@ -26,6 +27,7 @@ FILES: dict[str, type] = {
     "discovery": Findings,
     "diagnosis": DiagnosisFile,
     "camera": CameraFile,
+    "information": InformationFile,
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -34,7 +36,8 @@ def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON Schema of a file.
 
     Args:
-        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis" or "camera".
+        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis", "camera" or
+            "information".
 
     Example:
         >>> schema_of("camera")["$defs"]["CameraFile"]["required"]
@@ -55,4 +58,4 @@ def text_of(name: str) -> str:
 
 def _own(kind: type) -> dict[str, Any]:
     """Return the schema of a type that msgspec doesn't know; that of an array stands in its annotation."""
-    return SCHEMA if kind is Effect else {}
+    return EFFECT_SCHEMA if kind is Effect else {}

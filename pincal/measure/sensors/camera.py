@@ -11,18 +11,18 @@ depth of c_i: :mod:`pincal.measure.triangulation` lays the lines of sight so tha
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self, final
 
 import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics
-from pincal.measure.fields import POINT, Field, Table
+from pincal.measure.fields import POINT, Field, TableRows
 from pincal.measure.lens import NEAREST, Lens
-from pincal.measure.plausible import check_spread
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.rows import some_rows
-from pincal.measure.sensor import Block, Excluded, KnownParameters, Plausible, Sensor
+from pincal.measure.sampling import sample_rows
+from pincal.measure.sensor import Additive, Block, Excluded, KnownParameters, Plausible
+from pincal.measure.sensors.position import check_spread
 from pincal.measure.setup import Setup
 from pincal.measure.triangulation import Views, camera_starts
 from pincal.parameters import FRAME_SYMBOLS, Parameter
@@ -34,7 +34,7 @@ _SAMPLE = 300
 
 
 @dataclass(frozen=True)
-class Images(Sensor, KnownParameters):
+class Images(Additive, KnownParameters):
     """2D: images in a camera, whose parameters are the last of the sensor's own.
 
     Attributes:
@@ -43,10 +43,17 @@ class Images(Sensor, KnownParameters):
     """
 
     blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
-    deviation_end: ClassVar[str] = "the part across the view that the image tells"
+    deviation_end: ClassVar[str] = "the component across the view that the image measures"
 
     pixel: np.ndarray
     setup: Setup
+
+    @property
+    @final
+    def known_parameters(self) -> np.ndarray:
+        """The camera's parameters where it is known, and always those that a usual lens does not have."""
+        fixed = self.setup.lens_fixed()
+        return np.append(np.zeros(len(self.parameters) - len(fixed), bool), fixed)
 
     @property
     @final
@@ -58,18 +65,13 @@ class Images(Sensor, KnownParameters):
     @final
     def doubt(self) -> str:
         """The images don't fit the camera."""
-        return "the images call for another camera than the given one: --fit-camera finds its parameters"
+        return "the images contradict the given camera parameters: --fit-camera identifies them"
 
     @final
     def lens(self, own: np.ndarray) -> Lens:
         """Return the camera for values of the sensor's parameters."""
         parameters = self.setup.lens_parameters()
         return Lens(*(p.nominal + value for p, value in zip(parameters, own[-len(parameters) :], strict=True)))
-
-    @final
-    def shifted(self, change: np.ndarray) -> Self:
-        """Return images moved by ``change``, shape (2, N) [px]."""
-        return replace(self, pixel=self.pixel + change.T)
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class CameraSensor(PointSensor):
     twist_rows: ClassVar[int] = 6
     names_points: ClassVar[str | None] = "point"
     default_target: ClassVar[str] = "camera"
-    pose_limit: ClassVar[str] = "of the camera; however many points are seen in one, it tells six coordinates"
+    pose_limit: ClassVar[str] = "of the camera; each image determines six coordinates, however many points it shows"
     has_camera: ClassVar[bool] = True
     is_on_tool: ClassVar[bool] = True
     thing: ClassVar[str] = "a point"
@@ -93,11 +95,11 @@ class CameraSensor(PointSensor):
         """Yield where the object stands, if none of its points is known, and what else is open then."""
         if not known:
             yield (
-                "the points of the calibration object are not known, so they are found in the robot's base frame; with "
-                "--points FILE.csv (columns point x y z) they tell more"
+                "the points of the calibration object are unknown, so they are identified in the robot's base frame; "
+                "--points FILE.csv (columns point x y z) adds information"
             )
             if not (self.has_scale or self.points.distances):
-                yield "images of unknown points have no scale of their own: it rests on the nominal lengths of the arm"
+                yield "images of unknown points do not determine the scale, which relies on the nominal lengths of the arm"
 
     @final
     def seen(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -122,7 +124,7 @@ class CameraSensor(PointSensor):
 
 
 @dataclass(frozen=True)
-class CameraPointSensor(CameraSensor, Plausible):
+class CameraPointSensor(CameraSensor, Additive, Plausible):
     """3D: the point in the camera's frame, shape (N, 3) [m]."""
 
     kind: ClassVar[str] = "camera_point"
@@ -130,24 +132,16 @@ class CameraPointSensor(CameraSensor, Plausible):
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
     per_row: ClassVar[tuple[str, ...]] = ("index", "camera_point")
     has_scale: ClassVar[bool] = True
+    other_parameters: ClassVar[tuple[Parameter, ...]] = ()
     deviation_end: ClassVar[str] = "where the camera would have to be for its reading"
 
     camera_point: np.ndarray
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the points of a table."""
         points = setup.named()
         return cls(points, index_of(table, points), table.array("camera_point"))
-
-    @property
-    def own_parameters(self) -> tuple[Parameter, ...]:
-        """Coordinates of the unknown points."""
-        return self.points.parameters
-
-    def shifted(self, change: np.ndarray) -> Self:
-        """Return points moved by ``change``, shape (3, N) [m]."""
-        return replace(self, camera_point=self.camera_point + change.T)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (3, N) [m]."""
@@ -179,7 +173,7 @@ class CameraPointSensor(CameraSensor, Plausible):
         return Excluded(behind, "have cz <= 0, a point behind the camera", "points in front of the camera")
 
     @classmethod
-    def check_plausible(cls, table: Table, reach_m: float) -> None:
+    def check_plausible(cls, table: TableRows, reach_m: float) -> None:
         """Refuse points whose distances from the camera differ by more than the arm can span."""
         ranges = np.linalg.norm(table.array("camera_point"), axis=1, keepdims=True)
         check_spread(table, ranges, label="cx", reach_m=reach_m)
@@ -196,20 +190,15 @@ class CameraPixelSensor(CameraSensor, Images):
     impossible: ClassVar[None] = None
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the images of a table."""
         points = setup.named()
         return cls(points=points, index=index_of(table, points), pixel=table.array("pixel"), setup=setup)
 
     @property
-    def own_parameters(self) -> tuple[Parameter, ...]:
-        """Coordinates of the unknown points, then the camera's own."""
-        return self.points.parameters + self.setup.lens_parameters()
-
-    @property
-    def known_parameters(self) -> np.ndarray:
-        """The camera's parameters where it is known, and always those that a usual lens does not have."""
-        return np.concatenate([np.zeros(len(self.points.parameters), bool), self.setup.lens_fixed()])
+    def other_parameters(self) -> tuple[Parameter, ...]:
+        """The camera's own."""
+        return self.setup.lens_parameters()
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (2, N) [px]."""
@@ -230,8 +219,8 @@ class CameraPixelSensor(CameraSensor, Images):
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the best places and focal lengths of the camera."""
-        rows = some_rows(len(self), _SAMPLE, self.groups)
+        rows = sample_rows(len(self), _SAMPLE, self.groups)
         views = Views(self.index, len(self.points.names), tips, self.pixel)
-        nominal = np.array([parameter.nominal for parameter in self.setup.lens_parameters()])
+        nominal = self.setup.lens_values
         for hand, places, lens in camera_starts(views, self.setup.lens, rows=rows):
             yield self.start_with_points(places, hand[None], rest=lens.values - nominal)

@@ -6,26 +6,25 @@ t, d_i^2 = |p_i|^2 + 2 p_i.c + 2 (R_i^T p_i).t + 2 c^T R_i t + const is linear i
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self, final
 
 import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
-from pincal.measure.fields import POSITIVE, Field, Table
-from pincal.measure.plausible import check_spread
+from pincal.measure.fields import POSITIVE, Field, TableRows
 from pincal.measure.point_sensor import PointSensor, index_of
-from pincal.measure.sensor import Block, Foreseeable, Plausible, Sensor
+from pincal.measure.sensor import Additive, Block, Foreseeable, Plausible
+from pincal.measure.sensors.position import check_spread
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
 
 DISTANCE = Field("distance", ("distance",), "length", POSITIVE)
-_BLOCKS = (Block("distance", "m", 1),)
-_ALONG_SIGHT = "the part along the line of sight"
-_NO_BASE = "distances see neither where the base stands nor how it is turned, only the arm against its anchors"
+_NO_BASE = "distances do not determine the pose of the base, only the arm relative to its anchors"
 
 # A laser tracker reaches no further.
 _MOST_DISTANCE_M = 100.0
@@ -33,12 +32,50 @@ _MOST_DISTANCE_M = 100.0
 _LEAST = 1e-3
 
 
-class PlausibleDistances(Plausible):
-    """Readings of one distance each."""
+@dataclass(frozen=True)
+class Distances(Additive, Plausible):
+    """1D: distances, shape (N,) [m], each along a line of sight to the target."""
+
+    kind: ClassVar[str] = "distance"
+    blocks: ClassVar[tuple[Block, ...]] = (Block("distance", "m", 1),)
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    twist_rows: ClassVar[int] = 3
+    deviation_end: ClassVar[str] = "the part along the line of sight"
+
+    distance: np.ndarray
+
+    @abstractmethod
+    def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the lines of sight, from where a distance begins to the target, shape (3, N) [m]."""
+
+    @final
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return reading minus prediction, shape (1, N) [m]."""
+        return np.asarray(self.distance - np.linalg.norm(self.lines(poses, own), axis=0))[None]
+
+    @final
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the motion along the line of sight, of the target and of where the distance begins."""
+        direction = self._direction(poses, own)
+        along, by_own = np.einsum("in,pin->pn", direction, motion)[:, None], self.by_own(direction)
+        return np.concatenate([along, by_own]) if len(by_own) else along
+
+    @abstractmethod
+    def by_own(self, direction: np.ndarray) -> np.ndarray:
+        """Return the derivative by the sensor's own parameters, shape (own, 1, N), for lines of sight of length 1."""
+
+    @final
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the part along the line of sight."""
+        return np.asarray(residuals[0][:, None] * self._direction(poses, own).T)
+
+    def _direction(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        lines = self.lines(poses, own)
+        return np.asarray(lines / np.maximum(np.linalg.norm(lines, axis=0), 1e-12))
 
     @classmethod
     @final
-    def check_plausible(cls, table: Table, reach_m: float) -> None:
+    def check_plausible(cls, table: TableRows, reach_m: float) -> None:
         """Refuse distances that can't be in metres."""
         distance = table.array("distance")
         check_spread(table, distance[:, None], label="distance", reach_m=reach_m)
@@ -57,26 +94,19 @@ class PlausibleDistances(Plausible):
 
 
 @dataclass(frozen=True)
-class DistanceSensor(PlausibleDistances, Sensor, Foreseeable):
+class DistanceSensor(Distances, Foreseeable):
     """1D: the distance, shape (N,) [m], from the instrument's point to the target.
 
     The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
     """
 
-    kind: ClassVar[str] = "distance"
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE,)
-    blocks: ClassVar[tuple[Block, ...]] = _BLOCKS
     base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
-    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
-    twist_rows: ClassVar[int] = 3
     per_row: ClassVar[tuple[str, ...]] = ("distance",)
     needs_instrument: ClassVar[bool] = True
-    deviation_end: ClassVar[str] = _ALONG_SIGHT
-
-    distance: np.ndarray
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the distances of a table."""
         return cls(table.array("distance"))
 
@@ -85,21 +115,13 @@ class DistanceSensor(PlausibleDistances, Sensor, Foreseeable):
         """Return the distances of poses."""
         return cls(np.linalg.norm(poses[:, :, 3], axis=1))
 
-    def shifted(self, change: np.ndarray) -> Self:
-        """Return distances longer by ``change``, shape (1, N) [m]."""
-        return replace(self, distance=self.distance + change[0])
+    def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the targets: the instrument's point is the origin."""
+        return poses[:, :, 3].T
 
-    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction, shape (1, N) [m]."""
-        return np.asarray(self.distance - np.linalg.norm(poses[:, :, 3], axis=1))[None]
-
-    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion along the line of sight."""
-        return np.asarray(np.einsum("ni,pin->pn", self._direction(poses), motion)[:, None])
-
-    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the part along the line of sight."""
-        return np.asarray(residuals[0][:, None] * self._direction(poses))
+    def by_own(self, direction: np.ndarray) -> np.ndarray:
+        """Return nothing: there are no own parameters."""
+        return np.zeros((0, 1, direction.shape[1]))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield where the base is with the targets at the tip, then both as the distances have them."""
@@ -109,58 +131,33 @@ class DistanceSensor(PlausibleDistances, Sensor, Foreseeable):
         """Yield the place of the base."""
         yield _NO_BASE
 
-    @staticmethod
-    def _direction(poses: np.ndarray) -> np.ndarray:
-        return np.asarray(poses[:, :, 3] / np.linalg.norm(poses[:, :, 3], axis=1, keepdims=True))
-
 
 @dataclass(frozen=True)
-class AnchoredDistanceSensor(PlausibleDistances, PointSensor):
+class AnchoredDistanceSensor(Distances, PointSensor):
     """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
 
-    kind: ClassVar[str] = "distance"
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
-    blocks: ClassVar[tuple[Block, ...]] = _BLOCKS
-    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
-    twist_rows: ClassVar[int] = 3
     per_row: ClassVar[tuple[str, ...]] = ("index", "distance")
     names_points: ClassVar[str | None] = "anchor"
-    deviation_end: ClassVar[str] = _ALONG_SIGHT
     thing: ClassVar[str] = "an anchor"
     fewest: ClassVar[int] = 4
     needs_all_rows: ClassVar[bool] = False
     impossible: ClassVar[None] = None
-
-    distance: np.ndarray
+    other_parameters: ClassVar[tuple[Parameter, ...]] = ()
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the distances of a table."""
         points = setup.named()
-        return cls(points, index_of(table, points), table.array("distance"))
+        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
 
-    @property
-    def own_parameters(self) -> tuple[Parameter, ...]:
-        """Coordinates of the unknown anchors."""
-        return self.points.parameters
+    def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the lines from anchor to target."""
+        return np.asarray(poses[:, :, 3].T - self.points.positions(own)[self.index].T)
 
-    def shifted(self, change: np.ndarray) -> Self:
-        """Return distances longer by ``change``, shape (1, N) [m]."""
-        return replace(self, distance=self.distance + change[0])
-
-    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction, shape (1, N) [m]."""
-        return np.asarray(self.distance - np.linalg.norm(self._lines(poses, own), axis=0))[None]
-
-    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion along the line of sight, of the target and of its anchor."""
-        direction = self._direction(poses, own)
-        along = np.einsum("in,pin->pn", direction, motion)[:, None]
-        return np.concatenate([along, self.by_points(-direction[:, None])])
-
-    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the part along the line of sight."""
-        return np.asarray(residuals[0][:, None] * self._direction(poses, own).T)
+    def by_own(self, direction: np.ndarray) -> np.ndarray:
+        """Return how the anchors move the distances."""
+        return self.by_points(-direction[:, None])
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the anchors about which the distances close, each found by itself; the tool where all agree."""
@@ -179,15 +176,10 @@ class AnchoredDistanceSensor(PlausibleDistances, PointSensor):
         if not known:
             yield _NO_BASE
         if len(self.points.names) == 1:
-            yield "distances from one anchor see one direction a pose: several anchors all around the arm tell more"
-
-    def _direction(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        lines = self._lines(poses, own)
-        return np.asarray(lines / np.maximum(np.linalg.norm(lines, axis=0), 1e-12))
-
-    def _lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the vectors from anchor to target, shape (3, N) [m]."""
-        return np.asarray(poses[:, :, 3].T - self.points.positions(own)[self.index].T)
+            yield (
+                "distances from one anchor measure one direction per pose: several anchors around the arm give more "
+                "information"
+            )
 
 
 def _starts(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:

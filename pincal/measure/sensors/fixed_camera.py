@@ -17,8 +17,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics, by_target
-from pincal.measure.fields import CONDITIONS, Field, Table
-from pincal.measure.rows import some_rows
+from pincal.measure.fields import CONDITIONS, Field, TableRows
+from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import OwnParameters
 from pincal.measure.sensors.camera import PIXEL, Images
 from pincal.measure.setup import Setup
@@ -32,7 +32,7 @@ _SAMPLE = 300
 
 @dataclass(frozen=True)
 class FixedCameraSensor(Images, OwnParameters):
-    """2D: the image of a target on the tool, shape (N, 2) [px], in a camera that stands still."""
+    """2D: the image of a target on the tool, shape (N, 2) [px], in a fixed camera."""
 
     kind: ClassVar[str] = "fixed_camera_pixel"
     fields: ClassVar[tuple[Field, ...]] = (PIXEL, CONDITIONS["target"])
@@ -44,7 +44,7 @@ class FixedCameraSensor(Images, OwnParameters):
     own_words: ClassVar[str] = ""
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the images of a table."""
         return cls(table.array("pixel"), setup)
 
@@ -52,11 +52,6 @@ class FixedCameraSensor(Images, OwnParameters):
     def own_parameters(self) -> tuple[Parameter, ...]:
         """The camera's own."""
         return self.setup.lens_parameters()
-
-    @property
-    def known_parameters(self) -> np.ndarray:
-        """The camera's parameters where it is known, and always those that a usual lens does not have."""
-        return self.setup.lens_fixed()
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (2, N) [px]."""
@@ -73,7 +68,7 @@ class FixedCameraSensor(Images, OwnParameters):
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield where the camera sees the tips, then the targets, which the images place on the tool if they can."""
-        rows = some_rows(len(self), _SAMPLE, target)
+        rows = sample_rows(len(self), _SAMPLE, target)
         lens, tips, target, pixel = self.setup.lens, tips[rows], target[rows], self.pixel[rows]
         if lens is not None:
             sight = rays(lens, pixel)
@@ -91,13 +86,13 @@ class FixedCameraSensor(Images, OwnParameters):
 
     def unobservable(self) -> Iterator[str]:
         """Yield the scale."""
-        yield "images have no scale of their own: it rests on the nominal lengths of the arm"
+        yield "images do not determine the scale, which relies on the nominal lengths of the arm"
 
     def _start(self, M: np.ndarray, tools: np.ndarray) -> Extrinsics:
         """Return where all stands for a camera matrix from the robot's base, shape (3, 4)."""
         from scipy.linalg import rq
 
-        nominal = np.array([parameter.nominal for parameter in self.setup.lens_parameters()])
+        nominal = self.setup.lens_values
         if self.setup.lens is not None:
             scale = np.linalg.svd(M[:, :3], compute_uv=False).mean()
             return Extrinsics(transform(nearest_rotation(M[:, :3]), M[:, 3] / scale), tools, np.zeros(len(nominal)))

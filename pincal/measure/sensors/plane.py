@@ -18,11 +18,11 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target
-from pincal.measure.fields import Field, Table
+from pincal.measure.fields import Field, TableRows
 from pincal.measure.point_sensor import index_of, poor_groups, rows_of_new
 from pincal.measure.sensor import Block, Constraints, Excluded, Grouped, OwnParameters, Sensor
 from pincal.measure.setup import Setup
-from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.parameters import ANYWHERE, FRAME_SYMBOLS, Parameter
 
 PLANE = Field("plane", ("plane",), "name")
 _SYMBOLS = ("nx", "ny", "nz", "d")
@@ -59,7 +59,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     @classmethod
     @final
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the readings of a table.
 
         Raises:
@@ -69,13 +69,15 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         index = index_of(table, points)
         if points.known[index].any():
             name = points.names[int(index[points.known[index]][0])]
-            raise MeasurementError(f"{table.source}: plane {name!r} is one of the known points; a plane's place is found")
+            raise MeasurementError(
+                f"{table.source}: plane {name!r} is one of the known points; a plane's pose is identified"
+            )
         planes = tuple(name for name, place in points.places.items() if place is None)
         return cls(planes, points.slot[index], cls.read(table))
 
     @classmethod
     @abstractmethod
-    def read(cls, table: Table) -> np.ndarray:
+    def read(cls, table: TableRows) -> np.ndarray:
         """Return the readings of a table, shape (N,) [m]."""
 
     @property
@@ -83,7 +85,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         """Normal and distance of each plane."""
         units = ("1", "1", "1", "m")
         both = list(zip(_SYMBOLS, units, strict=True))
-        return tuple(Parameter(f"{name}.{s}", unit, "plane", 0.0, np.inf) for name in self.planes for s, unit in both)
+        return tuple(Parameter(f"{name}.{s}", unit, "plane", 0.0, ANYWHERE) for name in self.planes for s, unit in both)
 
     @property
     def row_groups(self) -> np.ndarray:
@@ -104,15 +106,15 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
     def unusable_rows(self) -> Iterator[Excluded]:
         """Yield planes with too few readings: they only place it."""
         rows, listed = poor_groups(np.array(self.planes)[self.index], _FEWEST)
-        reason = f"are of a plane with fewer than {_FEWEST} readings, which only place it ({listed})"
+        reason = f"are of a plane with fewer than {_FEWEST} readings, which only determine its pose ({listed})"
         yield Excluded(rows, reason, f"{_FEWEST} readings and more of a plane, in other poses")
 
     @classmethod
     @final
-    def unscorable_rows(cls, table: Table, setup: Setup) -> Iterator[Excluded]:
+    def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
         """Yield rows of planes that the calibration did not have."""
         rows, listed = rows_of_new(table, setup)
-        yield Excluded(rows, f"are of planes that the calibration did not have ({listed})", "planes of the calibration")
+        yield Excluded(rows, f"are of planes not used in the calibration ({listed})", "planes of the calibration")
 
     def shifted(self, change: np.ndarray) -> Self:
         """Return readings larger by ``change``, shape (1, N) [m]."""
@@ -156,8 +158,8 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     def unobservable(self) -> Iterator[str]:
         """Yield the place of the base, and the scale."""
-        yield "planes see only the arm against itself: neither where its base stands nor how it is turned"
-        yield "planes of unknown place can't tell the scale of the arm, which rests on its nominal lengths"
+        yield "planes determine only the relative geometry of the arm, not the pose of its base"
+        yield "planes of unknown pose do not determine the scale of the arm, which relies on its nominal lengths"
 
     def _heights(self, poses: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return each row's normal, shape (N, 3), its length and n.x - d, shape (N,) each."""
@@ -209,25 +211,25 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
 @dataclass(frozen=True)
 class PlaneContactSensor(PlaneSensor):
-    """1D: that the probe's tip touches a plane."""
+    """1D: contact of the probe's tip with a plane."""
 
     kind: ClassVar[str] = "plane"
     fields: ClassVar[tuple[Field, ...]] = (PLANE,)
 
     @classmethod
-    def read(cls, table: Table) -> np.ndarray:
+    def read(cls, table: TableRows) -> np.ndarray:
         """Return zero for each row."""
         return np.zeros(len(table.rows))
 
 
 @dataclass(frozen=True)
 class GaugeSensor(PlaneSensor):
-    """1D: what a dial gauge on the tool reads before a plane."""
+    """1D: reading of a dial gauge on the tool against a plane."""
 
     kind: ClassVar[str] = "gauge"
     fields: ClassVar[tuple[Field, ...]] = (PLANE, Field("gauge", ("gauge",), "length"))
 
     @classmethod
-    def read(cls, table: Table) -> np.ndarray:
+    def read(cls, table: TableRows) -> np.ndarray:
         """Return what the dial reads."""
         return table.array("gauge")

@@ -6,22 +6,57 @@ m_i = R p_i + R R_i t + b is linear in R, b and the products R (x) t. With sever
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Self, final
 
 import numpy as np
 
-from pincal.errors import MeasurementError, PincalWarning
+from pincal.errors import MeasurementError, warn
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
-from pincal.measure.fields import Field, Table
-from pincal.measure.plausible import check_spread, span_m
-from pincal.measure.sensor import Block, Foreseeable, Plausible, Sensor
+from pincal.measure.fields import Field, TableRows
+from pincal.measure.sensor import Additive, Block, Foreseeable, Plausible
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, nearest_rotation, transform
+
+# Share of the rows beyond the limits from which on the column, not the row, is at fault.
+_MANY = 0.2
+# Farthest distance of a target from the flange [m].
+_TOOL_REACH_M = 2.0
+
+
+def span_m(reach_m: float) -> float:
+    """Return how far apart two targets can be at most [m], for a flange that reaches so far from the base."""
+    return 2 * (reach_m + _TOOL_REACH_M)
+
+
+def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: float) -> float:
+    """Return the distance between (nearly) the farthest points [m]; refuse more than the arm can span.
+
+    Args:
+        table: the table, for messages.
+        points: shape (N, k) [m].
+        label: the column that a message names.
+        reach_m: farthest distance of the flange from the base [m].
+
+    Raises:
+        MeasurementError: naming the unit that seems to be meant.
+    """
+    most = span_m(reach_m)
+    from_centre = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    worst = int(from_centre.argmax())
+    # From the farthest point on, the diameter is at most twice what this finds, and never less.
+    spread = float(np.linalg.norm(points - points[worst], axis=1).max())
+    if spread <= most:
+        return spread
+    text = f"{table.source}: values of {label} lie {spread:.4g} m apart; expected at most {most:.3g} m"
+    is_unit = np.mean(from_centre > most) > _MANY and spread / 1000 <= most
+    if is_unit and label not in table.units:
+        raise MeasurementError(f"{text}; looks like millimetres: write `{label} [mm]` in the header, or their unit")
+    raise MeasurementError(f"{text}; look at line {table.rows[worst]}, at the unit and at the robot's size")
+
 
 # Pairs of axes.
 _PAIRS = ((0, 1), (1, 2), (0, 2))
@@ -37,7 +72,7 @@ def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
 # Positions alone can't tell which of these mirrors happened; with orientations they can.
 _OR = "or the frame is left-handed"
 _SWAPS = ((f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} look swapped, {_OR}", (i, j)) for i, j in _PAIRS)
-_TURNS = ((f"the column {axis!r} looks turned round in sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
+_TURNS = ((f"the column {axis!r} looks inverted in sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
 POSITION = Field(
     "position",
     ("x", "y", "z"),
@@ -57,7 +92,7 @@ class PlausiblePositions(Plausible):
 
     @classmethod
     @final
-    def check_plausible(cls, table: Table, reach_m: float) -> None:
+    def check_plausible(cls, table: TableRows, reach_m: float) -> None:
         """Refuse positions farther apart than the arm can span, or much closer than the motion of its joints."""
         spread = check_spread(table, table.array("position"), label="x", reach_m=reach_m)
         if np.median(np.ptp(table.q, axis=0)) < _MOVED:
@@ -68,11 +103,11 @@ class PlausiblePositions(Plausible):
         if unit != "m" and spread <= _LEAST_SPREAD * span_m(reach_m):
             raise MeasurementError(f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header")
         if spread < _LEAST_SPREAD * reach_m:
-            warnings.warn(f"{text}; is the target held, or the instrument stuck?", PincalWarning, stacklevel=3)
+            warn(f"{text}; is the target held, or the instrument stuck?")
 
 
 @dataclass(frozen=True)
-class PositionSensor(PlausiblePositions, Sensor, Foreseeable):
+class PositionSensor(PlausiblePositions, Additive, Foreseeable):
     """3D: the position of the target, shape (N, 3) [m], in the instrument's frame."""
 
     kind: ClassVar[str] = "position"
@@ -87,7 +122,7 @@ class PositionSensor(PlausiblePositions, Sensor, Foreseeable):
     position: np.ndarray
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the positions of a table."""
         return cls(table.array("position"))
 
@@ -95,10 +130,6 @@ class PositionSensor(PlausiblePositions, Sensor, Foreseeable):
     def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         """Return the positions of poses."""
         return cls(poses[:, :, 3])
-
-    def shifted(self, change: np.ndarray) -> Self:
-        """Return positions moved by ``change``, shape (3, N) [m]."""
-        return replace(self, position=self.position + change.T)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction, shape (3, N) [m]."""

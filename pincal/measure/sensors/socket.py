@@ -13,17 +13,16 @@ from typing import ClassVar, Self
 import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics, by_target
-from pincal.measure.fields import Field, Table
-from pincal.measure.named_points import NamedPoints
+from pincal.measure.fields import Field, TableRows
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
 from pincal.measure.sensor import Block, Foreseeable
-from pincal.measure.setup import Setup
+from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
 class ContactSensor(PointSensor, Foreseeable):
-    """3D: that the tool point is in its socket.
+    """3D: coincidence of the tool point with its socket.
 
     Rows in a socket that ``points`` do not know (``index`` -1 and below, one number for each socket) are judged by their
     distance from their own mean: how well the model keeps the tool point in one place.
@@ -43,13 +42,14 @@ class ContactSensor(PointSensor, Foreseeable):
     thing: ClassVar[str] = "a socket"
     fewest: ClassVar[int] = 2
     impossible: ClassVar[None] = None
+    other_parameters: ClassVar[tuple[Parameter, ...]] = ()
     judges_new_points: ClassVar[bool] = True
     needs_places: ClassVar[bool] = True
 
     shift: np.ndarray | None = None
 
     @classmethod
-    def of(cls, table: Table, setup: Setup) -> Self:
+    def of(cls, table: TableRows, setup: Setup) -> Self:
         """Return the contacts of a table; sockets that the setup does not have are judged by their mean."""
         points = setup.named()
         return cls(points, index_of(table, points, may_be_new=True))
@@ -61,11 +61,6 @@ class ContactSensor(PointSensor, Foreseeable):
         points = poses[:, :, 3]
         index = np.linalg.norm(points[:, None] - places, axis=2).argmin(axis=1)
         return cls(NamedPoints({f"socket_{k + 1}": None for k in range(len(places))}), index, points - places[index])
-
-    @property
-    def own_parameters(self) -> tuple[Parameter, ...]:
-        """Coordinates of the unknown sockets."""
-        return self.points.parameters
 
     @property
     def needs_all_rows(self) -> bool:
@@ -110,11 +105,11 @@ class ContactSensor(PointSensor, Foreseeable):
     def unobservable_with(self, known: int) -> Iterator[str]:
         """Yield the place of the base, and the scale."""
         if not known:
-            yield "contacts see only the arm against itself: neither where its base stands nor how it is turned"
+            yield "contacts determine only the relative geometry of the arm, not the pose of its base"
         if known < 2 and not self.points.distances:
             yield (
-                "contacts without a known length can't tell the scale of the arm, which rests on its nominal lengths: give "
-                "the distance of two sockets (--socket-distance A B METRES)"
+                "contacts without a known length do not determine the scale of the arm, which relies on its nominal "
+                "lengths: give the distance between two sockets (--socket-distance A B METRES)"
             )
 
     def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:

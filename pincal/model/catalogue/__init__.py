@@ -8,73 +8,39 @@ Example:
     ['elbow_joint.eccentric_sin1', 'elbow_joint.eccentric_cos1']
 """
 
-from pincal.model.catalogue.bearings import BearingPlace, ObliqueBearing
+from pincal.model.catalogue.bearing_features import BearingPlace, ObliqueBearing
 from pincal.model.catalogue.candidates import candidates, untestable
-from pincal.model.catalogue.curves import TransmissionError
 from pincal.model.catalogue.drives import (
     AxisWobble,
     Backlash,
     GearEccentricity,
     GearRatio,
     JointCoupling,
+    ServoDroop,
     ShortOfTarget,
     ThermalOffset,
 )
 from pincal.model.catalogue.elasticity import (
     BaseElasticity,
     GravityCompensator,
-    LinkBending,
+    Hysteresis,
     LoadBacklash,
     NonlinearElasticity,
     PayloadError,
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
-from pincal.model.catalogue.friction import Hysteresis, ServoDroop
 from pincal.model.catalogue.instrument import InstrumentAzimuth, InstrumentElevation, InstrumentRange, InstrumentTilt
+from pincal.model.catalogue.link_bending import LinkBending
 from pincal.model.catalogue.masses import LinkMass
-from pincal.model.catalogue.settling import JointCreep, ThermalGrowth
-from pincal.model.catalogue.tones import EncoderSubdivision, GearRipple
+from pincal.model.catalogue.relaxation import JointCreep, ThermalGrowth
+from pincal.model.catalogue.ripple import EncoderSubdivision, GearRipple
+from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed
-from pincal.model.registry import EFFECTS
-
-__all__ = [
-    "AxisWobble",
-    "Backlash",
-    "BaseDrift",
-    "BaseElasticity",
-    "BearingPlace",
-    "EncoderSubdivision",
-    "GearEccentricity",
-    "GearRatio",
-    "GearRipple",
-    "GravityCompensator",
-    "Hysteresis",
-    "InstrumentAzimuth",
-    "InstrumentElevation",
-    "InstrumentRange",
-    "InstrumentTilt",
-    "JointCoupling",
-    "JointCreep",
-    "LinkBending",
-    "LinkMass",
-    "LoadBacklash",
-    "MeasurementScale",
-    "NonlinearElasticity",
-    "ObliqueBearing",
-    "PayloadError",
-    "ServoDroop",
-    "ShortOfTarget",
-    "ThermalExpansion",
-    "ThermalGrowth",
-    "ThermalOffset",
-    "TransmissionError",
-    "Unnamed",
-    "candidates",
-    "untestable",
-]
+from pincal.model.effect import Effect
+from pincal.model.effect_registry import EFFECTS
 
 # In the order in which reports list the effects of one joint, and then those of the whole arm.
-for _effect in (
+_IN_ORDER: tuple[type[Effect], ...] = (
     GearRatio,
     TransmissionError,
     JointCoupling,
@@ -106,5 +72,9 @@ for _effect in (
     InstrumentTilt,
     InstrumentRange,
     Unnamed,
-):
+)
+for _effect in _IN_ORDER:
     EFFECTS.register(_effect)
+
+__all__ = ["candidates", "untestable"]
+__all__ += [_effect.__name__ for _effect in _IN_ORDER]

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
-from pincal.model.conditions import COLUMN_UNITS, INSTEAD, OF_JOINTS, Conditions, Situation
-from pincal.model.effect import Candidate, Discoverable, Effect, Family, Tone
+from pincal.model.conditions import Conditions, PoseSet
+from pincal.model.effect import Candidate, Discoverable, Effect, Family, Harmonic
+from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import Compliance
 from pincal.model.evaluated import key_of
-from pincal.model.latest import Latest
 from pincal.model.model import Model
-from pincal.model.registry import EFFECTS
 from pincal.model.sizes import largest_basis
+from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
 # A basis that changes by less than this part of its size is a constant.
 _CONSTANT = 1e-9
-# What keeps effects from showing on the latest tables; the effects are held, too.
-_STILL = Latest[tuple[Effect, str]](4)
 # Why a variable that all rows have says nothing of a joint, where it is not for the lack of its column.
-_UNTOLD = {"move": "<joint> stands still, or comes from another side than the rows before tell: see column approach_<joint>"}
-# What can be tested on the latest tables: asked again of each effect that is judged beside the others.
-_TESTABLE = Latest[tuple[Candidate, ...]](4)
+_UNTOLD = {
+    "move": "<joint> stands still, or its direction of approach does not follow from the row before: see column "
+    "approach_<joint>"
+}
 
 
 def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
@@ -33,10 +33,10 @@ def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
 
     Joint and bearing elasticity are not among them: see :func:`elasticity`.
     """
-    return tuple(effect for effect, reason in _judged(Situation(chain, conditions)) if not reason)
+    return tuple(effect for effect, reason in _judged(PoseSet(chain, conditions)) if not reason)
 
 
-def testable(situation: Situation, acts_on: Collection[str] | None = None) -> tuple[Candidate, ...]:
+def testable(situation: PoseSet, acts_on: Collection[str] | None = None) -> tuple[Candidate, ...]:
     """Return every candidate, joint by joint, that these poses could show; effects of plugins among them.
 
     Args:
@@ -46,7 +46,8 @@ def testable(situation: Situation, acts_on: Collection[str] | None = None) -> tu
     if acts_on is not None:
         some = (candidate for candidate in _all(situation) if candidate.effect.locus.acts_on in acts_on)
         return tuple(candidate for candidate in some if not why_not_testable(candidate, situation))
-    known = _TESTABLE.of(situation.chain, situation.conditions)
+    # Asked again of each effect that is judged beside the others.
+    known: dict[Any, tuple[Candidate, ...]] = situation.chain.known("testable", situation.conditions)
     key = (situation.compliances, tuple(EFFECTS.known().values()))
     if key not in known:
         # Those of other compliances won't be asked for again.
@@ -57,25 +58,25 @@ def testable(situation: Situation, acts_on: Collection[str] | None = None) -> tu
 
 def untestable(chain: Chain, conditions: Conditions) -> tuple[tuple[Effect, str], ...]:
     """Return the other effects, each with the reason in words."""
-    return tuple((effect, reason) for effect, reason in _judged(Situation(chain, conditions)) if reason)
+    return tuple((effect, reason) for effect, reason in _judged(PoseSet(chain, conditions)) if reason)
 
 
-def _judged(situation: Situation) -> list[tuple[Effect, str]]:
+def _judged(situation: PoseSet) -> list[tuple[Effect, str]]:
     return [(candidate.effect, why_not_testable(candidate, situation)) for candidate in _all(situation)]
 
 
-def elasticity(situation: Situation) -> tuple[Effect, ...]:
+def elasticity(situation: PoseSet) -> tuple[Effect, ...]:
     """Return the linear compliances that these poses excite."""
     return tuple(candidate.effect for candidate in _every(situation, elastic=True))
 
 
-def _every(situation: Situation, *, elastic: bool) -> list[Candidate]:
+def _every(situation: PoseSet, *, elastic: bool) -> list[Candidate]:
     classes = [cls for cls in EFFECTS.known().values() if issubclass(cls, Discoverable)]
     chosen = [cls for cls in classes if (cls.family is Family.ELASTICITY) == elastic]
     return [candidate for cls in chosen for candidate in cls.candidates(situation)]
 
 
-def _all(situation: Situation) -> list[Candidate]:
+def _all(situation: PoseSet) -> list[Candidate]:
     """Return all candidates but elasticity, those of a joint before those of the next, those of the whole arm last."""
     place = {joint: i for i, joint in enumerate(situation.joints)}
     return sorted(
@@ -83,7 +84,7 @@ def _all(situation: Situation) -> list[Candidate]:
     )
 
 
-def why_not_testable(candidate: Candidate, situation: Situation) -> str:
+def why_not_testable(candidate: Candidate, situation: PoseSet) -> str:
     """Return why an effect can't be told from these poses, empty if it can."""
     effect, chain, conditions = candidate.effect, situation.chain, situation.conditions
     if missing := effect.missing(conditions):
@@ -92,29 +93,31 @@ def why_not_testable(candidate: Candidate, situation: Situation) -> str:
     for name in effect.needs if joint is not None else ():
         column = conditions.column(name)
         if column is not None and column.ndim == 2 and not np.ptp(column[:, situation.joints.index(str(joint))]):
-            reason = _UNTOLD.get(name, f"column {OF_JOINTS[name]} is missing or the same in all rows")
+            reason = _UNTOLD.get(name, f"column {RECORDABLE[name].column} is missing or constant")
             return reason.replace("<joint>", str(joint))
     if candidate.obstacle:
         return candidate.obstacle
-    known, key = _STILL.of(chain, conditions), key_of(effect)
+    # The effects are held, too.
+    known, key = chain.known("still", conditions), key_of(effect)
     if key not in known:
         known[key] = effect, _unmoved(effect, situation) if effect.uses_moments else _standing_still(effect, situation)
-    return known[key][1]
+    return str(known[key][1])
 
 
-def _unmoved(effect: Effect, situation: Situation) -> str:
+def _unmoved(effect: Effect, situation: PoseSet) -> str:
     excited = bool(largest_basis(Model(situation.chain, (effect,)), situation.conditions)[1].any())
     return "" if excited else "gravity exerts no moment about its axis in any pose"
 
 
 def _lacking(column: str, conditions: Conditions) -> str:
-    name, instead = OF_JOINTS.get(column, column), INSTEAD.get(column)
+    variable = RECORDABLE.get(column)
+    name, instead = (column, "") if variable is None else (variable.column, variable.instead)
     if conditions.column(column) is not None:
-        return f"column {name} is the same in all rows"
+        return f"column {name} is constant"
     return f"column {name} is missing" + (f" ({instead})" if instead else "")
 
 
-def _standing_still(effect: Effect, situation: Situation) -> str:
+def _standing_still(effect: Effect, situation: PoseSet) -> str:
     at = effect.locus
     if at.joint is None and at.follows is None:
         return ""  # A constant of the whole arm does not depend on where the joints are.
@@ -123,9 +126,32 @@ def _standing_still(effect: Effect, situation: Situation) -> str:
     if any(np.ptp(basis) > _CONSTANT * np.abs(basis).max() for basis in bases):
         return ""
     if not bases:
-        return "nothing in these poses or on this arm that it acts on"
-    source = at.joint if at.follows in COLUMN_UNITS else at.follows or at.joint
-    return f"{source} stands still in all poses, so that it is a constant of the geometry"
+        return "it acts on nothing in these poses or on this arm"
+    source = at.joint if at.follows in RECORDABLE else at.follows or at.joint
+    return f"{source} stands still in all poses, so the effect is constant"
+
+
+def effect_parts(text: str) -> tuple[str, list[tuple[str, str]]]:
+    """Return the name, and keys with their values, of an effect on the command line; what has no key is the joint.
+
+    Args:
+        text: NAME[:JOINT][:KEY=VALUE,...].
+
+    Raises:
+        BadInputError: for a key without a value.
+
+    Example:
+        >>> effect_parts("gear_eccentricity:joint_3:order=2")
+        ('gear_eccentricity', [('joint', 'joint_3'), ('order', '2')])
+    """
+    name, *parts = (part.strip() for part in text.split(":"))
+    found = []
+    for pair in (pair for part in parts for pair in (part.split(",") if "=" in part else [f"joint={part}"])):
+        key, equals, value = (word.strip() for word in pair.partition("="))
+        if not (key and equals and value):
+            raise BadInputError(f"effect {text!r}: {pair!r}; expected KEY=VALUE, such as order=2")
+        found.append((key, value))
+    return name, found
 
 
 def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
@@ -148,10 +174,9 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
         >>> find_effect("gear_eccentricity:elbow_joint:order=2", chain, Conditions.at(q))
         GearEccentricity(joint='elbow_joint', order=2)
     """
-    name, *parts = (part.strip() for part in text.split(":"))
-    joint = next((part for part in parts if "=" not in part), None)
-    keys = dict(_pair(text, pair) for part in parts if "=" in part for pair in part.split(","))
-    situation = Situation(chain, conditions)
+    name, pairs = effect_parts(text)
+    joint, keys = dict(reversed(pairs)).get("joint"), {key: value for key, value in pairs if key != "joint"}
+    situation = PoseSet(chain, conditions)
     judged = [*((effect, "") for effect in _compliances(situation)), *_judged(situation)]
     if "order" in keys:
         judged = [_tuned(text, pair, keys["order"], situation) for pair in judged]
@@ -174,11 +199,11 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
 def needs_column(text: str, column: str, robot: Robot) -> bool:
     """Return whether an effect, as in :func:`find_effect`, can be shown only where a column is recorded."""
     name = text.split(":")[0].strip()
-    anywhere = Situation(Chain.of(robot), Conditions.at(np.zeros((2, robot.n_joints))))
+    anywhere = PoseSet(Chain.of(robot), Conditions.at(np.zeros((2, robot.n_joints))))
     return any(column in candidate.effect.needs for candidate in _all(anywhere) if candidate.effect.name == name)
 
 
-def _compliances(situation: Situation) -> list[Effect]:
+def _compliances(situation: PoseSet) -> list[Effect]:
     """Return the compliances of single joints."""
     kinds = [effect for effect in elasticity(situation) if isinstance(effect, Compliance)]
     return [type(kind)(joints=(joint,)) for joint in situation.revolute for kind in kinds]
@@ -187,18 +212,20 @@ def _compliances(situation: Situation) -> list[Effect]:
 def _says(effect: Effect, key: str, value: str) -> bool:
     at = effect.locus
     said = {"order": at.order, "frame": at.frame, "source": at.source, "joint": at.joint, "shape": at.shape}
-    return str(said.get(key)) == value or (key == "order" and isinstance(effect, Tone))
+    return str(said.get(key)) == value or (key == "order" and isinstance(effect, Harmonic))
 
 
-def _tuned(text: str, pair: tuple[Effect, str], order: str, situation: Situation) -> tuple[Effect, str]:
+def _tuned(text: str, pair: tuple[Effect, str], order: str, situation: PoseSet) -> tuple[Effect, str]:
     """Return an effect and why it can't be tested, a wave of any order with the order that is named."""
     effect = pair[0]
-    if not isinstance(effect, Tone):
+    if not isinstance(effect, Harmonic):
         return pair
     try:
         tuned = effect.tuned(float(order))
     except ValueError:
-        raise BadInputError(f"effect {text!r}: order={order}; expected a number of waves a turn, such as 101") from None
+        raise BadInputError(
+            f"effect {text!r}: order={order}; expected a number of cycles per revolution, such as 101"
+        ) from None
     return tuned, why_not_testable(Candidate(tuned), situation)
 
 
@@ -213,10 +240,3 @@ def _at(text: str, joint: str | None, likes: list[tuple[Effect, str]]) -> list[t
         where = f"expected one of {', '.join(joints)}" if joints else "it acts on the whole arm, leave out the joint"
         raise BadInputError(f"effect {text!r}: not on {joint!r}; {where}")
     return [(effect, reason) for effect, reason in likes if effect.locus.joint == joint]
-
-
-def _pair(text: str, pair: str) -> tuple[str, str]:
-    key, equals, value = (word.strip() for word in pair.partition("="))
-    if not (key and equals and value):
-        raise BadInputError(f"effect {text!r}: {pair!r}; expected KEY=VALUE, such as order=2")
-    return key, value

@@ -10,20 +10,19 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Effect, Locus, Term
-from pincal.model.places import (
+from pincal.model.effect_bases import (
     GROWTH,
     PLAY,
     RATIO,
     TILT,
     WAVE,
-    drive_terms,
+    DriveEffect,
+    DriveHarmonic,
     drive_unit,
-    joint_index,
     parameters_of,
     positions,
-    recorded,
     tilt_terms,
     waves,
 )
@@ -41,102 +40,75 @@ def _check_order(effect: Effect, joint: str, order: int) -> None:
 
 
 @dataclass(frozen=True)
-class GearEccentricity(Discoverable):
+class GearEccentricity(DriveHarmonic):
     r"""An eccentric (order 1) or elliptical (order 2) wheel: the joint turns by :math:`s \sin kq + c \cos kq` more.
 
-    Over much less than a turn order 1 is like an offset, a ratio and a compensator together.
+    Over much less than a revolution, order 1 resembles an offset, a ratio and a compensator together.
 
-    Told apart by:
-        poses over a full turn; a second payload, where gravity follows the same sine. Two orders together are a gravity
-        compensator; finer waves are a transmission error.
+    Distinguished by:
+        poses over a full revolution; a second payload, where gravity follows the same sine. Two orders together are
+        equivalent to a gravity compensator; higher orders are a transmission error.
 
     Source:
         Whitney, Lozinski and Rourke (1986); Judd and Knasinski (1990).
 
     Attributes:
         joint: the joint, a revolute one.
-        order: k, errors a turn.
+        order: k, cycles per revolution.
     """
 
-    joint: str
     order: Order = 1
     name: ClassVar[str] = "gear_eccentricity"
-    meaning: ClassVar[str] = "a gear wheel is off centre or oval: the joint errs in a wave, once or twice a turn"
+    meaning: ClassVar[str] = (
+        "a gear wheel is eccentric or elliptical: a sinusoidal joint error, once or twice per revolution"
+    )
+    pattern: ClassVar[str] = "eccentric_{wave}{order}"
+    typical: ClassVar[float] = WAVE
 
     def __post_init__(self) -> None:
         """Refuse other orders."""
         _check_order(self, self.joint, self.order)
 
-    @property
-    def locus(self) -> Locus:
-        """The drive, in waves of its own position."""
-        return Locus(self.joint, "drive", self.joint, order=self.order)
-
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield both orders on every joint that turns."""
         yield from (Candidate(cls(joint, order)) for joint in situation.revolute for order in ORDERS)
 
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Amplitudes s and c [rad]."""
-        symbols = (f"eccentric_sin{self.order}", f"eccentric_cos{self.order}")
-        return parameters_of(self, self.joint, symbols, unit="rad", size=WAVE)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add sine and cosine of the joint's angle to its drive."""
-        return drive_terms(chain, self.joint, waves(self.order * positions(chain, conditions, self.joint)))
-
 
 @dataclass(frozen=True)
-class GearRatio(Discoverable):
-    """Gear or encoder ratio that is off: the joint moves by r q more, r relative.
+class GearRatio(DriveEffect):
+    """Error of a gear or encoder ratio: r q adds to the joint position, r relative.
 
-    Told apart by:
-        poses over a full turn: over a part of it a sine and a straight line are alike. A position that repeats after a turn
-        shows a ratio at once.
+    Distinguished by:
+        poses over a full revolution: over a part of it a sine and a straight line are similar. A position repeated after a
+        revolution shows a ratio at once.
 
     Source:
         Judd and Knasinski (1990).
     """
 
-    joint: str
     name: ClassVar[str] = "gear_ratio"
-    meaning: ClassVar[str] = "the joint turns by a fixed part too far or too short"
-
-    @property
-    def locus(self) -> Locus:
-        """The drive, in proportion to its own position."""
-        return Locus(self.joint, "drive", self.joint)
-
-    @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield it on every joint."""
-        yield from (Candidate(cls(joint)) for joint in situation.joints)
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Relative error of the ratio [1]."""
-        return parameters_of(self, self.joint, ("ratio",), unit="1", size=RATIO)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the joint's position to its drive."""
-        return drive_terms(chain, self.joint, (positions(chain, conditions, self.joint),))
+    meaning: ClassVar[str] = "the joint turns too far or too short by a constant factor"
+    symbol: ClassVar[str] = "ratio"
+    unit: ClassVar[str] = "1"
+    typical: ClassVar[float] = RATIO
 
 
 @dataclass(frozen=True)
-class JointCoupling(Discoverable):
-    """Motion of one joint that leaks into another: ``joint`` moves by c q_source more.
+class JointCoupling(DriveEffect):
+    """Coupling of one joint into another: c q_source adds to the position of ``joint``.
 
-    Told apart by:
-        the two joints moved one without the other; in programs that move both together it is like a ratio.
+    Distinguished by:
+        moving each joint without the other; where both move together it resembles a ratio.
 
     Source:
         Whitney, Lozinski and Rourke (1986).
     """
 
-    joint: str
     source: str
     name: ClassVar[str] = "joint_coupling"
-    meaning: ClassVar[str] = "moving one joint drags another along"
+    meaning: ClassVar[str] = "the motion of one joint moves another"
+    typical: ClassVar[float] = RATIO
 
     @property
     def locus(self) -> Locus:
@@ -144,7 +116,7 @@ class JointCoupling(Discoverable):
         return Locus(self.joint, "drive", self.source)
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every joint, from every other."""
         yield from (
             Candidate(cls(joint, source)) for joint in situation.joints for source in situation.joints if source != joint
@@ -156,9 +128,9 @@ class JointCoupling(Discoverable):
         unit = "1" if units[0] == units[1] else "/".join(units)
         return parameters_of(self, self.joint, (f"coupling_{self.source}",), unit=unit, size=RATIO)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the source's position to the joint's drive."""
-        return drive_terms(chain, self.joint, (positions(chain, conditions, self.source),))
+    def variable(self, chain: Chain, conditions: Conditions) -> np.ndarray:
+        """Return the source's position."""
+        return positions(chain, conditions, self.source)
 
 
 @dataclass(frozen=True)
@@ -171,16 +143,16 @@ class AxisWobble(Discoverable):
     "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before) of (2, after).
     The axis tilts about the bearing: where the chain has it on the axis, in the paper the foot of the common normal.
 
-    Told apart by:
-        the joint turned alone, by many small steps, with a target far off its axis and one close to it: a wobble moves both,
-        a drive error only the far one. Orientation (6D) shows it directly.
+    Distinguished by:
+        moving the joint alone in many small steps, with one target far off its axis and one close to it: a wobble moves
+        both, a drive error only the far one. Orientation (6D) shows it directly.
 
     Source:
         tilt error motion of ISO 230-7.
 
     Attributes:
         joint: the joint, a revolute one.
-        order: k, waves a turn.
+        order: k, cycles per revolution.
         frame: whether the tilt is seen from the previous link ("before") or from the turning one ("after").
     """
 
@@ -188,7 +160,7 @@ class AxisWobble(Discoverable):
     order: Order = 2
     frame: WobbleFrame = "before"
     name: ClassVar[str] = "axis_wobble"
-    meaning: ClassVar[str] = "the axis tilts to and fro as the joint turns"
+    meaning: ClassVar[str] = "the axis tilts periodically as the joint turns"
 
     def __post_init__(self) -> None:
         """Refuse other orders and frames."""
@@ -202,7 +174,7 @@ class AxisWobble(Discoverable):
         return Locus(self.joint, "tilt", self.joint, order=self.order, frame=self.frame)
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield both orders, seen from both sides, on every joint that turns."""
         for joint in situation.revolute:
             yield from (Candidate(cls(joint, order, frame)) for order in ORDERS for frame in WOBBLE_FRAMES)
@@ -221,88 +193,57 @@ class AxisWobble(Discoverable):
 
 
 @dataclass(frozen=True)
-class Backlash(Discoverable):
-    """Play in a gear: the joint moves by b times its direction of approach (-1, 0, 1) more.
+class Backlash(DriveEffect):
+    """Backlash of a gear: b times the direction of approach (-1, 0, 1) adds to the joint position.
 
-    A joint that lags behind its drive by half the play has b = - play / 2.
+    A joint that lags behind its drive by half the backlash has b = - backlash / 2.
 
-    Told apart by:
-        each pose reached from both sides, and the side recorded (`approach_<joint>`). A payload decides between play and
+    Distinguished by:
+        reaching each pose from both directions, recorded in `approach_<joint>`. A payload distinguishes backlash from
         hysteresis, which grows with the load.
 
     Source:
         Slamani, Nubiola and Bonev (2012).
     """
 
-    joint: str
     name: ClassVar[str] = "backlash"
-    meaning: ClassVar[str] = "play: the joint stops short, depending on the side from which it came"
-
-    @property
-    def locus(self) -> Locus:
-        """The drive, by the direction from which it arrived."""
-        return Locus(self.joint, "drive", "approach")
-
-    @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield it on every joint."""
-        yield from (Candidate(cls(joint)) for joint in situation.joints)
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Shift after an approach in positive direction [rad or m]."""
-        return parameters_of(self, self.joint, ("backlash",), unit=drive_unit(chain, self.joint), size=PLAY)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the direction of approach to the joint's drive."""
-        approach = recorded(self, f"approach_{self.joint}", conditions.approach)
-        return drive_terms(chain, self.joint, (approach[:, joint_index(chain, self.joint)],))
+    meaning: ClassVar[str] = "backlash: the joint stops short, depending on the direction of approach"
+    symbol: ClassVar[str] = "backlash"
+    typical: ClassVar[float] = PLAY
+    follows: ClassVar[str] = "approach"
+    recorded_as: ClassVar[str] = "approach_<joint>"
 
 
 @dataclass(frozen=True)
-class ShortOfTarget(Discoverable):
-    """Drive that has not come to rest when it is measured: the joint moves by c times its last move more.
+class ShortOfTarget(DriveEffect):
+    """Drive that has not settled when it is measured: c times the last move adds to the joint position.
 
-    A joint that is still short of its target by a share of the way it came has c < 0.
+    A joint that falls short of its target by a fraction of its move has c < 0.
 
-    Told apart by:
-        each pose reached from both sides by long and by short moves, rows in the order of measurement (`--rows-in-order`, or
-        a column `time`): play does not depend on how far the joint came. A pause before each reading does away with it.
+    Distinguished by:
+        reaching each pose from both directions by long and short moves, rows in the order of measurement (`--rows-in-order`,
+        or a column `time`): backlash does not depend on the distance moved. A pause before each reading eliminates it.
 
     Source:
         position stabilisation time and overshoot in ISO 9283.
     """
 
-    joint: str
     name: ClassVar[str] = "settling"
-    meaning: ClassVar[str] = "the joint has not come to rest: it is short of its target by a share of its last move"
-
-    @property
-    def locus(self) -> Locus:
-        """The drive, in proportion to its last move."""
-        return Locus(self.joint, "drive", "move")
-
-    @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield it on every joint."""
-        yield from (Candidate(cls(joint)) for joint in situation.joints)
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Share of the last move by which the joint is further [1]."""
-        return parameters_of(self, self.joint, ("settling",), unit="1", size=RATIO)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the last move to the joint's drive."""
-        move = recorded(self, "time (or the word that rows stand in order, --rows-in-order)", conditions.move)
-        return drive_terms(chain, self.joint, (move[:, joint_index(chain, self.joint)],))
+    meaning: ClassVar[str] = "the joint has not settled: it falls short by a fraction of its last move"
+    symbol: ClassVar[str] = "settling"
+    unit: ClassVar[str] = "1"
+    typical: ClassVar[float] = RATIO
+    follows: ClassVar[str] = "move"
+    recorded_as: ClassVar[str] = "time (or --rows-in-order)"
 
 
 @dataclass(frozen=True)
-class ThermalOffset(Discoverable):
-    """Zero of a joint that shifts with temperature: by c (T - reference).
+class ThermalOffset(DriveEffect):
+    """Joint offset that shifts with temperature: by c (T - reference).
 
-    Told apart by:
-        the same poses cold and warm, and the temperature recorded. Links that grow move the target along the arm, a zero
-        that shifts moves it across.
+    Distinguished by:
+        the same poses cold and warm, with the temperature recorded. Thermal expansion moves the target along the arm, an
+        offset shift moves it across.
 
     Source:
         Heisel, Richter and Wurst (1997).
@@ -312,27 +253,43 @@ class ThermalOffset(Discoverable):
         reference: temperature without shift [deg C]; another one only changes the joint offset.
     """
 
-    joint: str
     reference: float = 20.0
     name: ClassVar[str] = "thermal_offset"
-    meaning: ClassVar[str] = "the joint's zero moves with temperature"
-
-    @property
-    def locus(self) -> Locus:
-        """The drive, in proportion to the temperature."""
-        return Locus(self.joint, "drive", "temperature")
-
-    @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
-        """Yield it on every joint."""
-        yield from (Candidate(cls(joint)) for joint in situation.joints)
+    meaning: ClassVar[str] = "the joint offset changes with temperature"
+    typical: ClassVar[float] = GROWTH
+    follows: ClassVar[str] = "temperature"
+    recorded_as: ClassVar[str] = "temperature"
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Shift [rad/K or m/K]."""
         unit = f"{drive_unit(chain, self.joint)}/K"
-        return parameters_of(self, self.joint, ("offset_T",), unit=unit, size=GROWTH)
+        return parameters_of(self, self.joint, ("offset_T",), unit=unit, size=self.typical)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the temperature to the joint's drive."""
-        temperature = recorded(self, "temperature", conditions.temperature)
-        return drive_terms(chain, self.joint, (temperature - self.reference,))
+    def variable(self, chain: Chain, conditions: Conditions) -> np.ndarray:
+        """Return the temperature over the reference."""
+        return super().variable(chain, conditions) - self.reference
+
+
+@dataclass(frozen=True)
+class ServoDroop(DriveEffect):
+    """Steady-state position error: p (commanded - read back) adds to the fitted joint position.
+
+    Where the positions read back are fitted p is 0 if the encoder measures all of the error, 1 if the joint stands
+    as commanded; where the commanded ones are fitted, -1 if the encoder measures all of it. An error proportional to the
+    torque resembles linear elasticity; friction and integral action distinguish them.
+
+    Distinguished by:
+        commanded and read positions, both recorded (`commanded_<joint>` or `read_<joint>`), with two payloads: the
+        steady-state error of a controller without integral action is proportional to the load, like elasticity.
+
+    Source:
+        steady-state error of position control, Siciliano et al. (2009), section 8.5.
+    """
+
+    name: ClassVar[str] = "servo_droop"
+    meaning: ClassVar[str] = "steady-state position error: the joint stands between the commanded and the read-back position"
+    symbol: ClassVar[str] = "droop"
+    unit: ClassVar[str] = "1"
+    typical: ClassVar[float] = PLAY
+    follows: ClassVar[str] = "droop"
+    recorded_as: ClassVar[str] = "commanded_<joint> (or read_<joint>)"

@@ -9,24 +9,24 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Locus, Term
-from pincal.model.places import GROWTH, TILT, joint_index, parameters_of, recorded
+from pincal.model.effect_bases import GROWTH, TILT, joint_index, parameters_of, recorded
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
 
 @dataclass(frozen=True)
 class ThermalExpansion(Discoverable):
-    """Lengths that grow with temperature: by alpha_T (T - reference) times their nominal value.
+    """Thermal expansion of lengths: by alpha_T (T - reference) times their nominal value.
 
     Of the whole arm these are d and a of every joint, and the constant ways from the base to joint 1 and from the last link
     to the tip: which of a robot's lengths are d and a is a matter of where the URDF puts its frames. The constant ways act
     on base and tool x, y, z. Of one joint it is the way from where the URDF has this joint to where it has the next, or the
     tip: d and a, but for the parts of d (before) and of the next joint's d (behind) that lie beyond those places.
 
-    Told apart by:
-        the same poses cold and warm, stretched out and folded: growth is in proportion to the arm's length. The scale of an
-        instrument whose lengths follow the temperature is the same thing, unless it measures a length that is known.
+    Distinguished by:
+        the same poses cold and warm, stretched out and folded: expansion is proportional to the arm's length. The scale of
+        an instrument that depends on temperature is equivalent, unless it measures a known length.
 
     Source:
         Heisel, Richter and Wurst (1997).
@@ -39,7 +39,7 @@ class ThermalExpansion(Discoverable):
     joint: str | None = None
     reference: float = 20.0
     name: ClassVar[str] = "thermal_expansion"
-    meaning: ClassVar[str] = "the links grow with temperature"
+    meaning: ClassVar[str] = "the links expand with temperature"
 
     @property
     def locus(self) -> Locus:
@@ -47,7 +47,7 @@ class ThermalExpansion(Discoverable):
         return Locus(self.joint, "lengths", "temperature")
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every link, and on the whole arm."""
         yield from (Candidate(cls(joint)) for joint in (*situation.joints, None))
 
@@ -63,11 +63,11 @@ class ThermalExpansion(Discoverable):
 
 @dataclass(frozen=True)
 class BaseDrift(Discoverable):
-    """Base, or instrument, that creeps: its coordinates change by rate times (time - reference).
+    """Drift of base or instrument: its coordinates change by rate times (time - reference).
 
-    Told apart by:
-        one target on the base or the floor, measured again and again: the instrument's own drift. The robot's poses at the
-        start repeated at the end show the rest.
+    Distinguished by:
+        measuring one target on the base or the floor repeatedly, which shows the instrument's own drift. Repeating the first
+        poses of the robot at the end shows the rest.
 
     Source:
         drift of pose characteristics in ISO 9283.
@@ -80,21 +80,17 @@ class BaseDrift(Discoverable):
     reference: float = 0.0
     turns: bool = True
     name: ClassVar[str] = "base_drift"
-    meaning: ClassVar[str] = "robot and instrument move against each other as time goes by"
+    meaning: ClassVar[str] = "robot and instrument drift relative to each other"
     scope: ClassVar[Scope] = "station"
+    locus: ClassVar[Locus] = Locus(None, "base", "time")
 
     @classmethod
     def over(cls, time: np.ndarray, *, turns: bool = True) -> BaseDrift:
         """Return the drift about the mean of the times [s]."""
         return cls(float(np.mean(time)), turns)
 
-    @property
-    def locus(self) -> Locus:
-        """The base, in proportion to the time."""
-        return Locus(None, "base", "time")
-
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it once: a shift alone, and a shift with a turn."""
         time = situation.conditions.time
         effect = cls() if time is None else cls.over(time)
@@ -115,31 +111,27 @@ class BaseDrift(Discoverable):
 
 @dataclass(frozen=True)
 class MeasurementScale(Discoverable):
-    """Instrument with a wrong scale: every length is seen (1 + s) times as long.
+    """Scale error of an instrument: every length is measured (1 + s) times as long.
 
-    To first order d and a of every joint (and the way of a sliding one) grow by s; base and tool are constants, which their
-    own parameters take up. With all lengths free this adds nothing (rank 0): it needs a length that is known, such as
+    To first order d and a of every joint (and the travel of a prismatic one) grow by s; base and tool are constants,
+    absorbed by their own parameters. With all lengths free this adds nothing (rank 0): it needs a known length, such as
     links fixed at their nominal lengths.
 
-    Told apart by:
-        a length that is known, such as a scale bar beside the robot: with all link lengths free, a larger robot and a longer
-        metre are the same.
+    Distinguished by:
+        a known length, such as a scale bar next to the robot: with all link lengths free, a larger robot and a longer metre
+        are equivalent.
 
     Source:
         length measurement errors of laser trackers in ISO 10360-10.
     """
 
     name: ClassVar[str] = "measurement_scale"
-    meaning: ClassVar[str] = "the instrument's lengths are off by a fixed part"
+    meaning: ClassVar[str] = "the instrument's lengths have a scale error"
     scope: ClassVar[Scope] = "station"
-
-    @property
-    def locus(self) -> Locus:
-        """All lengths."""
-        return Locus(None, "lengths")
+    locus: ClassVar[Locus] = Locus(None, "lengths")
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it once."""
         yield Candidate(cls())
 

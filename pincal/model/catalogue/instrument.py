@@ -22,10 +22,10 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation
+from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Locus, Term
+from pincal.model.effect_bases import TILT, parameters_of, waves
 from pincal.model.model import Model
-from pincal.model.places import TILT, parameters_of, waves
 from pincal.parameters import Parameter, Scope
 
 Orders = Literal[1, 2]
@@ -74,11 +74,7 @@ class _Reading(ABC):
 
     name: ClassVar[str]
     scope: ClassVar[Scope] = "station"
-
-    @property
-    def is_sighted(self) -> bool:
-        """It follows where the target is seen."""
-        return True
+    is_sighted: ClassVar[bool] = True
 
     @abstractmethod
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
@@ -87,7 +83,7 @@ class _Reading(ABC):
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Move all that is seen, in the instrument's axes."""
         if conditions.sighted is None:
-            raise BadInputError(f"{self.name} needs where the instrument sees the target; expected positions in its frame")
+            raise BadInputError(f"{self.name} needs the target's position in the instrument's frame; expected positions")
         moves = enumerate(self._moves(Sight.of(conditions.sighted)))
         return tuple(Term(p, chain.base(axis), way[k]) for p, way in moves for k, axis in enumerate("xyz") if way[k].any())
 
@@ -97,25 +93,20 @@ class _Circle(_Reading):
     """What errors of a tracker's graduated circles share.
 
     Attributes:
-        orders: 1 for an eccentric circle, 2 for one that is oval as well.
+        orders: 1 for an eccentric encoder, 2 for one that is also elliptical.
     """
 
     orders: Orders = 1
-    axis: ClassVar[str]
+    locus: ClassVar[Locus]
 
     def __post_init__(self) -> None:
         """Refuse other orders."""
         if self.orders not in _ORDERS:
             raise BadInputError(f"{self.name}: orders {self.orders}; expected 1 or 2")
 
-    @property
-    def locus(self) -> Locus:
-        """The circle."""
-        return Locus(acts_on=self.axis)
-
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s and c of each order [rad]."""
-        symbols = [f"{self.axis}_{wave}{k}" for k in _ORDERS[: self.orders] for wave in ("sin", "cos")]
+        symbols = [f"{self.locus.acts_on}_{wave}{k}" for k in _ORDERS[: self.orders] for wave in ("sin", "cos")]
         return tuple(Parameter(f"instrument.{symbol}", "rad", self.name, 0.0, TILT) for symbol in symbols)
 
     @abstractmethod
@@ -129,25 +120,27 @@ class _Circle(_Reading):
 
 @dataclass(frozen=True)
 class InstrumentAzimuth(_Circle, Discoverable):
-    r"""Azimuth circle of a tracker off centre (k = 1) or oval, too (k = 2): it reads :math:`s \sin kA + c \cos kA` more.
+    r"""Azimuth encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kA + c \cos kA` more.
 
-    Told apart by:
+    Distinguished by:
         the same poses with the tracker elsewhere: its error goes with its own azimuth, the robot's stays with the robot.
-        From one place, the first joint's drive does much the same to a target that goes around with it.
+        From one place, the first joint's drive has a similar effect on a target that rotates with it.
 
     Source:
         Muralikrishnan et al. (2009), x6 and x9, the geometric error model of laser trackers.
 
     Attributes:
-        orders: 1 for an eccentric circle, 2 for one that is oval as well.
+        orders: 1 for an eccentric encoder, 2 for one that is also elliptical.
     """
 
     name: ClassVar[str] = "instrument_azimuth"
-    meaning: ClassVar[str] = "the tracker's azimuth circle is off centre or oval: it errs in a wave, once or twice a turn"
-    axis: ClassVar[str] = "azimuth"
+    meaning: ClassVar[str] = (
+        "the tracker's azimuth encoder is eccentric or elliptical: a sinusoidal error, once or twice per revolution"
+    )
+    locus: ClassVar[Locus] = Locus(acts_on="azimuth")
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it once: eccentric, or oval as well."""
         yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
 
@@ -157,9 +150,9 @@ class InstrumentAzimuth(_Circle, Discoverable):
 
 @dataclass(frozen=True)
 class InstrumentElevation(_Circle, Discoverable):
-    r"""Elevation circle of a tracker off centre (k = 1) or oval, too (k = 2): it reads :math:`s \sin kE + c \cos kE` more.
+    r"""Elevation encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kE + c \cos kE` more.
 
-    Told apart by:
+    Distinguished by:
         the same poses with the tracker elsewhere, nearer or farther, higher or lower: its error goes with its own elevation,
         the robot's stays with the robot.
 
@@ -167,15 +160,17 @@ class InstrumentElevation(_Circle, Discoverable):
         Muralikrishnan et al. (2009), x7 and x9, the geometric error model of laser trackers.
 
     Attributes:
-        orders: 1 for an eccentric circle, 2 for one that is oval as well.
+        orders: 1 for an eccentric encoder, 2 for one that is also elliptical.
     """
 
     name: ClassVar[str] = "instrument_elevation"
-    meaning: ClassVar[str] = "the tracker's elevation circle is off centre or oval: it errs in a wave, once or twice a turn"
-    axis: ClassVar[str] = "elevation"
+    meaning: ClassVar[str] = (
+        "the tracker's elevation encoder is eccentric or elliptical: a sinusoidal error, once or twice per revolution"
+    )
+    locus: ClassVar[Locus] = Locus(acts_on="elevation")
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it once: eccentric, or oval as well."""
         yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
 
@@ -185,35 +180,31 @@ class InstrumentElevation(_Circle, Discoverable):
 
 @dataclass(frozen=True)
 class InstrumentTilt(_Reading, Discoverable):
-    r"""Axes of a tracker that are not square, or pass each other.
+    r"""Axes of a tracker that are not perpendicular or do not intersect.
 
-    The transit axis (about which it looks up) is not square to the standing axis by t, the beam not to the transit axis by
-    c, and the zero of the elevation is off by i: :math:`\Delta A = t \tan E + c / \cos E`, :math:`\Delta E = i`. With
+    The transit axis deviates from perpendicular to the standing axis by t, the beam from perpendicular to the transit axis
+    by c, and the zero of the elevation is off by i: :math:`\Delta A = t \tan E + c / \cos E`, :math:`\Delta E = i`. With
     offsets, the transit axis passes the standing axis by f, and the beam the point where they meet by l (to the left) and u
     (upwards). How the standing axis itself stands is the place of the base. Two-face readings are free of t, c, i, l, u.
 
-    Told apart by:
-        the same target in both faces of the tracker. From another place the robot's poses are seen under other elevations,
-        and what the robot does stays.
+    Distinguished by:
+        two-face measurements of the same target. From another place the robot's poses have other elevations, while errors
+        of the robot stay.
 
     Source:
         Muralikrishnan et al. (2009), x1, x2, x4, x5, the geometric error model of laser trackers.
 
     Attributes:
-        offsets: whether the axes pass each other, too.
+        offsets: whether the axes do not intersect, too.
     """
 
     offsets: bool = False
     name: ClassVar[str] = "instrument_tilt"
-    meaning: ClassVar[str] = "the tracker's axes are not square to each other, or pass each other"
-
-    @property
-    def locus(self) -> Locus:
-        """The axes of the instrument."""
-        return Locus(acts_on="axes")
+    meaning: ClassVar[str] = "the tracker's axes are not perpendicular or do not intersect"
+    locus: ClassVar[Locus] = Locus(acts_on="axes")
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it once: angles alone, and angles with offsets."""
         yield Candidate(cls(), variants=(cls(), cls(offsets=True)), obstacle=_obstacle(situation))
 
@@ -236,24 +227,20 @@ class InstrumentRange(_Reading, Discoverable):
 
     Its scale is ``measurement_scale``.
 
-    Told apart by:
-        the same target seen from both ends of a line and from between them; or poses near the tracker and far from it, as
-        from a second place.
+    Distinguished by:
+        measuring the same target from both ends of a line and from between them; or poses near the tracker and far from
+        it, as from a second place.
 
     Source:
         Muralikrishnan et al. (2009), x8 ("bird bath"); R0 of ISO 10360-10.
     """
 
     name: ClassVar[str] = "instrument_range"
-    meaning: ClassVar[str] = "the zero of the tracker's distance meter is off"
-
-    @property
-    def locus(self) -> Locus:
-        """The range."""
-        return Locus(acts_on="range")
+    meaning: ClassVar[str] = "the tracker's distance meter has a zero offset"
+    locus: ClassVar[Locus] = Locus(acts_on="range")
 
     @classmethod
-    def candidates(cls, situation: Situation) -> Iterator[Candidate]:
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it once."""
         yield Candidate(cls(), obstacle=_obstacle(situation))
 
@@ -265,11 +252,11 @@ class InstrumentRange(_Reading, Discoverable):
         return (sight.along,)
 
 
-def _obstacle(situation: Situation) -> str:
+def _obstacle(situation: PoseSet) -> str:
     """Return why readings can't be judged as those of a tracker, empty if they can."""
     chain, conditions = situation.chain, situation.conditions
     if conditions.sighted is None:
-        return "no position is read in the frame of an instrument"
+        return "no positions in an instrument frame"
     tips = Model(chain, ()).predict(np.zeros(0), conditions)[:, :, 3]
     base = np.median(conditions.sighted - tips, axis=0)
     away, reach = np.linalg.norm(base), np.median(np.linalg.norm(conditions.sighted - base, axis=1))
@@ -277,6 +264,6 @@ def _obstacle(situation: Situation) -> str:
     if away >= reach:
         return ""
     return (
-        f"the frame of the readings has its origin {away:.2g} m from the robot's base, where no tracker stands: give them "
-        "in the tracker's own frame"
+        f"the frame of the readings has its origin {away:.2g} m from the robot's base, where no tracker can stand: give "
+        "them in the tracker's own frame"
     )

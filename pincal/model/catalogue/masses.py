@@ -15,8 +15,8 @@ from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 
 # How well the shape of an arm tells its masses and centres of mass: fractions of the link's own mass, and of its size.
-MASS_SIZE = 0.5
-CENTRE_SIZE = 0.3
+_MASS_SIZE = 0.5
+_CENTRE_SIZE = 0.3
 _AXES: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 # A link's size is at least this part of the arm's.
 _SHORTEST = 0.1
@@ -26,37 +26,33 @@ _SHORTEST = 0.1
 class LinkMass(Effect):
     """Mass of each link and first moment of mass about where the shape has its centre, both linear in the static moments.
 
-    Seen only through the compliances, gamma = k n, they are identified up to a factor that all masses and the inverse of
-    all compliances share, unless the payload varies; the priors hold this factor, and no prediction depends on it.
+    Observable only through the compliances, gamma = k n, they are identified up to a common factor of all masses and the
+    inverse of all compliances, unless the payload varies; the priors fix this factor, and predictions do not depend on it.
 
-    Told apart by:
-        payloads that are known: without them only the product of masses and compliances is seen. The mass of the data sheet
-        (`--mass`) does the same.
+    Distinguished by:
+        known payloads: without them only the product of masses and compliances is observable. The mass from the data sheet
+        (`--mass`) is equivalent.
 
     Source:
         Atkeson, An and Hollerbach (1986).
 
     Attributes:
-        joints: the joints whose links have no mass that is known; default: all.
+        joints: the joints whose links have no known mass; default: all.
     """
 
     joints: tuple[str, ...] | None = None
     name: ClassVar[str] = "link_mass"
-    meaning: ClassVar[str] = "masses and centres of mass of the links, which the robot's description does not tell"
+    meaning: ClassVar[str] = "masses and centres of mass of links that are missing in the robot description"
     family: ClassVar[Family] = Family.LOAD
-
-    @property
-    def locus(self) -> Locus:
-        """All elastic rotations, by the moments."""
-        return Locus(acts_on="gamma", follows=MOMENT)
+    locus: ClassVar[Locus] = Locus(acts_on="gamma", follows=MOMENT)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Mass [kg], and first moment of mass beside that of the mass where the shape has its centre [kg m]."""
         found = []
         for i in self._indices(chain):
             joint, mass = chain.robot.joint_names[i], float(chain.robot.masses[i])
-            found.append(Parameter(f"{joint}.mass", "kg", self.name, mass, MASS_SIZE * mass))
-            size = CENTRE_SIZE * mass * self._length(chain, i)
+            found.append(Parameter(f"{joint}.mass", "kg", self.name, mass, _MASS_SIZE * mass))
+            size = _CENTRE_SIZE * mass * self._length(chain, i)
             found += [Parameter(f"{joint}.mc_{axis}", "kg m", self.name, 0.0, size) for axis in "xyz"]
         return tuple(found)
 
@@ -101,6 +97,6 @@ def notes_on_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     if not robot.massless or not any(effect.uses_moments for effect in effects):
         return ()
     return (
-        f"the robot's description has no masses that could be trusted of {len(robot.massless)} links: moments are those of "
-        f"its shape, {robot.masses.sum():.3g} kg in all; a calibration finds them with the compliances",
+        f"the robot description has no usable masses for {len(robot.massless)} links: moments are those of "
+        f"its shape, {robot.masses.sum():.3g} kg in all; a calibration estimates them with the compliances",
     )

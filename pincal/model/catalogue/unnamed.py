@@ -10,14 +10,14 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
-from pincal.model.catalogue.curves import POSES_PER_PIECE
+from pincal.model.catalogue.transmission import POSES_PER_PIECE
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, Situation, distinct_values, recorded_variable
+from pincal.model.conditions import Conditions, PoseSet, distinct_values, recorded_variable
 from pincal.model.effect import Family, Locus, Resolvable, Term
-from pincal.model.places import joint_index, tilt_terms, waves
+from pincal.model.effect_bases import joint_index, tilt_terms, waves
 from pincal.parameters import Parameter
 
-Shape = Literal["curve", "waves", "product", "map", "step", "kink"]
+FormName = Literal["curve", "waves", "product", "map", "step", "kink"]
 ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
 
 # Pairs of neighbouring joints among which a discovery chooses the likeliest maps.
@@ -40,11 +40,11 @@ _CONSTANT = 1e-6
 
 @dataclass(frozen=True)
 class Unnamed(Resolvable):
-    """A joint moves with one variable, or with its own position and another's, for no reason that the catalogue knows.
+    """A joint error that depends on one variable, or on its own position and another's, without a cause in the catalogue.
 
-    Told apart by:
-        whatever varies what it follows and holds the rest: the section of each named effect says which. A name may be
-        missing in the catalogue; an effect of one's own is one class.
+    Distinguished by:
+        measurements that vary its variable and hold the others: see the sections of the named effects. If the catalogue
+        lacks an effect, a custom one is one class.
 
     Source:
         splines after de Boor (1978).
@@ -60,7 +60,7 @@ class Unnamed(Resolvable):
             "kink" (another slope from there on).
         lower, upper: the range that was seen; outside it a curve keeps its end value.
         size: number of basis functions of a curve, and of a map along each joint.
-        order: waves a turn.
+        order: cycles per revolution.
         place: where it breaks [rad or m].
         own_lower, own_upper: the range of the joint's own position, of a map.
     """
@@ -68,7 +68,7 @@ class Unnamed(Resolvable):
     joint: str
     acts_on: ActsOn
     depends_on: str
-    shape: Shape = "curve"
+    shape: FormName = "curve"
     lower: float = -np.pi
     upper: float = np.pi
     size: int = 8
@@ -77,7 +77,7 @@ class Unnamed(Resolvable):
     own_lower: float = -np.pi
     own_upper: float = np.pi
     name: ClassVar[str] = "unnamed"
-    meaning: ClassVar[str] = "something real that no name here describes"
+    meaning: ClassVar[str] = "a significant effect that is not in the catalogue"
     family: ClassVar[Family] = Family.NAMELESS
     alike: ClassVar[bool] = True
 
@@ -104,7 +104,7 @@ class Unnamed(Resolvable):
         """Number of basis functions."""
         return {"curve": self.size, "waves": 2, "product": 4, "map": self.size**2, "step": 1, "kink": 2}[self.shape]
 
-    def resolutions(self, situation: Situation) -> tuple[Unnamed, ...]:
+    def resolutions(self, situation: PoseSet) -> tuple[Unnamed, ...]:
         """Return a map from coarse to fine, as far as poses and positions carry it; other shapes have no resolution."""
         if self.shape != "map":
             return ()
@@ -172,7 +172,7 @@ def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[s
                 yield from _of_two_joints(joint, source) if not own else _of_one_joint(joint, column)
 
 
-def maps_of(situation: Situation, joint: str) -> Iterator[Unnamed]:
+def maps_of(situation: PoseSet, joint: str) -> Iterator[Unnamed]:
     """Yield the coarsest map of a joint's position and of each other's."""
     own = situation.positions(joint)
     for other in situation.joints:

@@ -1,8 +1,13 @@
 """Figures of results, drawn on canvases of their own: nothing is shown, no state of matplotlib is touched.
 
 Each function takes a result and returns a :class:`matplotlib.figure.Figure`; save it with ``figure.savefig``. Those of a
-calibration take :class:`~pincal.report.evidence.Evidence`:
+calibration take :class:`~pincal.report.row_errors.RowErrors`:
 
-    evidence = pincal.report.evidence.evidence_of(run)[0]
-    pincal.report.plots.errors.cumulative_figure(evidence).savefig("errors.png")
+    evidence = pincal.report.row_errors.evidence_of(run)[0]
+    pincal.report.plots.row_figures.cumulative_figure(evidence).savefig("errors.png")
 """
+
+from pincal.errors import needed
+
+with needed("matplotlib", "figures and reports"):
+    import matplotlib  # noqa: F401

@@ -9,12 +9,27 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pincal.calibration.parameters import ParameterRow
+from pincal.calibration.result_tables import INTERVAL, ParameterRow
 from pincal.discover.shrink import PartialResidual
-from pincal.parameters import FRAME_SYMBOLS
+from pincal.parameters import FRAME_SYMBOLS, split_name
+from pincal.recorded import RECORDABLE
 from pincal.report.plots import style
-from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, TEXT, dress, legend, log_axis, panel, plain, thinned
-from pincal.units import format_small, readable_unit, small_unit
+from pincal.report.plots.style import (
+    AFTER,
+    BEFORE,
+    INK,
+    MUTED,
+    SMALL,
+    TEXT,
+    drawable,
+    dress,
+    legend,
+    log_axis,
+    panel,
+    thinned,
+)
+from pincal.units import SIZES, format_small, readable_unit, small_unit
+from pincal.validate.outcome import MovedParameter
 
 # Cells of a map along one joint.
 _CELLS = 14
@@ -26,6 +41,8 @@ _CATEGORIES = 5
 _PER_STEP, _PER_ROW, _LETTER = 0.5, 0.22, 0.082
 # Parameters that are drawn at most, the largest corrections first.
 _MOST = 24
+# Names of stations that fit under an axis, and their letters.
+_MOST_NAMES, _LETTERS = 8, 12
 # A logarithmic axis has no place for zero: deviations below rounding stand here [m].
 _SMALLEST = 1e-17
 
@@ -62,7 +79,7 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
         axes.plot(range(1, len(sizes) + 1), shown, ".", color=colour, markersize=4, label=name)
         axes.axhline(mean, color=INK, linewidth=1.0, linestyle="--")
         axes.set_yscale("log")
-        axes.set_title(f"{plain(name)}\nmean {_length(sizes.mean())}, max {_length(sizes.max())}", fontsize=10)
+        axes.set_title(f"{drawable(name)}\nmean {_length(sizes.mean())}, max {_length(sizes.max())}", fontsize=10)
         axes.set_xlabel("pose")
         axes.grid(visible=True, which="major", color=style.GRID, linewidth=0.6)
     panels[0].set_ylabel("deviation [m]")
@@ -85,12 +102,12 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
         ValueError: if none is identified.
     """
     known = [p for p in parameters if p.unit == unit and p.status == "identified" and p.sigma]
-    drawn = [p for p in known if p.name.rsplit(".", 1)[1] not in FRAME_SYMBOLS]
+    drawn = [p for p in known if split_name(p.name)[1] not in FRAME_SYMBOLS]
     if not drawn:
         raise ValueError(f"no identified parameter in {unit} to draw")
     factor, name = readable_unit(unit)
     drawn = sorted(drawn, key=lambda p: -abs(p.value - p.nominal))[:_MOST][::-1]
-    names = [plain(p.name, 26) for p in drawn]
+    names = [drawable(p.name, 26) for p in drawn]
     figure, axes = panel(1.1 + _PER_ROW * len(drawn), left=0.3 + _LETTER * max(map(len, names)))
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
     for i, p in enumerate(drawn):
@@ -103,6 +120,30 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
     return figure
 
 
+def course_figure(name: str, stations: Sequence[str], course: Sequence[tuple[int, MovedParameter]]) -> Figure:
+    """Draw a parameter of the robot from station to station, with intervals of 95 %.
+
+    Args:
+        name: of the parameter.
+        stations: names of all stations, in their order.
+        course: station, by its place, and what the parameter is there.
+    """
+    factor, unit = readable_unit(course[0][1]["unit"])
+    at = np.array([k for k, _ in course])
+    change, half = (factor * np.array([of[key] for _, of in course]) for key in ("change", "sigma"))
+    figure, axes = panel(3.0)
+    axes.axhline(0.0, color=MUTED, linewidth=0.8)
+    axes.errorbar(at, change, INTERVAL * half, fmt="none", ecolor=AFTER, elinewidth=1.3, capsize=3.0)
+    for moved, fill in ((True, AFTER), (False, "none")):
+        rows = np.array([of["moved"] is moved for _, of in course])
+        axes.plot(at[rows], change[rows], "o", color=AFTER, markerfacecolor=fill, markersize=5.5)
+    axes.set_xlim(-0.5, len(stations) - 0.5)
+    shown = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _MOST_NAMES)).round().astype(int))
+    axes.set_xticks(shown, [drawable(stations[k], _LETTERS) for k in shown])
+    dress(axes, y=f"change [{unit}]", title=drawable(name))
+    return figure
+
+
 def stability_figure(counts: Mapping[str, int], of: int, sure: float) -> Figure:
     """Draw in how many halves of the poses each name came up.
 
@@ -111,14 +152,14 @@ def stability_figure(counts: Mapping[str, int], of: int, sure: float) -> Figure:
         of: how many halves there were.
         sure: part of them from which a name is more than a hint.
     """
-    names = [plain(name) for name in counts][::-1]
+    names = [drawable(name) for name in counts][::-1]
     figure, axes = panel(1.1 + _PER_ROW * len(names), left=0.3 + _LETTER * max(map(len, names)))
     numbers = list(counts.values())[::-1]
     colours = [AFTER if n >= sure * of else MUTED for n in numbers]
     axes.barh(range(len(names)), numbers, height=0.6, color=colours)
     axes.axvline(sure * of, color=INK, linewidth=1.0, linestyle="--")
     axes.set(xlim=(0, of), ylim=(-0.7, len(names) - 0.3))
-    dress(axes, x=f"named in so many of {of} halves")
+    dress(axes, x=f"named in this many of {of} subsamples")
     axes.set_yticks(range(len(names)), names, fontsize=SMALL, color=INK)
     return figure
 
@@ -156,7 +197,7 @@ def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]]
     # Names stand above their own line, where a phone has room for them.
     for step, name in zip(steps, names, strict=True):
         where = (0.01, step + 0.26)
-        axes.annotate(plain(name, 58), where, xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK)
+        axes.annotate(drawable(name, 58), where, xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK)
     axes.set_ylim(-0.5, len(names) - 0.25)
     dress(axes, x="held-out error [mm]")
     axes.set_yticks([])
@@ -190,9 +231,9 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
     margin = 0.08 * (max(reached) - min(reached)) or 1.0
     panels[0].set_ylim(min(reached) - margin, max(reached) + margin)
     panels[1].set_xlabel(label, fontsize=TEXT, color=INK)
-    of = f"error of {plain(trace.joint)}" if trace.joint else "error along the effect"
+    of = f"error of {drawable(trace.joint)}" if trace.joint else "error along the effect"
     figure.supylabel(f"{of} [{unit}]", fontsize=TEXT, color=INK, x=0.015)
-    figure.suptitle(plain(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold")
+    figure.suptitle(drawable(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=SMALL, frameon=False, labelcolor=INK, ncols=3, loc="upper left",
                   bbox_to_anchor=(0.0, 0.955), columnspacing=1.0, handletextpad=0.3)  # fmt: skip
@@ -224,28 +265,25 @@ def map_figure(trace: PartialResidual, title: str) -> Figure:
     ):
         drawn = axes.hexbin(x[rows], own[rows], C=errors[rows] * factor, **cells)
         dress(axes, x=label, title=name)
-    panels[0].set_ylabel(f"{plain(trace.joint or '')} [{'deg' if turns else 'm'}]", fontsize=TEXT, color=INK)
+    panels[0].set_ylabel(f"{drawable(trace.joint or '')} [{'deg' if turns else 'm'}]", fontsize=TEXT, color=INK)
     bar = figure.colorbar(drawn, cax=figure.add_axes((1.0 - 0.7 / style.WIDTH, 0.2, 0.02, 0.56)))
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=SMALL, color=MUTED, labelcolor=INK)
     bar.ax.set_title(unit, fontsize=SMALL, color=INK)
-    figure.suptitle(plain(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold")
+    figure.suptitle(drawable(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold")
     return figure
 
 
 def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
     """Return the variable in the unit of its axis, and the axis' label."""
-    if trace.variable == "droop":
-        return 1e3 * trace.x, f"commanded minus read back of {plain(trace.joint or '')} [mrad]"
-    if trace.variable == "move":
-        return np.degrees(trace.x), f"last move of {plain(trace.joint or '')} [deg]"
+    recorded = RECORDABLE.get(trace.variable)
+    if recorded is not None:
+        name = recorded.label.format(drawable(trace.joint or "")) or drawable(trace.variable)
+        unit = recorded.shown or recorded.unit
+        return trace.x / SIZES.get(recorded.shown, 1.0), f"{name} [{unit}]" if unit else name
     if trace.unit == "rad":
-        return np.degrees(trace.x), f"{plain(trace.variable)} [deg]"
-    if trace.variable == "time":
-        return trace.x / 3600.0, "time [h]"
-    if trace.variable == "approach":
-        return trace.x, f"direction of approach of {plain(trace.joint or '')}"
-    name = f"moment on {plain(trace.joint or 'the base')}" if trace.variable == "moment" else plain(trace.variable)
+        return np.degrees(trace.x), f"{drawable(trace.variable)} [deg]"
+    name = f"moment on {drawable(trace.joint or 'the base')}" if trace.variable == "moment" else drawable(trace.variable)
     return trace.x, f"{name} [{trace.unit}]"
 
 

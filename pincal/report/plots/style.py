@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from pincal.tables import one_line
+from pincal.result_table import one_line
 
 # Okabe and Ito's colours, distinguishable to colour-blind readers: vermilion, orange, blue, green, sky blue, purple.
 COLOURS = ("#D55E00", "#E69F00", "#0072B2", "#009E73", "#56B4E9", "#CC79A7")
@@ -71,11 +71,11 @@ def legend(axes: Axes, **where: Any) -> None:
     axes.legend(fontsize=SMALL, frameon=False, labelcolor=INK, **where)
 
 
-def plain(text: str, longest: int = _LONGEST) -> str:
+def drawable(text: str, longest: int = _LONGEST) -> str:
     r"""Return a name from a file as text to draw: one line, no mathematics, not too long.
 
     Example:
-        >>> print(plain("a$b$\nc"), len(plain("long " * 30)))
+        >>> print(drawable("a$b$\nc"), len(drawable("long " * 30)))
         a\$b\$ c 34
     """
     clean = one_line(text)

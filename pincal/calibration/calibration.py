@@ -1,0 +1,165 @@
+"""One calibration from tables to result: check, hold out, fit, validate."""
+
+from __future__ import annotations
+
+import html
+import logging
+import time
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.held_out import SplitBy, StationRows, leave_out_stations, require_several, split_rows, with_holdout
+from pincal.calibration.result import Result, result_of
+from pincal.calibration.result_tables import error_table
+from pincal.errors import BadInputError, warn
+from pincal.identify.calibrate import Tables, tables_of
+from pincal.identify.options import Options
+from pincal.identify.station import Station
+from pincal.measure.admit import admit, noted, unobservable_notes
+from pincal.measure.measurements import Measurements
+from pincal.measure.setup import Setup
+from pincal.notes import Note, doubts_first
+from pincal.robot.robot import Robot
+from pincal.validate.agreement import check_agreement
+
+log = logging.getLogger(__name__)
+# Corrections of a robot's description, after which it is none.
+_CORRECTIONS = 12
+
+
+@dataclass(frozen=True, repr=False)
+class Calibration:
+    """A calibration with its validation.
+
+    Attributes:
+        robot: the arm.
+        stations: the rows of each station, fitted and held out.
+        fit: the calibrated model.
+        result: parameters, errors, warnings.
+        notes: the warnings among them that are on robot and tables, not on the fit.
+    """
+
+    robot: Robot
+    stations: tuple[StationRows, ...]
+    fit: Fit
+    result: Result
+    notes: tuple[Note, ...] = ()
+
+    def __repr__(self) -> str:
+        rows, errors = self.result.rows, self.result.error["calibrated"]
+        mean = errors["test" if "test" in errors else "train"]["mean_mm"]
+        counts = f"{rows['train']} rows fitted, {rows['test']} held out"
+        return f"Calibration({self.robot.name!r}: {counts}, mean error {mean:.4g} mm)"
+
+    def _repr_html_(self) -> str:
+        doubts = "".join(f"<p><b>doubt: {html.escape(note.text)}</b></p>" for note in self.result.doubts)
+        errors, parameters = error_table(self.result.error).to_html(), self.fit.parameters.to_html()
+        return f"{doubts}<p>{html.escape(repr(self))}</p>{errors}{parameters}"
+
+    @property
+    def station(self) -> StationRows:
+        """The rows of the only station.
+
+        Raises:
+            BadInputError: if there are several.
+        """
+        if len(self.stations) > 1:
+            names = ", ".join(rows.name for rows in self.stations)
+            raise BadInputError(f"this needs a single station, and there are several: {names}; use the rows of one station")
+        return self.stations[0]
+
+    @property
+    def train(self) -> Measurements:
+        """Rows that the fit saw, of the only station."""
+        return self.station.train
+
+    @property
+    def test(self) -> Measurements:
+        """Rows that it did not see, of the only station; may be empty."""
+        return self.station.test
+
+    def n_poses(self, *parts: str) -> int:
+        """Return the number of poses, each with one reading or more, of "train", "test", or both."""
+        q = np.vstack([getattr(rows, part).q for rows in self.stations for part in parts or ("train", "test")])
+        return len(np.unique(q, axis=0))
+
+    def test_problem(self) -> Station | None:
+        """Return the held-out rows of the only station under the calibrated model, None without any."""
+        return self.station.held(self.fit)
+
+
+def run_calibration(
+    robot: Robot,
+    measurements: Tables,
+    options: Options | None = None,
+    *,
+    test_fraction: float = 0.25,
+    split: SplitBy = "both",
+    seed: int = 0,
+    holdout: Tables | None = None,
+    executor: Executor | None = None,
+) -> Calibration:
+    """Check tables, hold rows out, calibrate on the rest and validate on the held-out rows.
+
+    Args:
+        robot: the arm.
+        measurements: one table or several, as :func:`pincal.calibrate` takes them.
+        options: how to calibrate.
+        test_fraction: part of each station's rows held out; ignored with ``holdout``.
+        split: how rows are chosen; "both" holds out regions of joint space and stretches of consecutive rows, and leads with
+            those that are predicted worse; with "station" all rows train, and each station in turn is predicted by a model
+            of the others, only its own frames fitted to it.
+        seed: of the choice.
+        holdout: other measurements to validate on; then all rows of ``measurements`` train. Of several stations the rows
+            name theirs.
+        executor: makes the models that leave a station out; default: one after the other, here.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        BadInputError: if tables and robot don't go together, or rows are too few.
+        IdentificationError: if nothing can be identified.
+    """
+    begun = time.perf_counter()
+    options = Options() if options is None else options
+
+    def setup_of(name: str) -> Setup:
+        return options.at(name).setup
+
+    tables = tables_of(measurements)
+    held = () if holdout is None else tuple(tables_of(holdout).values())
+    if split == "station":
+        require_several(tables)
+    admitted = admit(robot, tables, setup_of, holdout=held)
+    with noted() as split_notes:
+        if holdout is None:
+            parts = split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
+        else:
+            parts = with_holdout(robot, admitted.tables, holdout, setup_of)
+    trained = {part.name: part.measured[0] for part in parts}
+    fit = calibrate(robot, trained, options)
+    corrected = list[str]()
+    # The description may be wrong in more than one way.
+    while (found := check_agreement(robot, admitted.tables.values(), fit)) is not None and len(corrected) < _CORRECTIONS:
+        robot, told_of = found.of(robot), found.notes
+        log.info("again, as %s", "; ".join(told_of))
+        fit, corrected = calibrate(robot, trained, options), [*corrected, *told_of]
+    for text in corrected:
+        warn(text)
+    rows = tuple(replace(part, name=at.name) for part, at in zip(parts, fit.problem.stations, strict=True))
+    notes = [*corrected, *robot.notes, *dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
+    # What one station's sensor can't see another's may.
+    unseen = [list(unobservable_notes(train, setup_of(name))) for name, train in trained.items()]
+    notes += [note for note in unseen[0] if all(note in other for other in unseen)]
+    chosen, first = fit.options.moment_frame, options.first_frame
+    if chosen != first:
+        notes.append(f"moments act as with --moment-frame {chosen}: it fits better than {first}")
+    log.info("judging the fit")
+    left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
+    told = doubts_first(notes)
+    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=told, left_out=tuple(left_out))
+    return Calibration(robot, rows, fit, result, told)

@@ -1,0 +1,337 @@
+"""What a user should know about a fit: the findings as data, and the one place where they become words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from pincal.identify.calibrate import doubts_of_known
+from pincal.identify.fit import ModelFit
+from pincal.identify.found_masses import found_moments
+from pincal.identify.station import Station
+from pincal.measure.measurements import Measurements
+from pincal.notes import Note, Severity
+from pincal.validate.accuracy import pose_errors
+from pincal.validate.agreement import computed, implausible
+from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
+from pincal.validate.lack_of_fit import LackOfFit
+from pincal.validate.midway import change_in
+from pincal.validate.misfit import MISFIT, tells
+
+# A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
+_FAR = 10.0
+# Lines that a note lists.
+_LISTED = 8
+# Rank correlation of a joint's positions with the order of the rows from which it moved steadily along them; rows for that.
+_STEADY, _ROWS = 0.95, 20
+# Part of the rows from which on outliers are no exceptions; of real tables some percent are left out.
+_MANY = 0.25
+
+
+class CaveatKind(Enum):
+    """What is noteworthy; the values are how it is said, with its figures in braces."""
+
+    FEW_READINGS = (
+        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
+        "they determine: too few to detect residuals of twice the noise, and the result is dominated by the prior; "
+        "measure more poses"
+    )
+    SPARE_READINGS = (
+        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters: the result relies on "
+        "the prior; measure more poses"
+    )
+    CONTRADICTED = "{what}"
+    NOT_CONVERGED = "the fit did not converge ({how}); check the noise, and look for rows that do not belong to this robot"
+    NOISE_EXCEEDED = (
+        "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is incomplete or the declared "
+        "noise is too small; uncertainties are scaled up accordingly"
+    )
+    NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    MASSES_FOUND = (
+        "the robot description has no usable masses for {links} links: they were estimated with the compliances, "
+        "{mass:.3g} kg in total, to {percent:.0f} %; predictions do not depend on their common factor"
+    )
+    IMPLAUSIBLE = (
+        "{how}: too large for any calibrated arm, so this is not a model of this robot; check table, URDF and tip. If "
+        "the instrument is that noisy, declare it (--noise, or a column sigma)"
+    )
+    OWN_POSE = (
+        "base and tool alone leave {left}: no instrument reads so, these are the controller's own poses, computed from the "
+        "joints (or simulated without noise). They say nothing of the robot's errors; give the readings of an instrument, "
+        "or say which columns they are (--columns)"
+    )
+    OWN_MODEL = (
+        "the calibration leaves {left}: no instrument reads so, these are poses that a controller computed with its own "
+        "parameters (or simulated without noise). What is found are these parameters, not the robot's errors"
+    )
+    MANY_OUTLIERS = (
+        "{count} of {rows} rows do not fit the others, so the calibration is rejected: {common}; find the cause "
+        "before using the model. Lines {lines}"
+    )
+    STEP = "from line {line} on {what} If so, make the rows before and after two stations (column station)"
+    DEPENDENT_ROWS = (
+        "the residuals depend on the order of the rows: {what}; look for what changed during the measurement: the "
+        "instrument's set-up, temperature, the clamping of robot and target"
+    )
+    BLOCKS = (
+        "the errors of consecutive rows are correlated: standard deviations are {factor:.2g} times those of independent "
+        "rows; look for what changed during the measurement"
+    )
+    SORTED = (
+        "{joint} moved steadily along the rows, so drift with time can't be distinguished from effects of this joint; "
+        "measure the poses in random order, or repeat some of them at the end"
+    )
+    GATHERED = (
+        "{count} of the {rows} rows rejected as outliers cluster {where}: the robot has an error there that the model does "
+        "not describe, or the instrument misread; lines {lines}"
+    )
+    BUMP = (
+        "where {joint} is {low:.4g} to {high:.4g} {unit}, {count} rows share an error of {size:.3g} m{per} of this joint: "
+        "its drive has a local error that the model does not describe; measure more poses there. Lines {lines}"
+    )
+    OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
+    NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
+    NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
+    FAR_OFF = (
+        "{count} of {rows} held-out rows are off by up to {largest:.3g} mm, the others by {mean:.4f} mm on average: wrong "
+        "readings, or poses outside what the model covers; see lines {lines}"
+    )
+    LACK_OF_FIT = "lack of fit against replicates: {test}"
+    NOISY_REPLICATES = (
+        "replicates scatter as much as the residuals do ({test}): the declared noise is too small or the robot repeats "
+        "poorly; the model is not at fault"
+    )
+
+
+UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS})
+"""What makes a calibration none, though it converged."""
+
+DOUBTS = UNUSABLE | {
+    CaveatKind.FEW_READINGS,
+    CaveatKind.OWN_POSE,
+    CaveatKind.NOT_CONVERGED,
+    CaveatKind.NOISE_EXCEEDED,
+    CaveatKind.CONTRADICTED,
+    CaveatKind.STEP,
+    CaveatKind.DEPENDENT_ROWS,
+    CaveatKind.BLOCKS,
+    CaveatKind.SORTED,
+    CaveatKind.GATHERED,
+    CaveatKind.BUMP,
+    CaveatKind.FAR_OFF,
+    CaveatKind.LACK_OF_FIT,
+}
+"""What keeps the verdict from being "adequate"."""
+
+
+@dataclass(frozen=True)
+class Caveat:
+    """One thing that was found; ``str()`` gives it in words.
+
+    Attributes:
+        kind: what was found.
+        figures: its particulars, by the names in the text of the kind.
+        station: name of the station that it is about; "" for all of them.
+        rows: lines of the rows concerned, if any.
+    """
+
+    kind: CaveatKind
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    station: str = ""
+    rows: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        words = self.kind.value.format(**self.figures)
+        return f"{self.station}: {words}" if self.station else words
+
+    @property
+    def note(self) -> Note:
+        """What is said of it."""
+        return Note(Severity.DOUBT if self.kind in DOUBTS else Severity.NOTE, str(self), self.rows)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """How much a fit rests on.
+
+    Attributes:
+        poses: number of distinct poses of the fitted rows.
+        readings: what was read of them; a pose that was measured again counts once, and has six coordinates however much
+            was read of it.
+        degrees: readings beyond the parameters that they determine.
+    """
+
+    poses: int
+    readings: int
+    degrees: float
+
+    @classmethod
+    def of(cls, fit: ModelFit, replicates: Iterable[np.ndarray]) -> Readings:
+        """Count those of a calibration; ``replicates`` are, for each station, the numbers of the fitted rows' poses."""
+        readings, n_poses = 0, 0
+        for (station, places, _), numbers in zip(fit.stations, replicates, strict=True):
+            distinct = len(np.unique(numbers))
+            poses = min(len(np.unique(station.conditions.q, axis=0)), distinct)
+            own = int(station.split(fit.solution.free[places])[1].sum())
+            readings += min(distinct * sum(block.size for block in station.sensor.blocks), 6 * poses + own)
+            n_poses += poses
+        return cls(n_poses, readings, readings - float(fit.solution.effective))
+
+
+def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
+    """Return whether the readings are few for the parameters, and whether they contradict what was given."""
+    found = [Caveat(CaveatKind.CONTRADICTED, {"what": what}) for what in doubts_of_known(fit)]
+    released = int(fit.solution.free.sum())
+    figures = {"rows": len(fit.problem), "poses": read.poses, "readings": read.readings, "parameters": released}
+    if not tells(read.degrees):
+        return [Caveat(CaveatKind.FEW_READINGS, figures | {"left": max(read.degrees, 0.0)}), *found]
+    return [Caveat(CaveatKind.SPARE_READINGS, figures), *found] if read.readings < 2 * released else found
+
+
+def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:
+    """Return what the fit itself says.
+
+    Args:
+        fit: the calibration.
+        p_value: of its chi-square against the declared noise; None if none was declared.
+    """
+    found = [] if fit.solution.converged else [Caveat(CaveatKind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
+    if p_value is not None and p_value < MISFIT:
+        found.append(Caveat(CaveatKind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
+    if p_value is not None and p_value > 1.0 - MISFIT:
+        found.append(Caveat(CaveatKind.NOISE_OVERSTATED))
+    if fit.solution.of_blocks > 1.0:
+        found.append(Caveat(CaveatKind.BLOCKS, {"factor": float(np.sqrt(fit.solution.of_blocks))}))
+    if (moments := found_moments(fit)) is not None:
+        percent = 100.0 * moments.factor_sigma
+        found.append(
+            Caveat(CaveatKind.MASSES_FOUND, {"links": len(moments.links), "mass": moments.mass, "percent": percent})
+        )
+    return found
+
+
+def findings_on_order(station: Station) -> list[Caveat]:
+    """Return whether the noise of a station's rows depends on their order, and whether that order is a joint's, too."""
+    found, serial, n = [], station.serial, len(station)
+    if serial is not None:
+        share = float(np.max(serial.share))
+        rows = 1.0 / (1.0 - float(np.max(serial.phi)))
+        lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
+        what = f"{100 * share:.0f} % of its variance is an error that persists {lasts}; rows were weighted accordingly"
+        found.append(Caveat(CaveatKind.DEPENDENT_ROWS, {"what": what}, station.name))
+    if station.position is not None and n >= _ROWS:
+        # What sets one load apart from another may be elastic.
+        loads = (station.conditions.payload == load for load in np.unique(station.conditions.payload))
+        parts = [station.select(rows) for rows in loads if rows.sum() >= _ROWS] or [station]
+        steady = np.min([_steady(part) for part in parts], axis=0)
+        if steady.max() > _STEADY:
+            joint = station.model.chain.robot.joint_names[int(np.argmax(steady))]
+            found.append(Caveat(CaveatKind.SORTED, {"joint": joint}, station.name))
+    return found
+
+
+def _steady(station: Station) -> np.ndarray:
+    """Return how steadily each of n joints moved along the rows, as a rank correlation without its sign, shape (n,)."""
+    rank = np.argsort(np.argsort([*station.conditions.q.T, station.position], axis=1), axis=1)
+    moves = np.ptp(station.conditions.q, axis=0) > 0.0
+    return np.where(moves, np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1]), 0.0)
+
+
+def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
+    """Return at which stations, with these fitted rows, the fit leaves more, or less, than a real arm does."""
+    kinds = (CaveatKind.OWN_MODEL, CaveatKind.OWN_POSE)
+    own = [Caveat(kinds[is_nominal], {"left": left}, name) for name, is_nominal, left in computed(fit)]
+    return [Caveat(CaveatKind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)] + own
+
+
+def findings_on_outliers(
+    station: Station, values: np.ndarray, free: np.ndarray, *, table: Measurements, rejected: np.ndarray
+) -> list[Caveat]:
+    """Return which rows of a station were rejected, by their lines, and where the instrument was moved between rows.
+
+    Args:
+        station: the calibrated model over the fitted rows.
+        values: shape (P,), of its parameters.
+        free: shape (P,), which of them were fitted.
+        table: the fitted rows.
+        rejected: shape (N,), which of them were rejected.
+    """
+    lines = table.rows[rejected].tolist()
+    figures = {"count": len(lines), "rows": len(table), "lines": _listed(lines)}
+    found = [Caveat(CaveatKind.OUTLIERS, figures, station.name, tuple(lines))] if lines else []
+    if rejected.mean() >= _MANY:
+        common = in_common(station, values, table, rejected) or "no common cause was found"
+        found = [Caveat(CaveatKind.MANY_OUTLIERS, figures | {"common": common}, station.name, tuple(lines))]
+    elif (gathered := gathering_of(station, rejected)) is not None:
+        where = _words_of(station, gathered)
+        here = table.rows[gathered.rows].tolist()
+        figures = {"count": len(here), "rows": len(lines), "where": where, "lines": _listed(here)}
+        found.append(Caveat(CaveatKind.GATHERED, figures, station.name, tuple(here)))
+    if (bump := bump_in(station, values)) is not None:
+        found.append(_of_bump(station, bump, table))
+    if change := change_in(station, values, free, table.rows):
+        found.append(Caveat(CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)))
+    return found
+
+
+def _of_bump(station: Station, bump: Gathering, table: Measurements) -> Caveat:
+    assert bump.size is not None
+    robot, here = station.model.chain.robot, table.rows[bump.rows].tolist()
+    per = robot.joint_units[robot.joint_names.index(bump.variable)]
+    low, high = ((np.degrees(x) if per == "rad" else 1e3 * x) for x in (bump.low, bump.high))
+    where = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if per == "rad" else "mm"}
+    figures = {**where, "count": len(here), "size": 1e3 * abs(bump.size), "per": per, "lines": _listed(here)}
+    return Caveat(CaveatKind.BUMP, figures, station.name, tuple(here))
+
+
+def _words_of(station: Station, gathered: Gathering) -> str:
+    """Return where outliers gather."""
+    robot = station.model.chain.robot
+    if gathered.variable not in robot.joint_names:
+        return "in one stretch of the table"
+    unit = robot.joint_units[robot.joint_names.index(gathered.variable)]
+    low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
+    return f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
+
+
+def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Caveat]:
+    """Return whether some held-out rows of a station are far off all others: a few of them dominate a mean."""
+    if test is None:
+        return []
+    errors = next(iter(pose_errors(test, values).values()))
+    far = errors > _FAR * np.median(errors)
+    if not far.any():
+        return []
+    lines = table.rows[far].tolist()
+    figures = {
+        "count": int(far.sum()),
+        "rows": len(errors),
+        "largest": float(errors.max()),
+        "mean": float(errors[~far].mean()),
+        "lines": _listed(lines),
+    }
+    return [Caveat(CaveatKind.FAR_OFF, figures, test.name, tuple(lines))]
+
+
+def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Caveat]:
+    """Return what replicates say of model and noise.
+
+    Args:
+        lack: the test of lack of fit, None without replicates.
+        p_value: of chi-square against the declared noise; None if none was declared.
+    """
+    if lack is None:
+        return []
+    if lack.is_significant:
+        return [Caveat(CaveatKind.LACK_OF_FIT, {"test": lack})]
+    if p_value is not None and p_value < MISFIT:
+        return [Caveat(CaveatKind.NOISY_REPLICATES, {"test": lack})]
+    return []
+
+
+def _listed(lines: Sequence[int]) -> str:
+    return ", ".join(map(str, lines[:_LISTED])) + " ..." * (len(lines) > _LISTED)

@@ -1,0 +1,238 @@
+"""The rows that a calibration fitted and those that it held out, station by station, or whole stations in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_fit import calibrate
+from pincal.calibration.placing import place_station
+from pincal.errors import BadInputError
+from pincal.identify.calibrate import Tables, tables_of
+from pincal.identify.fit import ModelFit
+from pincal.identify.options import Options
+from pincal.identify.split import Way, hold_out, ways_held_out
+from pincal.identify.station import Station
+from pincal.measure.admit import admit_test, scorable_rows, usable_rows
+from pincal.measure.measurements import Measurements
+from pincal.measure.poses import SCATTER, by_pose, replicate_groups
+from pincal.measure.setup import Setup
+from pincal.model.effects import GEOMETRIC
+from pincal.robot.robot import Robot
+from pincal.spread import spread
+from pincal.validate.accuracy import error_statistics, pose_error_sizes
+
+SplitBy = Literal["both", "random", "blocked", "station"]
+"""What is held out: regions of joint space and stretches of rows, rows at random, regions alone, or each station in turn."""
+
+
+@dataclass(frozen=True)
+class StationRows:
+    """Rows of one station.
+
+    Attributes:
+        name: of the station; "" for one that is alone.
+        train: poses that the fit saw: the mean of each one's readings.
+        test: those that it did not see; may be empty.
+        measured: the rows of both, as they were measured.
+        ways: of each way of holding rows out, if there are two, the held-out poses, shape (test,).
+    """
+
+    name: str
+    train: Measurements
+    test: Measurements
+    measured: tuple[Measurements, Measurements]
+    ways: Mapping[Way, np.ndarray] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, name: str, train: Measurements, test: Measurements | None = None, ways: Mapping[Way, np.ndarray] | None = None
+    ) -> StationRows:
+        """Return the rows of a station by their poses: to fit, held out (default: none), and lines held out in each way."""
+        test = train.select(slice(0)) if test is None else test
+        poses = by_pose(test)
+        of_ways = {way: np.isin(poses.rows, lines) for way, lines in (ways or {}).items()}
+        return cls(name, by_pose(train), poses, (train, test), of_ways)
+
+    def held(self, fit: ModelFit) -> Station | None:
+        """Return the held-out poses under the calibrated model, None without any."""
+        return fit.readings(self.test, station=self.name) if len(self.test) else None
+
+    def by_row(self, weights: np.ndarray) -> np.ndarray:
+        """Return what is said of each fitted pose, shape (poses,), for each fitted row as it was measured, shape (N,)."""
+        rows, _ = self.measured
+        return weights if self.train is rows else weights[replicate_groups([rows], within=SCATTER)[0]]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A station predicted by the model of the others.
+
+    Attributes:
+        station: its name.
+        sizes: model -> unit ("mm", ...) -> shape (N,), size of the error at each row, of the "nominal", "geometric" and
+            "calibrated" robot; empty if it can't be predicted.
+        obstacle: why not; empty otherwise.
+    """
+
+    station: str
+    sizes: Mapping[str, Mapping[str, ArrayLike]] = field(default_factory=dict)
+    obstacle: str = ""
+
+
+def split_rows(
+    tables: Mapping[str, Measurements], setup_of: Callable[[str], Setup], *, fraction: float, split: SplitBy, seed: int
+) -> tuple[StationRows, ...]:
+    """Hold back a part of each station's rows; arguments as of :func:`pincal.calibration.calibration.run_calibration`.
+
+    Where whole stations are held back in turn, all rows train.
+    """
+    if split == "station":
+        return tuple(StationRows.of(name, table) for name, table in tables.items())
+    found = []
+    for name, table in tables.items():
+        setup = setup_of(name)
+        ways: dict[Way, np.ndarray] = {}
+        if split == "both":
+            held = ways_held_out(table, fraction, seed=seed)
+            ways = {way: table.rows[rows] for way, rows in held.items() if rows.any()}
+            is_held = np.any(list(held.values()), axis=0)
+            train, test = table.select(~is_held), table.select(is_held)
+        else:
+            train, test = hold_out(table, fraction, split=split, seed=seed)
+        train = usable_rows(train, setup)
+        found.append(StationRows.of(name, train, scorable_rows(test, setup.over(train)), ways))
+    return tuple(found)
+
+
+def with_holdout(
+    robot: Robot, tables: Mapping[str, Measurements], holdout: Tables, setup_of: Callable[[str], Setup]
+) -> tuple[StationRows, ...]:
+    """Return the rows of each station with those of other tables to judge them by.
+
+    Raises:
+        BadInputError: if these are not of a station that is fitted, or can't be of this robot.
+    """
+    held = tables_of(holdout)
+    if len(tables) == len(held) == 1:
+        held = dict(zip(tables, held.values(), strict=True))
+    for name in held.keys() - tables.keys():
+        raise BadInputError(
+            f"{held[name].source}: rows to validate on of the station {name!r}; expected one of "
+            f"{', '.join(map(repr, tables))}: name it in a column station, or hold rows back by --test-fraction"
+        )
+    tests = {name: admit_test(robot, held[name], setup_of(name).over(tables[name])) for name in tables if name in held}
+    return tuple(StationRows.of(name, table, tests.get(name)) for name, table in tables.items())
+
+
+def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
+    """Return a fit over the fitted rows as they were measured, where it was made of means of poses; else itself."""
+    if all(part.train is part.measured[0] for part in rows):
+        return fit
+    stations = tuple(
+        fit.readings(part.measured[0], station=at.name) for part, at in zip(rows, fit.problem.stations, strict=True)
+    )
+    weights = [part.by_row(fit.solution.weights[of]) for part, of in zip(rows, fit.problem.rows, strict=True)]
+    solution = replace(fit.solution, weights=np.concatenate(weights))
+    return replace(fit, problem=replace(fit.problem, stations=stations), solution=solution)
+
+
+def errors_held_out(fit: ModelFit, values: np.ndarray, rows: Sequence[StationRows]) -> dict[str, dict[str, float]]:
+    """Return the statistics of errors of held-out poses, of all stations together.
+
+    Args:
+        fit: the model.
+        values: shape (P,), its parameters.
+        rows: the rows of each station.
+
+    Returns:
+        Name and statistics, as those of :func:`pincal.validate.accuracy.error_statistics`: "regions" and "stretches", where
+        rows are held out both ways, and "test" for all that are held out.
+    """
+    sizes: dict[str, list[dict[str, np.ndarray]]] = {}
+    for part, places in zip(rows, fit.problem.places, strict=True):
+        station = part.held(fit)
+        if station is None:
+            continue
+        found = pose_error_sizes(station, values[places])
+        sizes.setdefault("test", []).append(found)
+        for way, mask in part.ways.items():
+            if mask.any():
+                sizes.setdefault(way, []).append({unit: of_unit[mask] for unit, of_unit in found.items()})
+    return {name: error_statistics(parts) for name, parts in sizes.items()}
+
+
+def headline_of(errors: Mapping[str, Mapping[str, float]]) -> str:
+    """Return which of the errors of :func:`errors_held_out` leads: the way in which a model predicts worse."""
+    ways = [name for name in errors if name in get_args(Way)]
+    return max(ways, key=lambda way: next(iter(errors[way].values())), default="test")
+
+
+FitOthers = Callable[[Robot, dict[str, Measurements], Options], CalibratedFit]
+"""From a robot, the tables of some stations and options to their calibration; picklable, if an executor needs that."""
+
+
+def leave_out_stations(
+    robot: Robot,
+    tables: dict[str, Measurements],
+    options: Options,
+    *,
+    fit_others: FitOthers = calibrate,
+    executor: Executor | None = None,
+) -> Iterator[LeftOut]:
+    """Predict each station by the model of the others, only its own frames fitted; with an executor, all side by side.
+
+    This is what to expect of a set-up that the calibration never saw: rows held out of a station share its frames, its day
+    and its temperature with those that were fitted.
+
+    Args:
+        robot: the arm.
+        tables: rows of each station.
+        options: how to calibrate.
+        fit_others: makes the model; default: a calibration.
+        executor: runs one fit per station; default: one after the other, here.
+
+    Raises:
+        BadInputError: if there is only one station.
+    """
+    require_several(tables)
+    run = partial(_left_out, robot, tables, options, fit_others)
+    return spread(run, tables, label="left-out station", executor=executor)
+
+
+def require_several(tables: Mapping[str, Measurements]) -> None:
+    """Refuse to leave out the only station.
+
+    Raises:
+        BadInputError: saying what makes several.
+    """
+    if len(tables) < 2:
+        source = ", ".join(table.source for table in tables.values())
+        raise BadInputError(
+            f"{source}: only one station, so none can be left out; expected two tables or more, or a column station"
+        )
+
+
+def _left_out(robot: Robot, tables: dict[str, Measurements], options: Options, fit_others: FitOthers, name: str) -> LeftOut:
+    others = {other: table for other, table in tables.items() if other != name}
+    options = replace(options, stations={other: own for other, own in options.stations.items() if other in others})
+    geometric = replace(options, effects=GEOMETRIC)
+    sizes: dict[str, Mapping[str, list[float]]] = {}
+    try:
+        found: dict[str, CalibratedFit] = {"calibrated": fit_others(robot, others, options)}
+        is_same = set(found["calibrated"].options.effects) == set(GEOMETRIC)
+        found["geometric"] = found["calibrated"] if is_same else calibrate(robot, others, geometric)
+        found["nominal"] = calibrate(robot, others, replace(options, effects=()))
+        for model, fit in found.items():
+            placed = place_station(fit, tables[name])
+            sizes[model] = {unit: list(s) for unit, s in pose_error_sizes(placed.station, placed.values).items()}
+    except BadInputError as error:
+        return LeftOut(name, obstacle=str(error))
+    return LeftOut(name, sizes)

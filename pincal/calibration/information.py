@@ -1,0 +1,162 @@
+"""What readings say of a robot, in a form that adds up: from stations, days and sites that never share their tables."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Annotated, Literal
+
+import numpy as np
+
+from pincal.calibration.moves import information_at
+from pincal.errors import BadInputError, ModelFileError
+from pincal.identify.fit import ModelFit
+from pincal.identify.quadratic import ROUNDING, Quadratic
+from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
+from pincal.io.entries import ParameterEntry, plain, restoring
+from pincal.io.strict_json import Fault, FileKind, read_json, write_json
+from pincal.parameters import Estimate, Parameter, estimate_of
+from pincal.robot.robot import Robot
+
+# Link frames that count as the same [m or 1]: what files of the same robot differ by.
+_DIGITS = 9
+# Asymmetry of a matrix, in parts of its largest entry, that rounding explains.
+_ROUNDING = 1e-9
+_FILE = FileKind(
+    "an information file", ModelFileError, mark="pincal-information", whole="what save() of pincal's RobotInformation writes"
+)
+
+
+@dataclass(frozen=True)
+class RobotInformation:
+    """Information of readings on the parameters of one robot: a quadratic about its nominal, without any prior.
+
+    Two of them add up: ``a + b`` is what the rows of both say, as a joint fit of them linearised where each was fitted.
+    Base, targets and instrument of each station are eliminated. It is an information form (Bierman 1977), see
+    :mod:`pincal.identify.quadratic`.
+
+    Attributes:
+        robot: name of the arm.
+        geometry: checksum of its nominal geometry.
+        parameters: the F parameters of the robot that were fitted, with their priors.
+        form: their squares, in units of the noise.
+    """
+
+    robot: str
+    geometry: int
+    parameters: tuple[Parameter, ...]
+    form: Quadratic
+
+    @classmethod
+    def of(cls, fit: ModelFit) -> RobotInformation:
+        """Return the information of the rows of all stations of a fit on the robot."""
+        problem, robot = fit.problem, fit.problem.chain.robot
+        form = reduce(add, (information_at(fit, k).form for k in range(len(problem.stations))))
+        known = {p.name: (p, value) for p, value in zip(problem.parameters, fit.values, strict=True)}
+        nominal = form.at(-np.array([known[name][1] for name in form.names]))
+        return cls(robot.name, _geometry(robot), tuple(known[name][0] for name in form.names), nominal)
+
+    def __add__(self, other: RobotInformation) -> RobotInformation:
+        """Return what the rows of both say.
+
+        Raises:
+            BadInputError: if they are of different robots.
+        """
+        if self.geometry != other.geometry:
+            raise BadInputError(
+                f"information on {self.robot!r} and on {other.robot!r} can't be added: their nominal geometries differ; "
+                "calibrate both with the same URDF, base and tip"
+            )
+        known = {p.name: p for p in (*self.parameters, *other.parameters)}
+        form = self.form + other.form
+        return replace(self, parameters=tuple(known[name] for name in form.names), form=form)
+
+    def estimate(self) -> Estimate:
+        """Return the most probable parameters and their covariance, the priors of the model counted once."""
+        form = self.form + Quadratic.of_prior(self.form.names, np.array([p.size for p in self.parameters]))
+        values, covariance = form.estimate(np.arange(len(form.names)), ROUNDING)
+        return estimate_of(self.parameters, values, covariance)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to a file, see :func:`load_information`.
+
+        Raises:
+            OutputError: if the place can't be written to, or a number is not finite.
+        """
+        file = InformationFile.like(
+            self.form,
+            format="pincal-information",
+            format_version=1,
+            robot=self.robot,
+            geometry=self.geometry,
+            parameters=tuple(map(ParameterEntry.of_parameter, self.parameters)),
+        )
+        write_json(path, plain(file), indent=None)
+
+
+class InformationFile(Record, frozen=True, kw_only=True):
+    """Squares about the nominal robot: square - 2 g x + x H x over deviations x of its parameters, in units of the noise.
+
+    Attributes:
+        format: what the file is.
+        format_version: 1.
+        robot: name of the arm.
+        geometry: checksum of its nominal geometry (CRC-32 of its link frames, rounded to 1e-9).
+        parameters: the F parameters, each with its prior.
+        H: shape (F, F), their information.
+        g: shape (F,), half of the negative gradient of the sum of squares.
+        whole: shape (F,), the diagonal of H before base, targets and instrument were eliminated.
+        square: the sum of squares at the nominal.
+        degrees: number of readings minus number of eliminated parameters.
+    """
+
+    format: Literal["pincal-information"]
+    format_version: Literal[1]
+    robot: str
+    geometry: int
+    parameters: Annotated[tuple[ParameterEntry, ...], ArrayShape("parameters")]
+    H: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    g: Annotated[Numbers, ArrayShape("parameters")]
+    whole: Annotated[Numbers, ArrayShape("parameters")]
+    square: float
+    degrees: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = [parameter.name for parameter in self.parameters]
+        if len(set(names)) < len(names):
+            raise Fault("has a parameter twice", "each once", key=".parameters")
+        if self.H.size and np.abs(self.H - self.H.T).max() > _ROUNDING * np.abs(self.H).max():
+            raise Fault("is not symmetric", "an information matrix", key=".H")
+        if np.any(self.whole < 0.0) or np.any(np.diag(self.H) < -_ROUNDING * self.whole):
+            raise Fault("has a negative entry on its diagonal", "an information matrix", key=".H")
+
+
+def load_information(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> RobotInformation:
+    """Return the information on a robot from a file, or the sum of several.
+
+    Raises:
+        ModelFileError: if a file can't be read, or a value is missing or invalid.
+        BadInputError: without any file, or if they are of different robots.
+    """
+    found = [_loaded(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+    if not found:
+        raise BadInputError("no information files; expected one or more")
+    return reduce(add, found)
+
+
+def _loaded(path: str | os.PathLike[str]) -> RobotInformation:
+    file = read_json(path, InformationFile, _FILE, hook=restoring())
+    names = tuple(parameter.name for parameter in file.parameters)
+    form = Quadratic(file.H, file.g, file.whole, names=names, square=file.square, degrees=file.degrees)
+    return RobotInformation(file.robot, file.geometry, tuple(entry.parameter() for entry in file.parameters), form)
+
+
+def _geometry(robot: Robot) -> int:
+    """Return a number that robots of the same joints and link frames share."""
+    frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
+    return zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())

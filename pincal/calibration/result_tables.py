@@ -1,0 +1,291 @@
+"""The tables of a calibration: errors, parameters with status and reason, correlations, accuracy and repeatability."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from pincal.identify.explain import explain
+from pincal.identify.fit import ModelFit
+from pincal.identify.reasons import Reason, Status
+from pincal.parameters import Estimate, Parameter
+from pincal.result_table import Cell, Column, Kind, RowTone, Table
+from pincal.robot.se3 import placed, rotation_vectors
+from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit, show_value
+from pincal.validate.accuracy import ANGLE_WORDS
+from pincal.validate.outcome import StationRecord
+
+PARTS = {"train": "fitted", "test": "held out", "regions": "held-out regions", "stretches": "held-out stretches"}
+"""What the two parts of a data set are called."""
+
+INTERVAL = 1.96
+"""Standard deviations to either side of an interval of 95 %."""
+
+# More rows of parameters that moved than this are left out where they did not.
+_MOST_MOVED = 40
+# Moves that a line names.
+_MOST_NAMED = 3
+# More coordinates of named points than this are left out of a table for people: they are in result.json.
+_MOST_POINTS = 24
+_STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
+_MODELS = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
+_TONES: dict[str, RowTone] = {
+    "identified": "good",
+    "prior": "care",
+    "fixed": "mute",
+    "unidentifiable": "care",
+    "at bound": "bad",
+}
+
+
+@dataclass(frozen=True)
+class ParameterRecord:
+    """One parameter [SI units].
+
+    Attributes:
+        name: ``<element>.<symbol>``, such as ``joint_2.s_x``.
+        unit: its unit.
+        nominal: value of the URDF.
+        value: the estimate that replaces the nominal.
+        sigma: its standard deviation; that of the prior if unobservable, null for a given value.
+        status: "identified"; "prior" (dominated by the prior); "fixed"; "unidentifiable"; "at bound".
+        reason: why it is not identified; empty where it is.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    sigma: float | None
+    status: Status
+    reason: str
+
+
+@dataclass(frozen=True)
+class ParameterRow(ParameterRecord):
+    """One line of the parameter table, as ``result.json`` has it but for these.
+
+    Attributes:
+        reason: why it is not identified, as data.
+        effect: that owns it; "named_point" for coordinates of sockets, anchors and points of an object.
+    """
+
+    reason: Reason  # type: ignore[assignment]
+    effect: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of ``result.json``, the reason in words."""
+        names = (field.name for field in fields(ParameterRecord))
+        return {name: getattr(self, name) for name in names} | {"status": str(self.status), "reason": str(self.reason)}
+
+
+def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
+    """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
+    values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
+    for station, local in zip(fit.problem.stations, fit.problem.places, strict=True):
+        chain = station.model.chain
+        references = {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
+        for element, rotation in references.items():
+            names = {f"{element}.r{axis}" for axis in "xyz"}
+            places = [i for i, p in zip(local, station.parameters, strict=True) if p.name in names]
+            if len(places) == 3:
+                turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
+                values[places] = rotation_vectors(turned[None, :3, :3])[0]
+    return tuple(
+        ParameterRow(
+            name=parameter.name,
+            unit=parameter.unit,
+            nominal=parameter.nominal,
+            value=float(value),
+            sigma=None if finding.status == "fixed" else float(sigma),
+            status=finding.status,
+            reason=finding.reason,
+            effect=parameter.effect,
+        )
+        for parameter, value, sigma, finding in zip(
+            fit.problem.parameters, values, fit.estimate.sigma, explain(fit), strict=True
+        )
+    )
+
+
+def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
+    """Return the errors before and after, position and orientation in rows of their own.
+
+    Args:
+        error: ``error`` of ``result.json``: model -> part -> statistics by name and unit.
+    """
+    heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
+    columns = (*heads, *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in _STATISTICS.values()))
+    rows = tuple(
+        (_MODELS.get(model, model), PARTS.get(part, part), unit, *(values[f"{name}_{unit}"] for name in _STATISTICS))
+        for model, by_part in error.items()
+        for part, values in by_part.items()
+        # What leads is one of these.
+        if part != "test" or not {"regions", "stretches"} & by_part.keys()
+        for unit in ("mm", "mrad", "px")
+        if f"mean_{unit}" in values
+    )
+    return Table("Pose accuracy: distance from predicted to measured target", columns, rows)
+
+
+def station_table(stations: Sequence[StationRecord]) -> Table:
+    """Return the mean error at each of several stations, before and after, and by the model of the others if it is known."""
+    heads = (Column("station", kind=Kind.NAME), Column("measured", kind=Kind.LABEL), Column("poses", kind=Kind.LABEL))
+    is_left_out = any("left_out" in station for station in stations)
+    names = ["rows", "nominal", *(["left out, geometry alone", "left out"] if is_left_out else []), "calibrated"]
+    columns = [Column(name, kind=Kind.NUMBER, show=str if name == "rows" else fixed(4)) for name in names]
+    rows = []
+    for station in stations:
+        found = (station.get("left_out_geometric", {}), station.get("left_out", {})) if is_left_out else ()
+        others = [errors.get("mean_mm") for errors in found]
+        for part, error in station["error"]["calibrated"].items():
+            before = station["error"]["nominal"][part]["mean_mm"]
+            count = station["rows"]["train" if part == "train" else "test"]
+            numbers = (count, before, *others, error["mean_mm"])
+            rows.append((station["name"], station["kind"], PARTS[part], *numbers))
+    return Table("Mean error at each station [mm]", (*heads, *columns), tuple(rows))
+
+
+def moved_table(stations: Sequence[StationRecord]) -> Table | None:
+    """Return the parameters of the robot that are not the same at all stations, in the order of these; None if all are.
+
+    Of many stations only those are listed at which a parameter moved.
+    """
+    names = dict.fromkeys(entry["name"] for station in stations for entry in station.get("parameters", ()))
+    found = [
+        (station["name"], entry)
+        for name in names
+        for station in stations
+        for entry in station.get("parameters", ())
+        if entry["name"] == name and entry["sigma"] > 0.0
+    ]
+    shown = found if len(found) <= _MOST_MOVED else [(at, entry) for at, entry in found if entry["moved"]]
+    rows = []
+    for at, entry in shown:
+        change, half = entry["change"], INTERVAL * entry["sigma"]
+        numbers = (Quantity(number, entry["unit"]) for number in (change, change - half, change + half))
+        rows.append((entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else ""))
+    heads = (Column("parameter", kind=Kind.NAME), Column("unit", kind=Kind.LABEL, show=show_unit))
+    numbers_of = (Column(name, kind=Kind.NUMBER, show=show_value) for name in ("since the first", "95 %: from", "to"))
+    columns = (*heads, Column("station", kind=Kind.NAME), *numbers_of, Column("since the one before", kind=Kind.LABEL))
+    hidden = len(found) - len(rows)
+    notes = (f"{hidden} rows without a change are omitted here; result.json has them.",) if hidden else ()
+    return Table("Parameters that moved between stations", columns, tuple(rows), notes) if rows else None
+
+
+def station_changes(stations: Sequence[StationRecord]) -> str:
+    """Return in words what moved from station to station; empty if nothing did."""
+    moved = [(station["name"], entry) for station in stations for entry in station.get("parameters", ()) if entry["moved"]]
+    words = [
+        f"{entry['name']} at {name} by {format_readable(entry['change'], entry['unit'])} +- "
+        f"{format_readable(INTERVAL * entry['sigma'], entry['unit'], '.2g')} (95 %)"
+        for name, entry in moved[:_MOST_NAMED]
+    ]
+    return "; ".join(words) + (f"; and {len(moved) - _MOST_NAMED} more" if len(moved) > _MOST_NAMED else "")
+
+
+def repeated_table(stations: Sequence[StationRecord]) -> Table | None:
+    """Return what repeated measurements of poses show at each station; None where none has any."""
+    rows = []
+    for station in stations:
+        iso, lack = station.get("iso9283"), station.get("lack_of_fit")
+        if iso is None and lack is None:
+            continue
+        accuracy = {} if iso is None else next(iter(iso["calibrated"].values()))
+        numbers = (accuracy.get(key, {}).get("mean") for key in ("AP_mm", "RP_mm"))
+        counts = (None, None) if iso is None else (sum(iso["poses"].values()), iso["cycles"]["max"])
+        test = (None, "") if lack is None else (lack.F, f"{lack.p_value:.2g}")
+        verdict = "" if lack is None else "incomplete" if lack.is_significant else "within the scatter"
+        rows.append((station["name"], *counts, *numbers, *test, verdict))
+    numbers_of = (Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("AP mean [mm]", "RP mean [mm]"))
+    columns = (
+        Column("station", kind=Kind.NAME),
+        *(Column(name, kind=Kind.NUMBER) for name in ("poses", "cycles")),
+        *numbers_of,
+        Column("lack of fit F", kind=Kind.NUMBER, show=fixed(2)),
+        *(Column(name, kind=Kind.LABEL) for name in ("p", "model")),
+    )
+    return Table("Repeated measurements of poses at each station (ISO 9283)", columns, tuple(rows)) if rows else None
+
+
+def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
+    """Return the parameters that a reader wants to see: without the coordinates of named points, if these are many."""
+    inner = tuple(row for row in rows if row.effect != "named_point")
+    return tuple(rows) if len(rows) - len(inner) <= _MOST_POINTS else inner
+
+
+_ESTIMATES = (
+    Column("parameter", kind=Kind.NAME),
+    Column("unit", kind=Kind.LABEL, show=show_unit),
+    Column("nominal", kind=Kind.NUMBER, show=show_value),
+    Column("value", kind=Kind.NUMBER, show=show_value),
+    Column("sigma", kind=Kind.NUMBER, show=show_sigma),
+)
+
+
+def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters") -> Table:
+    """Return nominal value, calibrated value and standard deviation of each parameter, and whether the data identify it."""
+    shown = shown_parameters(parameters)
+    hidden = len(parameters) - len(shown)
+    return Table(
+        title,
+        (*_ESTIMATES, Column("status", kind=Kind.STATUS), Column("reason", kind=Kind.REMARK)),
+        tuple((*_cells(row, row.nominal, row.value, row.sigma), row.status, str(row.reason)) for row in shown),
+        (f"The coordinates of {hidden // 3} named points are omitted here; result.json has them.",) if hidden else (),
+        tuple(_TONES[row.status] for row in shown),
+    )
+
+
+def estimate_table(estimate: Estimate) -> Table:
+    """Return nominal value, calibrated value and standard deviation of each parameter; a dash for those not fitted."""
+    numbers = zip(estimate.parameters, estimate.values, estimate.fitted_sigma, strict=True)
+    rows = tuple(
+        _cells(p, p.nominal, p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None)
+        for p, value, sigma in numbers
+    )
+    return Table("Parameters", _ESTIMATES, rows)
+
+
+def _cells(of: ParameterRow | Parameter, *numbers: float | None) -> tuple[Cell, ...]:
+    return of.name, of.unit, *(None if number is None else Quantity(number, of.unit) for number in numbers)
+
+
+def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
+    """Return the pairs of strongly correlated parameters."""
+    names = tuple(Column(name, kind=Kind.NAME) for name in ("parameter", "with"))
+    columns = (*names, Column("correlation", kind=Kind.NUMBER, show="{:+.3f}".format))
+    rows = tuple((*pair["parameters"], pair["correlation"]) for pair in correlations)
+    return Table("Strong correlations", columns, rows)
+
+
+def iso9283_table(iso: Mapping[str, Any]) -> Table:
+    """Return mean and largest pose accuracy AP and repeatability RP, position and each angle in rows of their own.
+
+    Args:
+        iso: ``iso9283`` of ``result.json``.
+    """
+    heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
+    sizes = tuple(
+        Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4)) for name in ("AP", "RP") for size in ("mean", "max")
+    )
+    rows = tuple(
+        (
+            model,
+            f"{iso['poses'][part]} {PARTS[part]}",
+            ANGLE_WORDS[key],
+            *_sizes(values[key]),
+            *_sizes(values["R" + key[1:]]),
+        )
+        for model in _MODELS
+        for part, values in iso.get(model, {}).items()
+        for key in values
+        if key.startswith("AP")
+    )
+    return Table("Pose accuracy AP and pose repeatability RP (ISO 9283)", heads + sizes, rows)
+
+
+def _sizes(values: Mapping[str, float]) -> tuple[float, float]:
+    return values["mean"], values["max"]

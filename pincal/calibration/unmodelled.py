@@ -1,0 +1,160 @@
+r"""What a model left when it was calibrated: effects of the catalogue that its rows show and that it does not have.
+
+A later diagnosis compares new rows with what these effects were then, not with nothing. They are found to first order: with
+R the Jacobian of the fit by all its parameters and G that by an effect,
+
+.. math:: \hat b = P^{-1} b, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r, \quad V^{-1} = 1 - R (R^T R + D^{-2})^{-1} R^T,
+
+the surest effect first, the others asked for again beside it, as long as one is beyond doubt. The parameters of the fit have
+taken up :math:`K R^T G \hat b` of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+
+from pincal.identify.fit import ModelFit
+from pincal.identify.normal import accumulate
+from pincal.identify.posterior import eliminate
+from pincal.identify.problem import extended
+from pincal.identify.quadratic import Form, Quadratic
+from pincal.identify.selection import Scored, select_stepwise
+from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_covariance, packed_matrix
+from pincal.io.entries import Effects
+from pincal.model.catalogue.candidates import testable
+from pincal.model.conditions import PoseSet, joined_conditions
+from pincal.model.effect import Curve, Effect
+
+# Chance of one such effect, all candidates counted, beyond which none is taken for real.
+_ALPHA = 1e-3
+# Effects at most; rows and stations that are looked at, which bound the work on large tables.
+_MOST, _ROWS, _STATIONS = 8, 2000, 20
+# Part of a parameter's information that must be left for the rows to see it, and to be more than rounding.
+_SEEN, _ROUNDING = 1e-4, 1e-8
+
+
+class Unmodelled(Record, frozen=True):
+    """Effects that a model left, as its rows have them; a diagnosis has to know of them.
+
+    Attributes:
+        effects: the effects.
+        parameter_names: names of their E parameters.
+        values: shape (E,), their estimates from the rows [unit of each].
+        covariance: shape (E, E), of the values.
+        names: names of the K parameters of the robot.
+        taken_up: shape (K, E), how much of a unit of each the calibration's parameters absorb.
+    """
+
+    effects: Effects
+    parameter_names: Annotated[tuple[str, ...], ArrayShape("left")]
+    values: Annotated[Numbers, ArrayShape("left")]
+    covariance: Annotated[Packed, ArrayShape("left", "left", write=packed_covariance)]
+    names: Annotated[tuple[str, ...], ArrayShape("robot")]
+    taken_up: Annotated[Packed, ArrayShape("robot", "left", write=packed_matrix)]
+
+
+def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
+    """Return what a fit left; None where nothing is beyond doubt."""
+    rows = _sample(fit)
+    effects = _effects(fit, rows)
+    if not effects:
+        return None
+    names = [tuple(p.name for p in effect.parameters(fit.problem.chain)) for effect in effects]
+    ends = np.cumsum([0, *map(len, names)])
+    places = [np.arange(*ends[i : i + 2]) for i in range(len(effects))]
+    said, robot, carried = _said(fit, effects, rows)
+
+    def chances(chosen: tuple[int, ...]) -> Iterator[Scored[int]]:
+        # What was released says nothing any more, and another form of it has the same parameters.
+        known = {name for i in chosen for name in names[i]}
+        rest = said.released(_joined(places, chosen), _ROUNDING)
+        for i in range(len(effects)):
+            if known.isdisjoint(names[i]):
+                chance = rest.chance(places[i], _SEEN)
+                yield Scored(i, chance, chance < _ALPHA / len(effects))
+
+    chosen = select_stepwise(tuple[int, ...](), chances, lambda before, i: (*before, i), most=_MOST)
+    if not chosen:
+        return None
+    at = _joined(places, chosen)
+    values, covariance = said.estimate(at, _ROUNDING)
+    found = tuple(said.names[i] for i in at)
+    return Unmodelled(tuple(effects[i] for i in chosen), found, values, covariance, robot, carried[:, at])
+
+
+def _joined(places: Sequence[np.ndarray], chosen: Iterable[int]) -> np.ndarray:
+    return np.concatenate([np.zeros(0, int), *(places[i] for i in chosen)])
+
+
+def _sample(fit: ModelFit) -> dict[int, np.ndarray]:
+    """Return which rows are looked at, by the place of their station: some of some stations, evenly spread."""
+    stations = fit.problem.stations
+    chosen = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _STATIONS)).astype(int))
+    most = _ROWS // len(chosen)
+    return {int(k): np.unique(np.linspace(0, len(stations[k]) - 1, min(len(stations[k]), most)).astype(int)) for k in chosen}
+
+
+def _effects(fit: ModelFit, rows: Mapping[int, np.ndarray]) -> list[Effect]:
+    """Return the effects of single joints that these rows could show and the model does not have."""
+    model, problem = fit.problem.stations[0].model, fit.problem
+    present, names = {effect.identity for effect in model.effects}, set(model.names)
+    conditions = joined_conditions([problem.stations[k].conditions.select(some) for k, some in rows.items()])
+    found = (form for candidate in testable(PoseSet(problem.chain, conditions)) for form in candidate.forms)
+    return [
+        effect
+        for effect in found
+        if not isinstance(effect, Curve)
+        and effect.scope == "robot"
+        and effect.locus.joint is not None
+        and effect.identity not in present
+        and names.isdisjoint(p.name for p in effect.parameters(problem.chain))
+    ]
+
+
+def _said(
+    fit: ModelFit, effects: list[Effect], sample: Mapping[int, np.ndarray]
+) -> tuple[Quadratic, tuple[str, ...], np.ndarray]:
+    """Return what rows of stations say of some effects, the stations' own parameters and the robot's projected out.
+
+    Returns:
+        That of the effects' E parameters, names of the K parameters of the robot that were fitted, and what these take up of
+        a unit of each, shape (K, E).
+    """
+    problem, solution = fit.problem, fit.solution
+    some = replace(problem, stations=tuple(problem.stations[k] for k in sample))
+    among = np.empty(len(some.parameters), int)
+    for k, places in zip(sample, some.places, strict=True):
+        among[places] = problem.places[k]
+    wider, known = extended(some, effects)
+    n = len(wider.parameters)
+    free, values, sizes = np.ones(n, bool), np.zeros(n), np.full(n, np.inf)
+    free[known], values[known], sizes[known] = solution.free[among], solution.values[among], fit.priors.sizes[among]
+    is_own = np.zeros(n, bool)
+    for station, places in zip(wider.stations, wider.places, strict=True):
+        is_own[places[station.is_own]] = True
+    is_new = np.ones(n, bool)
+    is_new[known] = False
+    robot, new = np.flatnonzero(free & ~is_own & ~is_new), np.flatnonzero(is_new)
+    index = np.full(n, -1)
+    index[np.concatenate([robot, new])] = np.arange(len(robot) + len(new))
+    n = len(robot) + len(new)
+    H, g, whole = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    for (k, rows), station, local in zip(sample.items(), wider.stations, wider.places, strict=True):
+        places = local[free[local]]
+        weights = solution.weights[problem.rows[k]][rows]
+        normal = accumulate(station.select(rows), values[local], free[local], weights)
+        form = normal.at(solution.sigma[problem.block_spans[k]])
+        left, _ = eliminate(form, is_own[places], sizes[places], values[places])
+        at = index[places[~is_own[places]]]
+        H[np.ix_(at, at)] += left.H
+        g[at] += left.g
+        whole[at] += left.whole
+    both = np.concatenate([robot, new])
+    rest, taken = eliminate(Form(H, g, whole), np.arange(len(both)) < len(robot), sizes[both], values[both])
+    names = tuple(p.name for effect in effects for p in effect.parameters(problem.chain))
+    found = Quadratic(**vars(rest), names=names, square=0.0, degrees=0.0)
+    return found, tuple(wider.parameters[place].name for place in robot), taken.carried

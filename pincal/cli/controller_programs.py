@@ -1,0 +1,216 @@
+"""Programs of controllers for ``pincal compensate``: what is asked of the cell, what has changed, what was left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from pincal.cli.arguments import option
+from pincal.cli.common import LENGTH
+
+if TYPE_CHECKING:
+    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.programs.correct import Change, ProgramCell
+    from pincal.programs.language import ControllerLanguage
+    from pincal.programs.paths import Deviation
+    from pincal.programs.program import Left, Program
+    from pincal.robot.robot import Robot
+
+# Links that are the controller's world and flange in URDFs of ROS-Industrial.
+_WORLD, _FLANGE = "base", "tool0"
+
+
+def _named(text: str) -> tuple[str, str]:
+    name, sign, value = text.partition("=")
+    if not sign or not name.strip() or not value.strip():
+        raise click.BadParameter(f"{text!r}; expected NAME=X,Y,Z,... as the controller shows them")
+    return name.strip(), value
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProgramOptions:
+    """What a controller's program does not say of its cell."""
+
+    tools: tuple[tuple[str, str], ...] = option(
+        "Values of a tool that the program names or numbers.", (), name="--tool", type=_named, metavar="NAME=X,Y,Z,..."
+    )
+    bases: tuple[tuple[str, str], ...] = option(
+        "Values of a base, user frame or work object.", (), name="--base", type=_named, metavar="NAME=X,Y,Z,..."
+    )
+    world: str | None = option(
+        "The controller's world: a link of the URDF, or its place in the robot's base.",
+        metavar="LINK|X,Y,Z,...",
+        words="link 'base' if it stands still, else the first link of the model",
+    )
+    flange: str | None = option(
+        "The controller's flange: a link of the URDF, or its place on the tip.",
+        metavar="LINK|X,Y,Z,...",
+        words="link 'tool0' if it is on the tip, else the last link of the model",
+    )
+    axes: str | None = option(
+        "The program's axes from the model's joints, in degrees, such as 'q1,90-q2,q3-q2,q4,q5,q6'.",
+        metavar="SUMS",
+        words="the joints themselves",
+    )
+    pulses: str | None = option("Pulses of each axis for a degree (Yaskawa).", metavar='"P1 P2 ..."')
+    with_files: tuple[Path, ...] = option(
+        "Further file of the same language with tools, bases or points that the program uses; it is only read.",
+        (),
+        name="--with",
+        metavar="FILE",
+    )
+    payload: float = option("Mass at the tip while the program runs [kg].", 0.0)
+    path_error: float | None = option("Insert points into lines that the arm would leave by more than this.", type=LENGTH)
+
+
+def correct_file(
+    calibrated: CalibratedModel,
+    path: Path,
+    out: Path,
+    language: ControllerLanguage,
+    options: ProgramOptions,
+    limits: Allowed,
+) -> tuple[dict[str, Any], list[Change]]:
+    """Correct a program and write it; return the outcome for programs, and the changes.
+
+    Raises:
+        ProgramError: for a file that is cut, of another dialect, or can't be read.
+    """
+    from pincal.atomic import write_atomic
+    from pincal.programs.correct import Corrector, written_program
+    from pincal.programs.language import files_of, read_sources
+    from pincal.programs.paths import Follower, legs_of
+
+    if out.suffix.lower() != path.suffix.lower():
+        raise click.UsageError(
+            f"--out {out}: a program in {language.name} stays one; expected a name that ends in {path.suffix}"
+        )
+    files = files_of(path, language)
+    if options.pulses is not None:
+        language = language.with_pulses(options.pulses)
+    program = language.read(read_sources([*files, *options.with_files]))
+    only_read = range(len(files), len(files) + len(options.with_files))
+    program.leave(only_read)
+    corrector = Corrector(calibrated, language, _cell(calibrated.model.chain.robot, language, options, limits))
+    changes, left = corrector.changes(program)
+    follower, legs = Follower(corrector), legs_of(program, changes)
+    deviations = follower.deviations(legs)
+    edits = [edit for change in changes.values() for edit in corrector.edits(change)]
+    inserted = 0
+    if options.path_error is not None:
+        more, others, inserted = follower.inserted(program, legs, options.path_error)
+        edits, left = edits + more, left + others
+    outs = [out.with_suffix(file.suffix) for file in files]
+    for target, content in zip(outs, written_program(program, edits), strict=False):
+        write_atomic(target, content)
+    result = _result(program, list(changes.values()), left, deviations)
+    robot, cell = calibrated.model.chain.robot, corrector.cell
+    links = {
+        "world": options.world or (robot.base if np.array_equal(cell.world, np.eye(4)) else _WORLD),
+        "flange": options.flange or (robot.tip if np.array_equal(cell.flange, np.eye(4)) else _FLANGE),
+    }
+    return result | links | {"inserted": inserted, "out": [str(target) for target in outs]}, list(changes.values())
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """How far a correction may go, and where the program starts; see :class:`pincal.programs.correct.ProgramCell`."""
+
+    seed: np.ndarray | None
+    keep: bool
+    max_change: float
+
+
+def _cell(robot: Robot, language: ControllerLanguage, options: ProgramOptions, limits: Allowed) -> ProgramCell:
+    from pincal.programs.arms import ProgramAxes
+    from pincal.programs.correct import ProgramCell
+
+    places = {
+        name: _place(robot, language, text, usual=usual, link=link)
+        for name, text, usual, link in (
+            ("world", options.world, _WORLD, robot.base),
+            ("flange", options.flange, _FLANGE, robot.tip),
+        )
+    }
+    return ProgramCell(
+        axes=ProgramAxes.parse(options.axes, robot),
+        tools={language.key(name): language.frame(value) for name, value in options.tools},
+        bases={language.key(name): language.frame(value) for name, value in options.bases},
+        seed=None if limits.seed is None else robot.from_reported(limits.seed[None])[0],
+        payload=options.payload,
+        limits=limits.keep,
+        max_change=limits.max_change,
+        **places,
+    )
+
+
+def _place(robot: Robot, language: ControllerLanguage, text: str | None, *, usual: str, link: str) -> np.ndarray:
+    """Return the pose, shape (4, 4), of a link or of numbers as seen from a link of the model."""
+    from pincal.errors import BadInputError
+    from pincal.programs.arms import rigid_pose
+
+    if text is None:
+        found = rigid_pose(robot, usual, link)
+        return np.eye(4) if found is None else found
+    if "," in text:
+        return language.frame(text)
+    found = rigid_pose(robot, text, link)
+    if found is None:
+        raise BadInputError(f"{text!r} is no link that is fixed to {link}; expected one, or X,Y,Z,...")
+    return found
+
+
+def _result(
+    program: Program, changes: Sequence[Change], left: Sequence[Left], deviations: Sequence[Deviation]
+) -> dict[str, Any]:
+    """Return the outcome for programs."""
+    names = [source.name for source in program.sources]
+    points = [
+        {
+            "name": change.point.name,
+            "file": names[change.point.source],
+            "line": change.point.line,
+            "shift_mm": 1e3 * change.shift,
+            "turn_mrad": 1e3 * change.turn,
+        }
+        for change in changes
+    ]
+    sure = [found for found in deviations if np.isfinite(found.size)]
+    worst = max(sure, key=lambda found: found.size, default=None)
+    path = {"motions": len(deviations), "not_followed": [d.motion.statement.line for d in deviations if d not in sure]}
+    if worst is not None:
+        path |= {"largest_mm": 1e3 * worst.size, "line": worst.motion.statement.line}
+    return {
+        "points": points,
+        "left": [{"name": one.name, "file": names[one.source], "line": one.line, "reason": one.reason} for one in left],
+        "path": path,
+    }
+
+
+def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
+    """Yield what a person wants to know of a corrected program."""
+    points, left = result["points"], result["left"]
+    yield f"{language}: {len(points)} points corrected, {len(left)} left as they were"
+    yield f"  the controller's world is {result['world']}, its flange {result['flange']} (--world, --flange)"
+    width = max((len(f"{point['file']} line {point['line']}, {point['name']}") for point in points), default=0)
+    for point in points:
+        name = f"{point['file']} line {point['line']}, {point['name']}"
+        yield f"  {name:{width}s} {point['shift_mm']:9.4f} mm {point['turn_mrad']:9.4f} mrad"
+    path = result["path"]
+    if "largest_mm" in path:
+        yield (
+            f"  between corrected ends the tool leaves its lines and circles by {path['largest_mm']:.4f} mm at most "
+            f"(line {path['line']}, {path['motions']} motions)"
+        )
+    if result["inserted"]:
+        yield f"  {result['inserted']} points inserted"
+    if left:
+        yield "left as they were:"
+    for one in left:
+        yield f"  {one['file']} line {one['line']}, {one['name']}: {one['reason']}"
+    yield f"written to {', '.join(result['out'])}"

@@ -1,0 +1,275 @@
+"""``pincal validate``, ``diagnose`` and ``update``: what new rows say of a calibrated robot, and these rows added."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import MISSING, asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pincal.cli.arguments import Output, argument, group, option, verb
+from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, max_error_option, model_argument, station_option
+from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance, require_accuracy
+from pincal.errors import Exit, IdentificationError
+from pincal.io.result_folder import output_folder
+
+if TYPE_CHECKING:
+    from pincal.calibration.validation import Validation
+    from pincal.diagnosis.robot_diagnosis import Diagnosis
+    from pincal.notes import Note
+
+_VALIDATE_EXAMPLES = """
+Examples:
+  pincal validate results/model.json new_measurements.csv --max-error 0.1mm
+  pincal validate results/model.json monday.csv tuesday.csv
+
+Instrument and target stand as calibrated unless the rows indicate another pose, which is then identified
+from them and reported with the displacement. The errors are those at this pose. If no pose explains the
+rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several tables,
+those that the model was not fitted to come first, and --max-error applies to them.
+"""
+_DIAGNOSE_EXAMPLES = """
+Example:
+  pincal diagnose results/model.json new.csv --out diagnosis
+
+DIR then holds diagnosis.json, report.html and model.json: the re-identified model, in which only what
+changed was estimated again, or the model as it was where nothing has changed; it predicts at the new station.
+"""
+_UPDATE_EXAMPLES = """
+Examples:
+  pincal update results/model.json new.csv --out updated
+  pincal update results/model.json new.csv --anew transmission_error:joint_1 --out updated
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidateArguments:
+    """Arguments of validate."""
+
+    model: Path = model_argument()
+    data: tuple[Path, ...] = argument(
+        "DATA.csv...", "Measurements that the calibration did not use. Several tables are a station each."
+    )
+    station: str | None = station_option(words="the nearest, or a new pose if the rows indicate one")
+    max_error: float | None = max_error_option()
+    table: TableArguments = group("Tables")
+    general: GeneralOptions = group("General")
+
+
+@verb(ValidateArguments, examples=_VALIDATE_EXAMPLES, exits=(Exit.INACCURATE, Exit.CHANGED))
+def validate(arguments: ValidateArguments) -> Exit:
+    """Report how accurate a calibrated model is on new measurements.
+
+    The instrument may stand anywhere: its place is found from the rows.
+    """
+    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.validation import validate_rows
+    from pincal.cli.inputs import load_tables
+    from pincal.cli.placement import print_doubt
+    from pincal.measure.admit import check_table
+
+    calibrated = load_stations(arguments.model)
+    chosen = arguments.station
+    models = list(calibrated.models.values()) if chosen is None else [calibrated.at(chosen)]
+    robot = models[0].model.chain.robot
+    tables = load_tables(robot, arguments.data, options=arguments.table.options)
+    for table in tables.values():
+        check_table(robot, table, minimum=1)
+    found = [validate_rows(models, table, name=name, refit=chosen is None) for name, table in tables.items()]
+    result, notes = _result(found)
+    if arguments.general.as_json:
+        print_json(result)
+    else:
+        _print(found, result, notes)
+    echo_notes(notes, quiet=arguments.general.quiet)
+    doubts = [each.doubt for each in found if each.doubt]
+    if doubts:
+        print_doubt("; ".join(doubts), arguments.model)
+        return Exit.CHANGED
+    require_accuracy(result["mean_mm"], arguments.max_error, rows="new")
+    return Exit.DONE
+
+
+def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
+    """Return the outcome for programs, and what the user should know: of the rows, and of those beyond the range."""
+    from msgspec import to_builtins
+
+    from pincal.notes import doubts_first
+    from pincal.validate.accuracy import error_statistics, pose_error_sizes
+    from pincal.validate.misfit import worst
+
+    # Rows that the model was fitted to say nothing of a day that it never saw: where there are others, these count.
+    unseen = [each for each in found if not each.fitted_rows] or found
+    error = error_statistics(pose_error_sizes(each.station, each.values) for each in unseen)
+    stations = list(map(_station, found))
+    ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
+    beyond = {
+        "outside": sum(part["outside"] for part, _ in ranges),
+        "curves": [curve for part, _ in ranges for curve in part["curves"]],
+    }
+    # Of a single station what it says stands at the top as well.
+    alone = {key: stations[0][key] for key in ("iso9283", "lack_of_fit") if len(found) == 1 and key in stations[0]}
+    notes = doubts_first([*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)])
+    contents = {
+        "verdict": worst(each.verdict for each in found),
+        "warnings": to_builtins(notes),
+        "rows": {"test": sum(len(each.table) for each in unseen)},
+        "mean_mm": error["mean_mm"],
+        "stations": stations,
+        "error": {"calibrated": {"test": error}},
+    }
+    return contents | alone | beyond, notes
+
+
+def _station(found: Validation) -> dict[str, Any]:
+    iso, lack = found.replicate_statistics()
+    contents = {"name": found.name, "kind": found.table.kind, "rows": len(found.table), "placed": found.placed}
+    contents |= found.moved.to_dict() | {"error": found.error}
+    contents |= {"fitted_rows": found.fitted_rows}
+    contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
+    contents |= {"verdict": found.verdict}
+    contents |= {} if iso is None else {"iso9283": iso}
+    return contents | ({} if lack is None else {"lack_of_fit": asdict(lack)})
+
+
+def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note]) -> None:
+    """Print what makes it doubtful, where the stations are, and the errors there."""
+    from pincal.calibration.result_tables import error_table
+    from pincal.cli.progress import console
+    from pincal.cli.screen import print_doubts, print_replicates
+    from pincal.result_table import hanging
+
+    out = console()
+    print_doubts(notes, out)
+    unseen = [each.name for each in found if not each.fitted_rows]
+    if len(found) > 1 and unseen:
+        out.print(hanging("never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"))
+    for each in found:
+        out.print(hanging(f"{each.name}:", f"{_place_words(each)}; {each.verdict}"))
+    parts = {part["name"]: part["error"] for part in result["stations"]}
+    if len(found) == 1 and found[0].fitted_rows:
+        parts = {"train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[0].error}
+        out.print(error_table({"calibrated": parts}))
+    else:
+        out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
+    for each in found:
+        print_replicates(*each.replicate_statistics(), out)
+
+
+def _place_words(found: Validation) -> str:
+    if found.placed == "as calibrated":
+        return "instrument and target stand as calibrated"
+    return f"instrument and target were located again from these rows: {found.moved}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _NewRows:
+    """What both take."""
+
+    model: Path = model_argument()
+    data: Path = argument("NEW.csv", "New measurements; instrument and target may have moved.")
+    out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
+    table: TableArguments = group("Tables")
+    general: GeneralOptions = group("General")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseArguments(_NewRows):
+    """Arguments of diagnose."""
+
+    alpha: float = option("Probability of a false alarm.", 0.01)
+    noise: float | None = option(
+        "Noise of one coordinate of the new measurements, if it is more than that of the calibration.",
+        type=LENGTH,
+        words="that of the calibration",
+    )
+
+
+@verb(DiagnoseArguments, examples=_DIAGNOSE_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
+def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
+    """Find out whether a calibrated robot has changed, and what.
+
+    Ten to sixty poses are enough: what the calibration knows of the robot is taken into account, with its uncertainty.
+    """
+    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.cli.inputs import load_table
+    from pincal.cli.progress import console
+    from pincal.cli.screen import print_doubts
+    from pincal.diagnosis.robot_diagnosis import diagnose
+    from pincal.notes import doubts_of
+    from pincal.report.diagnosis import curve_table, lines
+
+    calibrated = load_stations(arguments.model)
+    table = load_table(calibrated.robot_model().model.chain.robot, arguments.data, options=arguments.table.options)
+    with output_folder(arguments.out) as draft:
+        found = diagnose(calibrated, table, alpha=arguments.alpha, sigma=arguments.noise)
+        write_diagnosis(draft, found, provenance([arguments.model, arguments.data]))
+    if arguments.general.as_json:
+        print_json(found.report)
+    else:
+        print_doubts(found.found.warnings, console())
+        for line in lines(found.found):
+            click.echo(line)
+        if found.found.curves is not None:
+            console().print(curve_table(found.found.curves))
+        click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
+    echo_notes(found.found.warnings, quiet=arguments.general.quiet)
+    if not found.found.is_judged:
+        raise IdentificationError(f"not judged: {'; '.join(map(str, doubts_of(found.found.warnings)))}")
+    return Exit.CHANGED if found.changed else Exit.DONE
+
+
+def write_diagnosis(folder: Path, diagnosis: Diagnosis, origin: dict[str, Any]) -> None:
+    """Write ``diagnosis.json``, the page and the mended model, which says where it comes from."""
+    from pincal.io.strict_json import write_json
+    from pincal.report.diagnosis import diagnosis_page
+
+    replace(diagnosis.model, provenance=origin).save(folder / "model.json")
+    write_json(folder / "diagnosis.json", diagnosis.report)
+    (folder / "report.html").write_text(diagnosis_page(diagnosis, version=origin["pincal"]), encoding="utf-8")
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdateArguments(_NewRows):
+    """Arguments of update."""
+
+    noise: float | None = option(
+        "Noise of one coordinate of the new measurements.",
+        type=LENGTH,
+        words="as declared for the calibration, else estimated",
+    )
+    anew: tuple[str, ...] = option(
+        "Estimate this effect of the model again, named as by diagnose; whether anything has changed is then not tested.",
+        (),
+        metavar="EFFECT[:JOINT]",
+    )
+
+
+@verb(UpdateArguments, examples=_UPDATE_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
+def update_verb(arguments: UpdateArguments) -> Exit:
+    """Add new measurements to a calibrated model permanently.
+
+    The result is that of a calibration with the old and the new rows, without the old ones. Rows of a robot that has changed
+    are refused (exit code 6): see diagnose. With --anew, the named effect is estimated again, all else stays known.
+    """
+    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.cli.inputs import load_table
+    from pincal.diagnosis.model_update import update
+    from pincal.validate.accuracy import error_summary
+
+    calibrated = load_stations(arguments.model).robot_model()
+    table = load_table(calibrated.model.chain.robot, arguments.data, options=arguments.table.options)
+    with output_folder(arguments.out) as draft:
+        found = update(calibrated, table, sigma=arguments.noise, anew=arguments.anew)
+        replace(found, provenance=provenance([arguments.model, arguments.data])).save(draft / "model.json")
+    error = error_summary(found.readings(table), found.values)
+    if arguments.general.as_json:
+        print_json({"rows": len(table), "error": error, "out": str(arguments.out)})
+    else:
+        anew = f", {', '.join(arguments.anew)} re-estimated" if arguments.anew else ""
+        click.echo(f"{len(table)} rows added{anew}; mean error {error['mean_mm']:.4f} mm")
+        click.echo(f"written to {arguments.out}: model.json")
+    echo_notes(calibrated.notes_on_day(table), quiet=arguments.general.quiet)
+    return Exit.DONE

@@ -1,0 +1,367 @@
+"""``pincal check`` and ``design``: what a table, or poses that are to be measured, can tell before any fit is trusted."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import MISSING, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+import numpy as np
+
+from pincal.cli.arguments import argument, as_given, group, option, verb, words_given
+from pincal.cli.common import (
+    ANGLE,
+    LENGTH,
+    TABLE,
+    CalibrationOptions,
+    GeneralOptions,
+    InputOptions,
+    Masses,
+    ModelOptions,
+    Triple,
+    base_option,
+    coupling_option,
+    sign_option,
+    tip_option,
+    verbose_option,
+    xacro_option,
+)
+from pincal.cli.outputs import print_json
+from pincal.errors import Exit, printable
+
+if TYPE_CHECKING:
+    from pincal.design.health import HealthCheck
+    from pincal.design.pose_design import Design
+    from pincal.design.reach import Limits, SensorSetup
+    from pincal.identify.options import Options
+    from pincal.robot.robot import Robot
+
+# Packages whose versions a report of a problem names.
+_PACKAGES = ("numpy", "scipy", "pin", "numba", "llvmlite", "polars", "example-robot-data")
+# A header that is longer is cut.
+_LONGEST_HEADER = 500
+
+_EXAMPLES = """
+Examples:
+  pincal design robot.urdf --poses 40 --instrument 3.5 -1 1.2 --payload 80 --out poses.csv
+  pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     # how many poses do I need?
+  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
+  pincal design robot.urdf --poses 40 --out poses.csv \\
+      --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
+  pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
+  pincal design results/model.json --check --notice 0.5mm --out check.csv \\
+      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                # the same with two sockets
+To practise:
+  pincal simulate robot.urdf --at poses.csv --out tracker.csv
+
+An effect is NAME[:JOINT][:KEY=VALUE,...] of the catalogue that discover uses. Neither the paths from pose
+to pose nor obstacles around the robot are considered: check them before the robot moves.
+"""
+_COUNT = click.IntRange(min=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckArguments:
+    """Arguments of check."""
+
+    source: InputOptions = group("Input")
+    chosen: CalibrationOptions = group("Model")
+    verbose: bool = verbose_option()
+    report: bool = option(
+        "Print what a bug report needs, without the data: versions, command, files, and the complete check.",
+        False,
+    )
+    general: GeneralOptions = group("General")
+
+
+@verb(CheckArguments, examples="Example:\n  pincal check robot.urdf tracker.csv --noise 0.05mm", exits=(Exit.UNDECIDED,))
+def check(arguments: CheckArguments) -> Exit:
+    """Report what can and cannot be identified from a table.
+
+    Units, ranges and coverage are checked, and the reason is given for what cannot be identified.
+    """
+    if arguments.report:
+        # Before anything is read, so that it is there whatever the check comes to.
+        for line in _problem_report(["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]):
+            click.echo(line)
+    from pincal.cli.inputs import prepare
+    from pincal.cli.progress import log_step
+    from pincal.discover.precheck import precheck
+
+    prepared = prepare(arguments.source, arguments.chosen)
+    log_step("analysing what these poses can identify")
+    found = precheck(prepared.robot, prepared.tables, prepared.options)
+    if arguments.general.as_json:
+        print_json(found.to_dict())
+    else:
+        from pincal.cli.progress import console
+        from pincal.cli.screen import print_brief_check, print_precheck
+
+        if arguments.verbose or arguments.report:
+            print_precheck(found, console())
+        else:
+            command = as_given("calibrate", "--out", "results")
+            print_brief_check(found, prepared.robot, console(), command=command)
+    return Exit.DONE
+
+
+def _problem_report(words: Sequence[str], files: Sequence[Path]) -> Iterator[str]:
+    """Yield the lines that begin a report of a problem.
+
+    Args:
+        words: the command line after ``pincal``.
+        files: files among them; of text tables the names of columns are told, of no file what it holds.
+    """
+    from pincal.io.result_folder import file_hash
+
+    yield f"pincal {version('pincal')}, Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} cores"
+    yield ", ".join(f"{package} {_version(package)}" for package in _PACKAGES)
+    yield f"command: {printable(shlex.join(['pincal', *words]), _LONGEST_HEADER)}"
+    for file in files:
+        if file.is_file():
+            yield f"{file.name}: {file.stat().st_size} bytes, sha256 {file_hash(file)[:12]}{_columns(file)}"
+        else:
+            yield f"{printable(file.name, _LONGEST_HEADER)}: not a file"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _columns(table: Path) -> str:
+    """Return the header of a text table in words; nothing for other files, and where the first line is data."""
+    if table.suffix.lower() not in (".csv", ".txt", ".tsv", ".dat"):
+        return ""
+    with table.open("rb") as file:
+        first = file.readline(2 * _LONGEST_HEADER).decode("utf-8", "replace").strip()
+    letters = sum(character.isalpha() for character in first)
+    return f", first line: {printable(first, _LONGEST_HEADER)}" if letters > len(first) / 4 else ", no header"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstraintOptions:
+    """Where arm, target and instrument may be."""
+
+    instrument: Triple | None = option(
+        "Position in the robot's base frame [m]; the target must be visible from there.", words="sees everything"
+    )
+    normal: Triple | None = option("Direction in which the target faces, in the tip frame.", words="visible from all sides")
+    cone: float = option(
+        "Largest visible angle off the target's normal.", float(np.deg2rad(30.0)), type=ANGLE, metavar="ANGLE", words="30deg"
+    )
+    box: tuple[float, float, float, float, float, float] | None = option(
+        "Smallest, then largest coordinates of the target in the base frame [m].", metavar="X Y Z X Y Z"
+    )
+    floor: float | None = option(
+        "Height in the base frame above which arm and target stay [m].", metavar="Z", words="0 for an upright robot"
+    )
+    no_floor: bool = option("No floor.", False)
+    clearance: float = option(
+        "Smallest distance of the arm from itself, if the URDF has collision geometry.",
+        0.01,
+        type=LENGTH,
+        metavar="LENGTH",
+        words="10mm",
+    )
+    span: float = option("Fraction of the joint ranges that is used.", 0.95)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentOptions:
+    """What is measured, and how well."""
+
+    sensor: Literal["position", "pose", "distance", "socket"] | None = option(
+        "Kind of measurement.", words="position, or socket with --socket"
+    )
+    sockets: tuple[Triple, ...] = option(
+        "With --check: about where a socket holds the tool point, in the robot's base frame [m].",
+        (),
+        metavar="X Y Z",
+        name="--socket",
+    )
+    tool: Triple | None = option("Approximate target position in the tip frame [m].", words="slightly off the last axis")
+    noise: float = option(
+        "Standard deviation of one position coordinate, or of a distance.", 5e-05, type=LENGTH, words="0.05mm"
+    )
+    noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad")
+    payload: Sequence[float] | None = option(
+        "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]", type=Masses()
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """What a health check must detect."""
+
+    check: bool = option("Choose the fewest poses of a health check for pincal diagnose.", False)
+    notice: float = option("Motion of any point in reach that is to be detected.", 1e-4, type=LENGTH, words="0.1mm")
+    power: float = option("Probability of detecting it.", 0.95)
+    alpha: float = option("Probability of a false alarm.", 0.01)
+    max_poses: int = option("Number of poses to stop at.", 40, metavar="N", type=_COUNT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignArguments:
+    """Arguments of design."""
+
+    robot: str = argument(
+        "ROBOT", "URDF or xacro file, or the name of a robot of example-robot-data; with --check a model.json, too."
+    )
+    out: Path = option("Table of poses to write, to be filled in.", MISSING, type=TABLE)
+    poses: int | None = option("Number of poses to choose.", metavar="N", type=_COUNT)
+    accuracy: float | None = option("Instead of --poses: the fewest poses that reach this predicted error.", type=LENGTH)
+    criterion: Literal["task", "determinant"] = option(
+        "Smallest predicted error over the task, or smallest joint uncertainty of all parameters.", "task"
+    )
+    task: Path | None = option("Joint positions where accuracy matters.", words="anywhere within reach")
+    measured: Path | None = option("Poses measured already; N poses are added to them.")
+    tell_apart: tuple[str, str] | None = option(
+        "Choose poses that distinguish these two effects instead.", metavar="EFFECT EFFECT"
+    )
+    candidates: int | None = option(
+        "Number of random poses to choose from.", metavar="N", type=click.IntRange(min=2), words="1500, or twice the poses"
+    )
+    seed: int = option("Random seed.", 0, type=click.IntRange(min=0))
+    degrees: bool = option("Write joint positions in degrees.", False)
+    tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
+    base: str | None = base_option()
+    xacro_args: tuple[tuple[str, str], ...] = xacro_option()
+    couplings: tuple[str, ...] = coupling_option()
+    signs: tuple[str, ...] = sign_option()
+    health: CheckOptions = group("Health check")
+    constraints: ConstraintOptions = group("Constraints")
+    instrument: InstrumentOptions = group("Instrument")
+    model: ModelOptions = group("Model")
+    general: GeneralOptions = group("General")
+
+
+@verb(DesignArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE,))
+def design(arguments: DesignArguments) -> Exit:
+    """Choose the most informative poses to measure.
+
+    All are within reach and in view; also reports how many are needed.
+    """
+    if arguments.health.check:
+        return _check(arguments)
+    from pincal.cli.inputs import load_table
+    from pincal.design.pose_design import design_poses
+    from pincal.design.request import DesignRequest
+
+    if arguments.poses is None and arguments.accuracy is None:
+        raise click.UsageError("give --poses N, or --accuracy for as many as are needed")
+    robot = _robot(arguments)
+    task, measured = (
+        None if path is None else load_table(robot, path, joints_only=True) for path in (arguments.task, arguments.measured)
+    )
+    request = DesignRequest(
+        poses=arguments.poses,
+        accuracy=arguments.accuracy,
+        criterion=arguments.criterion,
+        tell_apart=arguments.tell_apart,
+        task=task,
+        measured=measured,
+        payloads=arguments.instrument.payload,
+        candidates=arguments.candidates,
+        seed=arguments.seed,
+    )
+    found = design_poses(robot, request, _options(arguments), rig=_rig(arguments), limits=_limits(robot, arguments))
+    _write(arguments, robot, found, sensor=found.rig.sensor)
+    return Exit.DONE
+
+
+def _check(arguments: DesignArguments) -> Exit:
+    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.design.health import CheckRequest, design_check
+    from pincal.robot.robot import Robot
+
+    wanted = arguments.health
+    is_model = Path(arguments.robot).suffix == ".json"
+    known = load_stations(arguments.robot).robot_model() if is_model else _robot(arguments)
+    payloads = tuple(arguments.instrument.payload or ())
+    given = {name: value for name, value in vars(wanted).items() if name != "check"}
+    request = CheckRequest(**given, payloads=payloads, candidates=arguments.candidates, seed=arguments.seed)
+    robot = known if isinstance(known, Robot) else known.model.chain.robot
+    options, limits = _options(arguments), _limits(robot, arguments)
+    found = design_check(known, request, options=options, rig=_rig(arguments), limits=limits)
+    _write(arguments, robot, found, sensor=found.sensor)
+    return Exit.DONE if found.is_met else Exit.INACCURATE
+
+
+def _write(arguments: DesignArguments, robot: Robot, found: Design | HealthCheck, *, sensor: str) -> None:
+    """Write the poses and, empty, the columns of what is measured there; print what they promise."""
+    from pincal.measure.registry import columns_of
+    from pincal.measure.table import write_table
+
+    turns = {name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "revolute"}
+    in_degrees = turns if arguments.degrees else set()
+    columns = found.columns().items()
+    shown = {f"{n} [deg]" if n in in_degrees else n: np.rad2deg(c) if n in in_degrees else c for n, c in columns}
+    write_table(arguments.out, shown, to_fill=columns_of(sensor))
+    if arguments.general.as_json:
+        print_json(found.to_dict() | {"out": str(arguments.out)})
+    else:
+        from pincal.cli.progress import console
+        from pincal.cli.screen import print_plan
+
+        print_plan(found, console())
+        click.echo(f"written to {arguments.out}, ordered for short motions")
+
+
+def _robot(arguments: DesignArguments) -> Robot:
+    from pincal.cli.inputs import as_stated
+    from pincal.robot.robot import Robot
+
+    xacro_args = dict(arguments.xacro_args)
+    robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base, xacro_args=xacro_args)
+    return as_stated(robot, signs=arguments.signs, couplings=arguments.couplings)
+
+
+def _options(arguments: DesignArguments) -> Options:
+    from pincal.cli.inputs import EFFECTS_OF
+    from pincal.identify.options import Options
+
+    model, instrument = arguments.model, arguments.instrument
+    return Options(
+        effects=EFFECTS_OF[model.model],
+        sigma=instrument.noise,
+        sigma_orientation=instrument.noise_angle,
+        moment_frame=model.moment_frame,
+        gravity=model.gravity,
+        payload_centre=model.payload_com,
+    )
+
+
+def _rig(arguments: DesignArguments) -> SensorSetup:
+    from pincal.design.reach import SensorSetup
+
+    instrument, constraints = arguments.instrument, arguments.constraints
+    return SensorSetup(
+        sensor=instrument.sensor or ("socket" if instrument.sockets else "position"),
+        tool=instrument.tool,
+        held_at=instrument.sockets,
+        instrument=constraints.instrument,
+        normal=constraints.normal,
+        cone=constraints.cone,
+    )
+
+
+def _limits(robot: Robot, arguments: DesignArguments) -> Limits:
+    """Return the limits; an arm on a wall or a ceiling has no floor at its base."""
+    from pincal.design.reach import Limits
+
+    chosen = arguments.constraints
+    if chosen.no_floor and chosen.floor is not None:
+        raise click.UsageError("--floor and --no-floor exclude each other")
+    gravity = np.array(arguments.model.gravity or robot.gravity)
+    is_upright = gravity[2] < -0.9 * np.linalg.norm(gravity)
+    floor = 0.0 if chosen.floor is None and is_upright and not chosen.no_floor else chosen.floor
+    return Limits(span=chosen.span, floor=floor, box=chosen.box, clearance=chosen.clearance)

@@ -1,0 +1,380 @@
+"""Results as text that fits 100 columns: in ten lines, or with all tables; with colours on a terminal, plain elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from msgspec import UNSET
+from rich.console import Console
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.result import Result
+from pincal.calibration.result_tables import (
+    PARTS,
+    error_table,
+    iso9283_table,
+    moved_table,
+    parameter_table,
+    repeated_table,
+    station_changes,
+    station_table,
+)
+from pincal.design.health import HealthCheck
+from pincal.design.observability import SOURCES
+from pincal.design.pose_design import Design
+from pincal.design.study import RANDOM_DESIGNS
+from pincal.discover.policy import SIGHT
+from pincal.discover.precheck import DataReport, DetectabilityTable
+from pincal.discover.run import Discovery
+from pincal.io.discovery_file import FoundEffect
+from pincal.measure.registry import blocks_of
+from pincal.model.effect import Family
+from pincal.model.effect_registry import EFFECTS
+from pincal.notes import Note, doubts_first, doubts_of
+from pincal.report.found_tables import (
+    by_reason,
+    coverage_table,
+    covered_share,
+    detectability_tables,
+    effect_table,
+    expectation_table,
+    location_table,
+    pose_count_table,
+    show_chance,
+    smallest_size,
+    stage_table,
+)
+from pincal.report.judgement import judged, next_steps
+from pincal.report.words import (
+    HINTS,
+    bootstrap_words,
+    effect_words,
+    line_words,
+    noise_words,
+    rank_words,
+    subsample_only_words,
+)
+from pincal.result_table import hanging, one_line
+from pincal.robot.robot import Robot
+from pincal.units import Quantity, format_small
+from pincal.validate.accuracy import cycle_words
+from pincal.validate.lack_of_fit import LackOfFit
+
+# Observability indices that are worth a line; the others are in --json.
+_SHOWN = ("O1", "O2")
+# Effects, and notes, that are named one by one.
+_EFFECTS, _NOTES = 3, 1
+# Mean distance that independent errors of standard deviation 1 make in so many directions (chi distribution).
+_MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
+
+
+def print_brief(
+    calibration: Calibration, discovery: Discovery | None, out: Console, *, more: str, notes: Sequence[str] = ()
+) -> None:
+    """Print what a calibration, or a discovery, comes to; ``notes`` are on its files, ``more`` says where to read on."""
+    result = calibration.result
+    print_doubts(result.warnings, out)
+    print_left_out(result, out)
+    rows = f"{result.rows['train']} rows fitted, {held_out_words(result)}"
+    _line(out, "robot", f"{_arm(calibration.robot)}; {rows}")
+    for name, model in (("before", "nominal"), ("after", "calibrated")):
+        _line(out, name, _errors(result.error[model], name))
+    _line(out, "noise", f"{_noise_of(result.noise, calibration.stations[0].train.kind)} ({result.noise['source']})")
+    if result.stations is not UNSET and (moved := station_changes(result.stations)):
+        _line(out, "moved", moved)
+    if discovery is not None:
+        _line(out, "found", _found(discovery))
+    verdict = judged(result, discovery)
+    _line(out, "verdict", f"{verdict.judgement}. {verdict.reason}")
+    _line(out, "next", next_steps(calibration, discovery)[0])
+    print_first_notes([*result.warnings, *notes], out)
+    _line(out, "more", more)
+
+
+def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command: str) -> None:
+    """Print what a table can tell of a robot."""
+    print_doubts(found.warnings, out)
+    _line(out, "robot", _arm(robot))
+    _line(out, "rows", f"{found.rows} {found.kind} measurements")
+    _line(out, "before", f"mean {found.nominal['mean_mm']:.4f} mm, max {found.nominal['max_mm']:.4f} mm: nominal robot, "
+          "base and tool fitted")  # fmt: skip
+    _line(out, "noise", f"{_noise_of(found.noise, found.kind)} ({found.noise['source']})")
+    shares = {joint.joint: share for joint in found.joints if (share := covered_share(joint)) is not None}
+    if shares:
+        least = min(shares, key=lambda name: shares[name])
+        _line(out, "covered", f"each joint's range by at least {100 * shares[least]:.0f} % ({least})")
+    statuses = [parameter.status for parameter in found.parameters]
+    _line(out, "rank", rank_words(statuses, rank=found.rank, condition=found.condition, why="why: --verbose"))
+    print_first_notes(found.warnings, out)
+    _line(out, "next", command)
+    _line(out, "more", "--verbose: coverage, expected uncertainty of each parameter, smallest detectable effects")
+
+
+def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
+    """Print the first of what is good to know, and how much more there is; doubts stand before the result, in full."""
+    notes = [note for note in doubts_first(told) if not note.is_doubt]
+    more = len(notes) - _NOTES
+    plural = "s" if more > 1 else ""
+    for i, note in enumerate(notes[:_NOTES], 1):
+        rest = f" ({more} more note{plural} with --verbose)" if more > 0 and i == _NOTES else ""
+        out.print(hanging("note:   ", f"{note}{rest}"), style="yellow")
+
+
+def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
+    """Return the noise as the mean distance that it makes, beside that of one coordinate.
+
+    Example:
+        >>> _noise_of({"sigma_m": 5e-5}, "position"), _noise_of({"sigma_m": 5e-5}, "distance")
+        ('mean 0.0798 mm, 0.0500 mm per coordinate', 'mean 0.0399 mm, 0.0500 mm per coordinate')
+    """
+    size = next((block.size for block in blocks_of(kind)), 0)
+    if "sigma_m" not in noise or size not in _MEAN_DISTANCE:
+        return noise_words(noise)
+    return f"mean {1e3 * noise['sigma_m'] * _MEAN_DISTANCE[size]:.4f} mm, {noise_words(noise)}"
+
+
+def _arm(robot: Robot) -> str:
+    """Return which arm was taken, and how to take another."""
+    return f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip} (--tip takes another link)"
+
+
+def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
+    part = "test" if "test" in by_part else "train"
+    values = by_part[part]
+    unit = "mm" if "mean_mm" in values else "px"
+    words = f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max {values[f'max_{unit}']:.4f}"
+    model = "nominal, base and tool fitted" if name == "before" else "calibrated"
+    lead = next((way for way in ("regions", "stretches") if by_part.get(way) == values), part)
+    others = (f"; {PARTS[way]} {by_part[way][f'mean_{unit}']:.4f}" for way in ("regions", "stretches") if way in by_part)
+    beside = "".join(other for other in others if name != "before" and PARTS[lead] not in other)
+    return f"{words}: {model}, {PARTS[lead]}{beside}"
+
+
+def _found(discovery: Discovery) -> str:
+    effects = discovery.findings.effects
+    if not effects:
+        return "these data show no missing effect"
+    # What every arm has comes after what nobody knew, and those that may be chance last, named as what they are.
+    elastic = [name for name, cls in EFFECTS.known().items() if cls.family is Family.ELASTICITY]
+    named = [_named(entry) for entry in sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))[:_EFFECTS]]
+    more = len(effects) - _EFFECTS
+    return ", ".join([*named, *([f"{more} more"] if more > 0 else [])])
+
+
+def _named(entry: FoundEffect) -> str:
+    chance = f"p {show_chance(entry.p_value)}"
+    words = chance if entry.stability is None else f"{entry.stability} subsamples, {chance}"
+    return f"{'perhaps ' if entry.is_hint else ''}{effect_words(entry)} ({words})"
+
+
+def _line(out: Console, name: str, text: str) -> None:
+    out.print(hanging(f"{name:8s}", one_line(text)), markup=False)
+
+
+def print_result(result: Result, out: Console) -> None:
+    """Print errors before and after, the parameters, and what the user should know, doubts first."""
+    print_doubts(result.warnings, out)
+    print_left_out(result, out)
+    out.print(_summary(result))
+    if result.stations is not UNSET:
+        out.print(station_table(result.stations))
+        for table in (moved_table(result.stations), repeated_table(result.stations)):
+            if table is not None:
+                out.print(table)
+    out.print(error_table(result.error))
+    print_replicates(result.iso9283, result.lack_of_fit, out)
+    out.print(parameter_table(result.parameters))
+    print_notes(result.warnings, out)
+
+
+def print_left_out(result: Result, out: Console) -> None:
+    """Print how well stations are predicted by the model of the others, if they were left out in turn."""
+    if (means := result.left_out_mm) is not None:
+        out.print(f"On a new set-up: mean {means[0]:.4f} mm; geometry alone {means[1]:.4f} mm")
+
+
+def print_doubts(notes: Iterable[Note], out: Console) -> None:
+    """Print what makes a result doubtful: before all else of it, in every mode, in full."""
+    for doubt in doubts_of(notes):
+        out.print(hanging("doubt:", doubt.text), style="bold red")
+
+
+def print_notes(notes: Iterable[Note | str], out: Console) -> None:
+    """Print what is good to know; doubts stand before the result."""
+    for note in doubts_first(notes):
+        if not note.is_doubt:
+            out.print(hanging("note:", note.text), style="yellow")
+
+
+def _summary(result: Result) -> str:
+    p_value = result.chi2_p_value
+    chi2 = "" if p_value is None else f", reduced chi-square {result.chi2_reduced:.3f} (p {p_value:.2g})"
+    rank = rank_words((row.status for row in result.parameters), rank=result.rank, condition=result.condition)
+    return (
+        f"{result.rows['train']} rows fitted, {held_out_words(result)}; {result.iterations} iterations, "
+        f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} ({result.noise['source']}){chi2}\n{rank}"
+    )
+
+
+def held_out_words(result: Result) -> str:
+    """Return in words which rows judge the model."""
+    turns = 0 if result.stations is UNSET else sum("left_out" in station for station in result.stations)
+    return f"{turns} stations held out in turn" if turns else f"{result.rows['test']} held out"
+
+
+def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:
+    """Print what replicated poses show: ``iso9283`` of ``result.json``, and the test of lack of fit."""
+    if iso is not None:
+        out.print(iso9283_table(iso))
+        out.print(hanging("cycles:", cycle_words(iso)))
+    if lack is not None:
+        out.print(hanging("lack of fit:", f"{lack} (by {lack.scatter})"))
+
+
+def print_precheck(precheck: DataReport, out: Console) -> None:
+    """Print what can be identified from a table."""
+    print_doubts(precheck.warnings, out)
+    out.print(f"{precheck.rows} {precheck.kind} measurements; nominal robot, base and tool fitted: mean "
+              f"{precheck.nominal['mean_mm']:.3f} mm, max {precheck.nominal['max_mm']:.3f} mm")  # fmt: skip
+    out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
+    statuses = (parameter.status for parameter in precheck.parameters)
+    out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))
+    out.print(coverage_table(precheck))
+    out.print(expectation_table(precheck))
+    _print_detectability(precheck, precheck.detectable, out)
+    print_notes(precheck.warnings, out)
+
+
+def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: Console) -> None:
+    source = {"assumed": "assumed: not declared, and too few rows to estimate it"}
+    out.print(
+        f"\nSmallest effects that pincal discover would find in addition to the {found.model} model with a probability of "
+        f"{100 * found.power:.0f} %, at a probability of {100 * found.alpha:g} % of any false name and a noise of "
+        f"{found.sigma_m * 1e3:.4g} mm per coordinate ({source.get(found.source, found.source)}). An effect with several "
+        "parameters is given by its amplitude, transmission_error by the rms of its curve, elastic effects by their largest "
+        "rotation in these poses, joint_coupling by the range over the joints that may drive it. -: see below."
+    )
+    for table in detectability_tables(precheck):
+        out.print(table)
+    whole = [(e.effect.name, smallest_size([e])) for e in found.effects if e.effect.locus.joint is None]
+    sizes = [f"{name} {format_small(*size)}" for name, size in whole if isinstance(size, Quantity)]
+    if sizes:
+        out.print("Whole arm: " + ", ".join(sizes), markup=False)
+    _print_untestable(((e.effect.name, e.effect.locus.joint, e.reason) for e in found.effects), len(precheck.joints), out)
+
+
+def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: int, out: Console) -> None:
+    for reason, names in by_reason(entries, n_joints).items():
+        out.print(hanging("not testable:", f"{names}: {reason}"))
+
+
+def print_discovery(found: Discovery, out: Console) -> None:
+    """Print where model and data disagreed, what made them, and how the error fell to the noise."""
+    findings = found.findings
+    print_doubts(found.calibration.result.warnings, out)
+    print_left_out(found.calibration.result, out)
+    out.print(hanging("Verdict:", f"{findings.verdict}. {judged(found.calibration.result, found).reason}"))
+    if findings.where:
+        out.print(location_table(findings.where))
+    named, hints = ([e for e in findings.effects if e.is_hint == is_hint] for is_hint in (False, True))
+    if named or not hints:
+        out.print(effect_table(named) if named else "These data show no missing effect.")
+    if hints:
+        out.print(effect_table(hints, HINTS))
+    if findings.bootstrap:
+        out.print(one_line(bootstrap_words(findings.bootstrap)), markup=False)
+    if findings.only_in_halves:
+        out.print(one_line(subsample_only_words(findings)), markup=False)
+    out.print(stage_table(findings.noise_floor_mm, found.gaps))
+    for entry in findings.effects:
+        if words := line_words(entry):
+            out.print(hanging(effect_words(entry), words))
+        if entry.tell_apart:
+            out.print(hanging("to distinguish", f"{effect_words(entry)} from its alternatives: {entry.tell_apart}"))
+        if entry.period is not None:
+            unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(entry.depends_on or "", "rad")
+            out.print(one_line(f"{effect_words(entry)} repeats every {entry.period:.4g} {unit}"), markup=False)
+    for scatter in findings.scatter:
+        text = f"{scatter.joint} scatters by {scatter.sigma_rad * 1e3:.3f} mrad; record {scatter.missing}"
+        out.print(one_line(text), markup=False)
+    joints = found.calibration.fit.problem.chain.robot.joint_names
+    _print_untestable(((e.effect, e.joint, e.reason) for e in findings.not_testable), len(joints), out)
+
+
+def print_plan(found: Design | HealthCheck, out: Console) -> None:
+    """Print what poses to measure promise."""
+    if isinstance(found, HealthCheck):
+        print_check(found, out)
+    else:
+        _print_design(found, out)
+
+
+def _print_design(found: Design, out: Console) -> None:
+    """Print what was asked, what the constraints removed, and what these and other numbers of poses promise."""
+    n, robot = found.found.poses, found.robot
+    noise = ", ".join(f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}" for i, s in enumerate(found.design_model.sigma))
+    rig = f"{robot.base} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.design_model.n_free} parameters"
+    out.print(hanging(f"{n} poses", f"of {robot.name}, {rig}"))
+    for mark, text in _design_facts(found):
+        out.print(hanging(f"{mark + ':':13s}", text))
+    if found.curve:
+        out.print(pose_count_table(found))
+    print_notes(found.notes, out)
+
+
+def print_check(found: HealthCheck, out: Console) -> None:
+    """Print what a health check takes, what it notices and what not, and what simulation says of that."""
+    out.print(one_line(found.summary()), markup=False)
+    if not found.is_met:
+        text = f"this many poses do not detect {1e3 * found.notice:.3g} mm; calibrate from more poses, or reduce the noise"
+        out.print(hanging("not met:", text))
+    hardest = found.changes[0]
+    where = f"{hardest.change.name} {hardest.change.joint or ''}".strip()
+    parameters = ", ".join(hardest.change.parameters)
+    signal = f"signal {hardest.noncentrality:.1f} of the {hardest.needed:.1f} needed"
+    out.print(hanging("hardest:", f"{where} ({parameters}): {signal}"))
+    rates = f"alarms in {100 * found.alarms:.1f} % of {found.draws} checks of an unchanged robot, in "
+    rates += (
+        f"{100 * found.noticed:.1f} % of {found.draws} if the hardest change by {1e3 * found.notice:.3g} mm has occurred"
+    )
+    out.print(hanging("simulated:", rates))
+    if found.absorbed:
+        known, new = ([c for c in found.absorbed if (c.effect is None) is is_known] for is_known in (True, False))
+        parts = [*dict.fromkeys(name for change in known for name in change.parameters)]
+        names = ", ".join([*parts, *([f"{len(new)} new effects"] if new else [])])
+        why = "new poses of instrument and target absorb them, or they never cause so large a motion"
+        out.print(hanging("not seen:", f"{names}: {why}"))
+    curves = "free curves of a drive, and dependences on temperature, time or direction of approach, are not guaranteed"
+    out.print(hanging("beyond:", curves))
+    out.print(hanging("candidates:", found.drawn.in_words()))
+    print_notes(found.notes, out)
+
+
+def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
+    """Yield how the poses were chosen, and what they promise beside random ones."""
+    designed, random = found.found.designed, found.found.random
+    yield "candidates", found.drawn.in_words()
+    path = f"{found.path_length:.1f} joint ranges from first to last pose, {found.path_length_unordered:.1f} before ordering"
+    yield "path length", path
+    if found.needed is not None:
+        yield "accuracy", f"{found.needed} of the candidates are the fewest that reach it"
+    what = found.design_model.quantity
+    yield "predicted", f"{what} error over the task {1e3 * designed.error:.4f} mm rms, if the model has the right form"
+    if found.before is not None:
+        yield "before", f"{1e3 * found.before.error:.4f} mm with the poses already measured"
+    ratio = f"{random.error / designed.error:.2f} times as much, " if found.criterion != "tell apart" else ""
+    yield "random", f"{1e3 * random.error:.4f} mm ({ratio}median of {RANDOM_DESIGNS} draws)"
+    if found.bound is not None:
+        beyond = "; refining the poses went beyond them" if designed.error < found.bound else ""
+        yield "lower bound", f"no choice of the candidates comes below {1e3 * found.bound:.4f} mm{beyond}"
+    for mine, other, left, chance in zip(found.rivals, found.rivals[::-1], designed.apart, random.apart, strict=False):
+        verdict = "distinguishable" if left >= SIGHT.told_apart else f"not distinguishable, {SIGHT.told_apart:g} are needed"
+        verdict += f" (random {chance:.3g})"
+        yield "rivals", f"{mine} of typical size leaves {left:.3g} that {other} can't explain: {verdict}"
+    yield "rank", f"{found.rank} identifiable directions of the parameters"
+    for name in _SHOWN:
+        if name in found.observability:
+            numbers = f"{found.observability[name]:.3g}, random {found.observability_random[name]:.3g}"
+            yield f"index {name}", f"{numbers} (observability, {SOURCES[name]})"

@@ -1,0 +1,97 @@
+"""Frames and models in which a pose is given: calibrated in the robot's base frame, nominal, or as a false target.
+
+All follow from the calibrated model by leaving out effects: without those of the instrument it predicts in the robot's base
+frame; with its tool alone it is the nominal robot with the identified tool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions, Effect
+from pincal.model.model import Model
+from pincal.robot.se3 import compose, inverse
+
+PoseFrame = Literal["instrument", "base"]
+FalseTarget = Literal["tip", "target"]
+
+
+def _is_of_tool(effect: Effect) -> bool:
+    return effect.scope == "station" and effect.locus.acts_on == "tool"
+
+
+def _is_of_base(effect: Effect) -> bool:
+    return effect.scope == "station" and effect.locus.acts_on == "base"
+
+
+def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
+    """Return the calibrated model without the instrument: it predicts in the robot's base frame."""
+    return _with_effects(calibrated, lambda effect: effect.scope == "robot" or _is_of_tool(effect), np.eye(3))
+
+
+def _with_effects(
+    calibrated: CalibratedModel, is_kept: Callable[[Effect], bool], base_rotation: np.ndarray
+) -> CalibratedModel:
+    found = calibrated.with_effects(is_kept)
+    chain = found.model.chain.with_references(base_rotation, found.model.chain.tool_rotations)
+    model = found.model.with_chain(chain)
+    return replace(found, model=model, estimate=found.estimate.take(model.names), nominal_values=None)
+
+
+def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
+    """Return the poses of the target that a nominal program means: those of the nominal robot with the calibrated tool.
+
+    Returns:
+        Poses in the robot's base frame, shape (N, 3, 4) [m].
+    """
+    return nominal_robot(calibrated).predict(conditions)
+
+
+def nominal_robot(calibrated: CalibratedModel) -> CalibratedModel:
+    """Return the nominal robot with the calibrated tool: it predicts in the robot's base frame."""
+    return _with_effects(calibrated, _is_of_tool, np.eye(3))
+
+
+def nominal_in_instrument(calibrated: CalibratedModel) -> CalibratedModel:
+    """Return the nominal robot with the calibrated tool where it was calibrated: it predicts in the instrument's frame."""
+    return _with_effects(calibrated, lambda e: _is_of_tool(e) or _is_of_base(e), calibrated.model.chain.base_rotation)
+
+
+def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
+    """Return the pose of the robot's base in the instrument's frame at each of N poses, shape (N, 3, 4) [m].
+
+    It differs from row to row only if the base drifts.
+    """
+    placed = _with_effects(
+        calibrated,
+        _is_of_base,
+        calibrated.model.chain.base_rotation,
+    )
+    bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
+    return compose(placed.predict(conditions), inverse(bare.predict(conditions)))
+
+
+def false_targets(calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip") -> np.ndarray:
+    """Return the poses to send to a controller with the nominal model so that it commands these joint positions.
+
+    The controller has to choose the same branch of its inverse kinematics (with seven joints, the same elbow position).
+
+    Args:
+        calibrated: the calibrated model.
+        conditions: the N poses; their joint positions are those to command.
+        of: "tip": poses of the nominal robot's tip link, for a controller without a tool; "target": for a controller that
+            has the calibrated tool.
+
+    Returns:
+        Poses in the robot's base frame, shape (N, 3, 4) [m].
+    """
+    if of == "target":
+        return program_poses(calibrated, conditions)
+    bare = Model(Chain.of(calibrated.model.chain.robot), ())
+    return bare.predict(np.zeros(0), replace(conditions, target=np.zeros(len(conditions), int)))

@@ -1,0 +1,246 @@
+r"""What a health check has to notice, and how surely a diagnosis at some poses does; and the fewest poses that do.
+
+Each change of a robot is just so large that it moves the target by so much. The test of
+:mod:`pincal.diagnosis.row_evidence` at poses j with rows N_j of what is uncertain or free (the posterior of the
+calibration, masses, the new station's frames) and columns g_j of a change, in units of the noise, has the non-centrality
+
+.. math:: \lambda = \sum_j g_j^T g_j - z^T K z, \qquad K = H + \sum_j N_j^T N_j, \qquad z = K^{-1} \sum_j N_j^T g_j,
+
+with H what is known before. With :math:`u = g_j - N_j z`, one more pose adds :math:`u^T (1 + N_j K^{-1} N_j^T)^{-1} u`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.placing import noise_like
+from pincal.design.design_model import check_rig, frame_effects, nominal_values, predicted_station
+from pincal.design.exchange import covariance
+from pincal.design.reach import SensorSetup
+from pincal.diagnosis.change_search import limit_for
+from pincal.diagnosis.changes import PossibleChange
+from pincal.diagnosis.excluded import detected_noncentrality
+from pincal.diagnosis.lineup import ChangeHypotheses
+from pincal.diagnosis.row_evidence import Known, prior_root, rows_in_noise
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Curve
+from pincal.model.model import Model
+from pincal.parameters import estimate_of
+
+# Random directions in which a change of several parameters is to be noticed.
+_WAYS = 10
+# Part of the motion of a change's best direction below which another is not counted.
+_SEEN = 1e-3
+# Sizes that are typical of its parameters beyond which no change is taken to go.
+_LARGEST = 10.0
+# Rows by which changes are lined up: as many as a check has.
+_ROWS = 16
+# Information that a design has of frames before any row, in parts of what a row has on average: as good as none.
+_NOTHING = 1e-6
+# Passes over a design in which poses are exchanged.
+_PASSES = 3
+# The larger, the more the change that is hardest to notice decides which pose is best.
+_SHARPNESS = 4.0
+
+
+@dataclass(frozen=True)
+class DetectableChange:
+    """A change that is to be noticed: its place in the lineup, what it adds to the parameters, the rank of its test."""
+
+    change: int
+    step: np.ndarray
+    rank: int
+
+
+def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions) -> ChangeHypotheses:
+    """Return all that may happen to a robot, over poses in which a new station reads what the model predicts."""
+    check_rig(rig)
+    arm = model.model
+    chain = Chain.of(arm.chain.robot, moment_frame=arm.chain.moment_frame, gravity=arm.chain.gravity)
+    frames = frame_effects(chain, rig, conditions)
+    effects = (*frames, *(effect for effect in arm.effects if effect.scope == "robot"))
+    there = Model(chain, effects, equilibrium=arm.equilibrium)
+    values = nominal_values(there, rig, rig.target(chain.robot))
+    known = model.robot_estimate
+    places = [there.index(name) for name in known.names]
+    values[places] = known.values
+    station = predicted_station(there, values, rig, conditions)
+    of_arm = np.zeros((len(values),) * 2)
+    of_arm[np.ix_(places, places)] = known.dense_covariance()
+    placed = replace(
+        model,
+        model=there,
+        estimate=estimate_of(station.parameters, values, of_arm),
+        sensor_kind=rig.sensor,
+        sigma=noise_like(model, rig.sensor, station.sensor.blocks),
+    )
+    few = ChangeHypotheses.of(placed, station.select(np.arange(_ROWS)), Known.of(model))
+    return replace(few, station=station.with_model(few.station.model))
+
+
+def guarded_changes(
+    lineup: ChangeHypotheses, places: Conditions, notice: float, *, rng: np.random.Generator
+) -> tuple[list[DetectableChange], list[PossibleChange]]:
+    """Return the changes to be noticed, and those that new frames take up or that never are so large."""
+    model = lineup.station.model
+    poses, motion = model.linearise(model.own(lineup.start), places)
+    sizes = np.where(np.isfinite(lineup.sizes), lineup.sizes, 0.0)
+    motion = _without_frames(poses, motion) * sizes[: motion.shape[2]]
+    guarded, absorbed = [], []
+    for i, (change, at) in enumerate(zip(lineup.changes, lineup.places, strict=True)):
+        if isinstance(change.effect, Curve) or change.belief is not None:
+            continue
+        ways = np.ones((1, 1)) if len(at) == 1 else rng.standard_normal((_WAYS, len(at)))
+        farthest = np.linalg.norm(motion[:, :, at] @ ways.T, axis=1).max(axis=0)
+        seen = farthest * _LARGEST >= notice * np.linalg.norm(ways, axis=1)
+        if not seen.any():
+            absorbed.append(change)
+        strengths = np.linalg.svd(motion[:, :, at].reshape(-1, len(at)), compute_uv=False)
+        rank = int(np.sum(strengths > _SEEN * strengths[0]))
+        for way, far in zip(ways[seen], farthest[seen], strict=True):
+            step = np.zeros(len(lineup.start))
+            step[at] = sizes[at] * way * notice / far
+            guarded.append(DetectableChange(i, step, rank))
+    return guarded, absorbed
+
+
+def _without_frames(poses: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Return motion of the target, shape (V, 3, P), less what placing base and target anew takes up."""
+    points, n = poses[:, :, 3], len(poses)
+    turned = np.cross(np.eye(3)[None], points[:, None]).transpose(0, 2, 1)
+    frames = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), turned, poses[:, :, :3]], axis=2).reshape(3 * n, -1)
+    rows = motion.reshape(3 * n, -1)
+    return np.asarray(rows - frames @ np.linalg.lstsq(frames, rows, rcond=1e-10)[0]).reshape(motion.shape)
+
+
+def watch_of(
+    lineup: ChangeHypotheses, guarded: list[DetectableChange], *, alpha: float, power: float, degrees: float
+) -> DetectionDesign:
+    """Return what the candidates tell of the changes that are to be noticed."""
+    station = lineup.station
+    A, _ = rows_in_noise(station, lineup.start, lineup.robot.sigma)
+    m = sum(block.size for block in station.sensor.blocks)
+    uncertain, own = prior_root(station, lineup.known, lineup.beside) @ A, A[lineup.own]
+    own = own / np.sqrt(np.maximum(np.mean(own**2, axis=1, keepdims=True), 1e-300))
+    rows = np.vstack([uncertain, own]).T.reshape(len(station), m, -1)
+    return DetectionDesign(
+        N=rows,
+        G=(np.array([one.step for one in guarded]) @ A).T.reshape(len(station), m, -1),
+        H=np.diag(np.append(np.ones(len(uncertain)), np.full(len(own), _NOTHING))),
+        ranks=np.array([one.rank for one in guarded]),
+        limit=limit_for(alpha, len(lineup.changes)),
+        degrees=degrees - len(own),
+        power=power,
+    )
+
+
+@dataclass(frozen=True)
+class DetectionDesign:
+    """Candidate poses, and what each would tell of the changes that are to be noticed.
+
+    Attributes:
+        N: shape (M, m, K), rows of what is uncertain or free.
+        G: shape (M, m, Q), columns of the changes, each as large as it is to be noticed.
+        H: shape (K, K), what is known before any row.
+        ranks: shape (Q,), number of directions that the test of each change counts.
+        limit: p-value below which one change is an alarm.
+        degrees: of freedom by which the noise is known beside the rows; less those that the rows spend on frames.
+        power: chance with which a change is to be noticed.
+    """
+
+    N: np.ndarray
+    G: np.ndarray
+    H: np.ndarray
+    ranks: np.ndarray
+    limit: float
+    degrees: float
+    power: float
+
+    def needed(self, n: int) -> np.ndarray:
+        """Return the non-centrality that each change must have with n poses, shape (Q,)."""
+        degrees = max(self.degrees + n * self.N.shape[1], 1.0)
+        return np.array([detected_noncentrality(int(rank), degrees, self.limit, self.power) for rank in self.ranks])
+
+    def noncentralities(self, chosen: Sequence[int]) -> np.ndarray:
+        """Return those of all changes at some of the candidates, shape (Q,)."""
+        return self._seen(chosen)[0]
+
+    def certainty(self, chosen: Sequence[int]) -> float:
+        """Return the non-centrality over the one needed, of the change that is hardest to notice."""
+        return float((self.noncentralities(chosen) / self.needed(len(chosen))).min())
+
+    def fewest(self, most: int, start: Sequence[int] = ()) -> list[int]:
+        """Return the fewest candidates found that notice every change; ``most`` of them if those don't suffice.
+
+        Args:
+            most: number of candidates.
+            start: candidates to begin with.
+        """
+        chosen = list(start)
+        while len(chosen) < most and (not chosen or self.certainty(chosen) < 1.0):
+            chosen.append(self._best(chosen, self._costs(chosen)))
+        if self.certainty(chosen) < 1.0:
+            return self._exchanged(chosen)
+        while len(chosen) > 1:
+            fewer = self._exchanged(self._without_one(chosen))
+            if self.certainty(fewer) < 1.0:
+                break
+            chosen = fewer
+        return chosen
+
+    def fewest_of(self, most: int, groups: np.ndarray) -> list[int]:
+        """Return the best found from nothing and from two candidates of each group, shape (M,).
+
+        A first pose in a place that is not known tells nothing, so that one by one no place but the first would be taken.
+        """
+        pairs = [int(j) for group in np.unique(groups) for j in np.flatnonzero(groups == group)[:2]]
+        found = [self.fewest(most), self.fewest(most, pairs)] if len(pairs) > 2 else [self.fewest(most)]
+        return min(found, key=lambda chosen: (self.certainty(chosen) < 1.0, len(chosen), -self.certainty(chosen)))
+
+    def _seen(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the non-centralities, shape (Q,), all z, shape (K, Q), and the inverse of K, shape (K, K)."""
+        N, G = (part[list(chosen)].reshape(-1, part.shape[2]) for part in (self.N, self.G))
+        inverse = covariance(self.H + N.T @ N)
+        z = inverse @ (N.T @ G)
+        return np.maximum(np.sum(G * (G - N @ z), axis=0), 0.0), z, inverse
+
+    def _costs(self, chosen: Sequence[int]) -> np.ndarray:
+        """Return what is missing with each candidate added, shape (M,)."""
+        found, z, inverse = self._seen(chosen)
+        U = self.G - self.N @ z
+        inner = np.eye(U.shape[1]) + self.N @ inverse @ self.N.transpose(0, 2, 1)
+        more = np.sum(np.linalg.solve(np.linalg.cholesky(inner), U) ** 2, axis=1)
+        # A change that no pose has shown yet is missing all that is needed, not infinitely much.
+        return np.asarray(np.sum((self.needed(len(chosen) + 1) / (1.0 + found + more)) ** _SHARPNESS, axis=1))
+
+    def _exchanged(self, chosen: list[int]) -> list[int]:
+        """Return a design in which poses were swapped for better ones, until it notices everything."""
+        design = list(chosen)
+        for _ in range(_PASSES):
+            before = list(design)
+            for place in range(len(design)):
+                if self.certainty(design) >= 1.0:
+                    return design
+                rest = design[:place] + design[place + 1 :]
+                design[place] = self._best(rest, self._costs(rest))
+            if design == before:
+                break
+        return design
+
+    def _without_one(self, chosen: list[int]) -> list[int]:
+        """Return a design without the pose that is missed least."""
+        places = range(len(chosen))
+        rests = [chosen[:place] + chosen[place + 1 :] for place in places]
+        missed = [float(np.sum((1.0 / (1.0 + self.noncentralities(rest))) ** _SHARPNESS)) for rest in rests]
+        return rests[int(np.argmin(missed))]
+
+    @staticmethod
+    def _best(chosen: Sequence[int], costs: np.ndarray) -> int:
+        costs = costs.copy()
+        costs[list(chosen)] = np.inf
+        return int(np.argmin(costs))

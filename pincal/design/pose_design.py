@@ -1,0 +1,237 @@
+"""Which poses to measure: from a robot and constraints to a list of poses and what they will tell."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pincal.design.design_model import DesignModel
+from pincal.design.observability import observability, observed_directions
+from pincal.design.reach import Draw, Limits, Reach, SensorSetup
+from pincal.design.request import DesignRequest, pose_columns
+from pincal.design.route import order_by_load
+from pincal.design.study import CurvePoint, Quality, Study, total
+from pincal.errors import BadInputError, PincalWarning, warn
+from pincal.identify.options import Options
+from pincal.model.catalogue.masses import notes_on_masses
+from pincal.model.effects import Conditions
+from pincal.robot.robot import Robot
+
+# Readings beyond the directions that they could tell, below which little is left to judge a fit by.
+_COMFORTABLE = 1.5
+
+
+@dataclass(frozen=True, repr=False)
+class Design:
+    """Poses to measure, ordered for short motions, and the predicted accuracy.
+
+    Attributes:
+        robot: the arm.
+        conditions: the N poses; approach where it was part of the design.
+        has_payloads: whether payloads were.
+        rig: with what they are measured.
+        criterion: "task", "determinant" or "tell apart".
+        rivals: the effects to be distinguished, as they were named; none with the other criteria.
+        design_model: the parameters and their priors.
+        drawn: the candidates, and what the constraints removed.
+        found: the design compared with random poses.
+        before: the poses measured before alone; None without any.
+        bound: predicted error that no choice of N of the candidates can fall below, by the criterion task [m]; else None.
+        curve: designs of other numbers of poses and of this one, all chosen among the candidates and not refined.
+        needed: smallest number of candidates that reaches the accuracy asked for; None where none was.
+        observability: indices O1 to O5 of the poses, those measured before among them.
+        observability_random: their medians of random poses.
+        rank: directions that such poses determine better than the priors do, including base and tool.
+        path_length: length of the way through the poses, in ranges of the joint that moves farthest.
+        path_length_unordered: in the order in which they were found.
+        notes: messages to the user.
+        seconds: that it took.
+    """
+
+    robot: Robot
+    conditions: Conditions
+    has_payloads: bool
+    rig: SensorSetup
+    criterion: str
+    rivals: tuple[str, ...]
+    design_model: DesignModel
+    drawn: Draw
+    found: CurvePoint
+    before: Quality | None
+    bound: float | None
+    curve: tuple[CurvePoint, ...]
+    needed: int | None
+    observability: dict[str, float]
+    observability_random: dict[str, float]
+    rank: int
+    path_length: float
+    path_length_unordered: float
+    notes: tuple[str, ...]
+    seconds: float
+
+    def __repr__(self) -> str:
+        error = 1e3 * self.found.designed.error
+        return f"Design({self.robot.name!r}: {self.found.poses} poses, {error:.4g} mm rms predicted)"
+
+    @property
+    def q(self) -> np.ndarray:
+        """Joint positions, shape (N, n) [rad or m]."""
+        return self.conditions.q
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the table to be filled in: joints, and target, payload and approach where they belong to the poses."""
+        targets = self.design_model.model.chain.targets
+        return pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads, targets=targets)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, without the poses."""
+        return {
+            "robot": self.robot.name,
+            "base": self.robot.base,
+            "tip": self.robot.tip,
+            "sensor": self.rig.sensor,
+            "tool": self.rig.target(self.robot).tolist(),
+            "instrument": None if self.rig.instrument is None else list(self.rig.instrument),
+            "criterion": self.criterion,
+            "rivals": list(self.rivals),
+            "noise": self.design_model.sigma.tolist(),
+            "parameters": self.design_model.n_free,
+            "rank": self.rank,
+            "candidates": {"found": len(self.drawn.q), "drawn": self.drawn.drawn, "removed": self.drawn.removed},
+            **_plain_point(self.found),
+            "measured_before": None if self.before is None else _plain(self.before),
+            "bound_mm": None if self.bound is None else 1e3 * self.bound,
+            "needed": self.needed,
+            "curve": [_plain_point(point) for point in self.curve],
+            "observability": {"designed": self.observability, "random_median": self.observability_random},
+            "way": {"ordered": self.path_length, "unordered": self.path_length_unordered},
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+def _plain(quality: Quality) -> dict[str, Any]:
+    apart = {"noncentrality": list(quality.apart)} if quality.apart else {}
+    return {"error_rms_mm": 1e3 * quality.error} | apart
+
+
+def _plain_point(point: CurvePoint) -> dict[str, Any]:
+    return {"poses": point.poses, "designed": _plain(point.designed), "random_median": _plain(point.random)}
+
+
+def design_poses(
+    robot: Robot,
+    request: DesignRequest | int | None = None,
+    options: Options | None = None,
+    *,
+    rig: SensorSetup | None = None,
+    limits: Limits | None = None,
+    **earlier: Any,
+) -> Design:
+    """Choose the most informative poses.
+
+    Args:
+        robot: the arm.
+        request: what is to be designed, or the number of poses alone.
+        options: as for the calibration: effects, noise, moment frame, centre of mass of the payload. Base and tool are
+            taken as unknown.
+        rig: sensor, and from where it measures.
+        limits: where the arm may go.
+        **earlier: fields of the request, which for one more release may be given here.
+
+    Returns:
+        The design; look at its ``notes``.
+
+    Raises:
+        BadInputError: for constraints that leave too few poses, an accuracy that no number of poses reaches, an unknown
+            effect, or a sensor or model that a design can't be made for.
+
+    Example:
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> request = DesignRequest(poses=20, candidates=200, curve=False)
+        >>> found = design_poses(Robot.from_urdf("ur10"), request, Options(effects=GEOMETRIC))
+        >>> found.q.shape, found.found.designed.error < found.found.random.error
+        ((20, 6), True)
+    """
+    if not isinstance(request, DesignRequest):
+        if earlier:
+            warnings.warn("design_poses takes what is to be designed as a DesignRequest", DeprecationWarning, stacklevel=2)
+        request = DesignRequest(**{"poses": request} | earlier)
+    reach = Reach(robot, rig or SensorSetup(), limits or Limits())
+    if reach.rig.held_at:
+        raise BadInputError(
+            f"sensor {reach.rig.sensor}: poses in which the target is held are designed for a health check alone; expected "
+            "--check (design_check), or another sensor"
+        )
+    return _design(request, reach, options or Options())
+
+
+def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
+    begun = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        study = Study.of(reach, options=options, request=request)
+        needed = None if request.accuracy is None else study.smallest(request.accuracy)
+        n = request.poses or needed or 1
+        _check_count(study, n)
+    picked = study.candidates.select(np.array(study.design(n)))
+    if request.refine:
+        picked = study.refine(picked, reach)
+    H, at_random = study.H + total(study.design_model.readings(picked)), study.random(n)
+    found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
+    order, unordered, ordered = order_by_load(picked.q, picked.payload, reach.range)
+    indices, indices_random = _indices(study, n, H, at_random)
+    criterion: str = "tell apart" if request.tell_apart else request.criterion
+    return Design(
+        robot=reach.robot,
+        conditions=picked.select(order),
+        has_payloads=request.payloads is not None,
+        rig=reach.rig,
+        criterion=criterion,
+        rivals=tuple(request.tell_apart or ()),
+        design_model=study.design_model,
+        drawn=study.drawn,
+        found=found,
+        before=study.quality(study.H) if study.n_measured else None,
+        bound=study.bound(n) if request.curve and criterion == "task" else None,
+        curve=study.curve(found) if request.curve else (),
+        needed=needed,
+        observability=indices,
+        observability_random=indices_random,
+        rank=study.rank(n),
+        path_length=ordered,
+        path_length_unordered=unordered,
+        notes=(*reach.robot.notes, *reach.bodies.notes, *notes_on_masses(reach.robot, options.effects), *_messages(caught)),
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _check_count(study: Study, n: int) -> None:
+    """Warn of fewer poses than the parameters need."""
+    size, rank, count = study.A.shape[1], study.rank(n), n + study.n_measured
+    if size * count < rank:
+        fewest, good = -(-rank // size), int(np.ceil(_COMFORTABLE * rank / size))
+        warn(
+            f"{count} poses give {size * count} readings for {rank} directions of the parameters that such poses can "
+            f"identify, so the rest relies on the priors; expected {fewest} poses or more, better {good}"
+        )
+
+
+def _indices(
+    study: Study, n: int, H: np.ndarray, at_random: Sequence[np.ndarray]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the indices of the design, and their medians over random ones, what was measured before included."""
+    directions, prior = observed_directions(study.design_model, study.mean, n), np.eye(len(H))
+    found, *random = (
+        observability(study.design_model, directions, X - prior, n + study.n_measured) for X in (H, *at_random)
+    )
+    return found, {name: float(np.median([i[name] for i in random])) for name in random[0]}
+
+
+def _messages(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
+    return tuple(str(w.message) for w in caught if issubclass(w.category, PincalWarning))

@@ -1,0 +1,287 @@
+"""Which changes explain new rows: one after the other, each by what it takes off the squares for what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from pincal.diagnosis.lineup import ChangeHypotheses
+from pincal.diagnosis.row_evidence import RowEvidence
+from pincal.identify.selection import Scored, select_stepwise
+
+# Parts of the chance of a false alarm: for any one change, and for a misfit that none explains.
+_FOR_CHANGES, _FOR_MISFIT = 0.8, 0.2
+# Two changes can't be told apart unless one is this many times as likely: -2 log odds.
+EQUIVALENT = 2.0 * np.log(100.0)
+# How much likelier the usual is than anything else, before any row is seen: -2 log odds.
+_USUAL = 2.0 * np.log(10.0)
+# Chance that a sound row is taken for a wrong reading.
+_WRONG_ROW = 0.001
+# Changes that are tried by a fit, where squares to first order are not enough.
+_MOST_TRIED = 16
+# Shift of the target from which on a first-order test is not enough [m].
+_LINEAR = 1e-3
+# Changes and wrong rows that are looked for at most, one after the other; beside them each curve of a drive.
+_MOST = 6
+# Part of what a calibration took for noise that an effect which it left may have been.
+_MOST_OF_NOISE = 0.95
+# Part of the rows from which on those that stand apart are no exceptions, as when a robot is calibrated.
+_TOO_MANY = 0.25
+# Rows of which none is thought wrong: too few to tell.
+_FEWEST_ROWS = 8
+
+
+@dataclass(frozen=True)
+class ChangeScore:
+    """What one change explains.
+
+    Attributes:
+        change: its place in the lineup.
+        gain: what it takes off the square.
+        rank: number of its directions that the rows see.
+        p_value: of the F test, for this change alone.
+        cost: minus the gain, and what its parameters cost (Schwarz's criterion); negative is better than nothing.
+    """
+
+    change: int
+    gain: float
+    rank: int
+    p_value: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class NamedChange:
+    """A change that was found.
+
+    Attributes:
+        score: of the change.
+        p_value: chance of any such alarm on a robot that has not changed further.
+        equivalent: scores of changes that these rows can't tell from it.
+    """
+
+    score: ChangeScore
+    p_value: float
+    equivalent: tuple[ChangeScore, ...]
+
+
+def limit_for(alpha: float, n_tested: int) -> float:
+    """Return the p-value below which one of so many changes is an alarm."""
+    return alpha * _FOR_CHANGES / max(n_tested, 1)
+
+
+def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.ndarray | None = None) -> ChangeVerdict:
+    """Find what has happened to a robot.
+
+    Args:
+        lineup: the rows and what may have happened.
+        alpha: chance of an alarm on a robot that has not changed.
+        degrees: degrees of freedom by which the calibration knows its noise.
+        apart: places of rows that stand apart from all others wherever instrument and target are; default: none do.
+    """
+    state = _begun(lineup, alpha, degrees)
+    if apart is not None and len(apart) > 1 and state.are_rather(apart, state.best()):
+        if len(apart) >= _TOO_MANY * len(state.rows):
+            return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
+        state = state.without(apart)
+    most = _MOST + sum(change.belief is not None for change in lineup.changes)
+    return select_stepwise(state, ChangeVerdict.offers, ChangeVerdict.after, most=most)
+
+
+def raises_alarm(lineup: ChangeHypotheses, *, alpha: float, degrees: float) -> bool:
+    """Return whether rows raise an alarm, without looking for what happened; arguments as in :func:`search`."""
+    return _begun(lineup, alpha, degrees).p_value < alpha
+
+
+def _begun(lineup: ChangeHypotheses, alpha: float, degrees: float) -> ChangeVerdict:
+    return ChangeVerdict(lineup, lineup.release((), lineup.start), alpha, degrees, np.arange(len(lineup.station)))
+
+
+@dataclass(frozen=True)
+class ChangeVerdict:
+    """What a search has come to.
+
+    Attributes:
+        lineup: the rows that count.
+        values: shape (P,), with all changes that were found released.
+        alpha: chance of a false alarm.
+        degrees: degrees of freedom by which the calibration knows its noise.
+        rows: places of the rows that count in the table.
+        steps: changes of the robot, the first one the surest.
+        beside: effects that were there before and that the model left.
+        wrong_rows: rows that contradict all others, by their place in the table.
+        p_first: chance of an alarm before the first change was found; None before.
+        is_undecided: whether the rows can't tell of the robot, as where too many contradict the others.
+    """
+
+    lineup: ChangeHypotheses
+    values: np.ndarray
+    alpha: float
+    degrees: float
+    rows: np.ndarray
+    steps: tuple[NamedChange, ...] = ()
+    beside: tuple[int, ...] = ()
+    wrong_rows: tuple[int, ...] = ()
+    p_first: float | None = None
+    is_undecided: bool = False
+
+    @property
+    def happened(self) -> list[int]:
+        """Places of the changes of the robot."""
+        return [step.score.change for step in self.steps]
+
+    @property
+    def changed(self) -> bool:
+        """Whether the robot has changed."""
+        return bool(self.steps) or self.is_unexplained
+
+    @property
+    def p_value(self) -> float:
+        """Chance of an alarm like the first on a robot that has not changed."""
+        return self.p_further if self.p_first is None else self.p_first
+
+    @property
+    def is_unexplained(self) -> bool:
+        """Whether the rest is more than noise."""
+        return not self.is_undecided and self.misfit_p_value < self.alpha * _FOR_MISFIT
+
+    @property
+    def limit(self) -> float:
+        """The p-value that a change has to stay below."""
+        return limit_for(self.alpha, len(self.scores))
+
+    def none(self) -> ChangeVerdict:
+        """Return the verdict that nothing can be said: the rows can't tell."""
+        start = self.lineup.start
+        return replace(self, values=start, steps=(), beside=(), p_first=self.p_value, is_undecided=True)
+
+    @property
+    def _released(self) -> list[int]:
+        return [*self.happened, *self.beside]
+
+    @cached_property
+    def evidence(self) -> RowEvidence:
+        """What the rows say of everything else."""
+        return self.lineup.weigh(self.values, self._released)
+
+    def offers(self) -> Iterator[Scored[NamedChange | int]]:
+        """Yield the best change, and the row that is wrong if one is."""
+        best, row = self.best(), self.wrong_row()
+        if best is not None:
+            yield Scored(best, best.score.cost)
+        if row is not None:
+            gain, rank = self.evidence.rows[row]
+            yield Scored(row, float(rank * self._price - gain))
+
+    @cached_property
+    def scores(self) -> list[ChangeScore]:
+        """All changes that the rows see something of, the best explanation first."""
+        released = set(self._released)
+        gains = [
+            (i, *self.evidence.gain(self.lineup.places[i], change.belief))
+            for i, change in enumerate(self.lineup.changes)
+            if i not in released
+        ]
+        return sorted((self._score(i, gain, rank) for i, gain, rank in gains if rank), key=lambda score: score.cost)
+
+    def _score(self, i: int, gain: float, rank: int) -> ChangeScore:
+        left, degrees = self.evidence.form.square - gain, self.degrees + self.evidence.form.degrees - rank
+        F = (gain / rank) / ((self.degrees + max(left, 0.0)) / max(degrees, 1.0))
+        p_value = float(fdtrc(rank, max(degrees, 1.0), F)) if gain > 0.0 else 1.0
+        change = self.lineup.changes[i]
+        if change.belief is not None:
+            return ChangeScore(i, gain, rank, p_value, self.evidence.odds(self.lineup.places[i], change.belief))
+        return ChangeScore(i, gain, rank, p_value, rank * self._price - gain - _USUAL * change.is_usual)
+
+    @cached_property
+    def _price(self) -> float:
+        return float(np.log(len(self.lineup.station) * sum(block.size for block in self.lineup.station.sensor.blocks)))
+
+    @cached_property
+    def misfit_p_value(self) -> float:
+        """Chance of as large a square on a robot that has not changed further."""
+        found = self.evidence.form
+        F = (found.square / max(found.degrees, 1)) if found.degrees > 0 else 0.0
+        return float(fdtrc(max(found.degrees, 1), self.degrees, F))
+
+    @cached_property
+    def p_further(self) -> float:
+        """Chance of any alarm as strong on a robot that has not changed further."""
+        least = min((score.p_value for score in self.scores), default=1.0) * len(self.scores)
+        return min(1.0, least / _FOR_CHANGES, self.misfit_p_value / _FOR_MISFIT)
+
+    def best(self) -> NamedChange | None:
+        """Return the change that explains most for what it costs, if it is more than chance; equivalents with it."""
+        limit = self.limit
+        if not any(score.p_value < limit for score in self.scores):
+            return None
+        near = self.scores
+        if self._is_far(near[0]):
+            near = sorted((self._tried(score) for score in near[:_MOST_TRIED]), key=lambda score: score.cost)
+        chosen = next((score for score in near if score.p_value < limit), None)
+        if chosen is None:
+            return None
+        likes = (score for score in near if score is not chosen and score.cost < chosen.cost + EQUIVALENT)
+        return NamedChange(chosen, min(1.0, chosen.p_value * len(self.scores) / _FOR_CHANGES), tuple(likes))
+
+    def _is_far(self, score: ChangeScore) -> bool:
+        """Return whether a change is so large that squares to first order are not enough."""
+        places = self.lineup.places[score.change]
+        step = self.evidence.estimate(places, self.lineup.changes[score.change].belief)
+        shift = self.lineup.motion(self.values)[:, :, places] @ step
+        return bool(np.linalg.norm(shift, axis=1).max() > _LINEAR)
+
+    def _tried(self, score: ChangeScore) -> ChangeScore:
+        if self.lineup.changes[score.change].belief is not None:
+            return score
+        released = [*self._released, score.change]
+        values = self.lineup.release(released, self.values)
+        here, left = self.evidence.form, self.lineup.weigh(values, released).form
+        return self._score(score.change, here.square - left.square, int(here.degrees - left.degrees))
+
+    def after(self, step: NamedChange | int) -> ChangeVerdict:
+        """Return the search with a change released, or with what was there before; or without a wrong row."""
+        if not isinstance(step, NamedChange):
+            return self.without(step)
+        k = step.score.change
+        values = self.lineup.release([*self._released, k], self.values)
+        found = replace(self, values=values, p_first=self.p_value)
+        if self.lineup.changes[k].effect is None or not self._was_there_before(step.score):
+            return replace(found, steps=(*self.steps, step))
+        return replace(found, beside=(*self.beside, k))
+
+    def _was_there_before(self, score: ChangeScore) -> bool:
+        """Return whether an effect rather was there when the robot was calibrated, and the model left it.
+
+        Then it was part of the residuals whose size the calibration took for noise, and what is left without it is smaller
+        than this noise: the likelihood of noise without it is compared with that of noise as it was.
+        """
+        n = max(self.evidence.form.degrees - score.rank, 1)
+        left, part = self.evidence.form.square - score.gain, (score.gain - score.rank) / n
+        if not 0.0 < part < _MOST_OF_NOISE:
+            return False
+        return bool(left / (1.0 - part) + n * np.log(1.0 - part) < left)
+
+    def wrong_row(self) -> int | None:
+        """Return the row that contradicts all others, if one does."""
+        rows = self.evidence.rows
+        chances = chdtrc(np.maximum(rows[:, 1], 1.0), rows[:, 0])
+        worst = int(np.argmin(chances))
+        return worst if chances[worst] < _WRONG_ROW / len(rows) and len(rows) > _FEWEST_ROWS else None
+
+    def are_rather(self, rows: np.ndarray, step: NamedChange | None) -> bool:
+        """Return whether wrong readings of some rows explain more for what they cost than a change, or than nothing."""
+        readings = sum(block.size for block in self.lineup.station.sensor.blocks)
+        rest = self.without(rows).evidence
+        cost = len(rows) * readings * self._price - (self.evidence.form.square - rest.form.square)
+        return bool(cost < (0.0 if step is None else min(step.score.cost, 0.0)))
+
+    def without(self, row: int | np.ndarray) -> ChangeVerdict:
+        """Return the search without a row, or without some."""
+        lineup, wrong = self.lineup.without(row), (*self.wrong_rows, *np.atleast_1d(self.rows[row]).tolist())
+        values = lineup.release(self._released, self.values)
+        return replace(self, lineup=lineup, values=values, rows=np.delete(self.rows, row), wrong_rows=wrong)

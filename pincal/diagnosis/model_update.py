@@ -1,0 +1,122 @@
+"""A calibration kept up: new rows added permanently, if the robot is still the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.covered import with_means
+from pincal.calibration.placing import Placed
+from pincal.diagnosis.changes import belief_of
+from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, relocated
+from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fingerprints import together
+from pincal.identify.options import Options
+from pincal.measure.measurements import Measurements
+from pincal.measure.registry import blocks_of
+from pincal.model.effect import Effect
+from pincal.model.sizes import largest_basis
+from pincal.parameters import Covariance, Estimate
+
+
+def update(
+    calibrated: Calibrated,
+    measurements: Measurements,
+    *,
+    alpha: float = FALSE_ALARM,
+    sigma: float | None = None,
+    anew: Sequence[str] = (),
+) -> CalibratedModel:
+    """Add new rows to a calibration permanently, equivalent to a joint fit of old and new rows, without the old ones.
+
+    Args:
+        calibrated: the robot as it was calibrated.
+        measurements: new rows, with any instrument in any set-up.
+        alpha: chance that the rows of a robot that has not changed are refused.
+        sigma: noise of the new rows [m]; default: that of the calibration if it was declared, else estimated.
+        anew: effects of the model, as ``EFFECT`` or ``EFFECT:JOINT``, that are re-estimated from their priors, as named by
+            a diagnosis. Whether the robot has changed is then not tested.
+
+    Returns:
+        The robot at the new station, with all that is known of it now.
+
+    Raises:
+        ChangedRobotError: if the robot has changed since: old and new rows don't belong together.
+        IdentificationError: if the rows can't be judged: too many contradict the others, or the instrument was touched.
+        BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
+    """
+    model = calibrated.robot_model()
+    placed = relocated(model, measurements)
+    if anew:
+        released = [effect for text in anew for effect in _named(text, model)]
+        return _taken_in(model, measurements, sigma=sigma, earlier=_released(model, placed, released))
+    verdict = changes_since(model, placed, alpha)
+    if doubts := doubts_about(verdict, placed, measurements):
+        raise IdentificationError(f"{measurements.source}: not added: {'; '.join(map(str, doubts))}")
+    if verdict.changed:
+        raise ChangedRobotError(
+            f"{measurements.source}: the robot no longer matches its model (p = {verdict.p_value:.2g}), so its old "
+            "rows and these can't be combined; pincal diagnose finds out what has changed and re-identifies it. With --anew "
+            "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
+        )
+    kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)
+    return _taken_in(model, measurements.select(kept), sigma=sigma, earlier=model.robot_estimate)
+
+
+def _named(text: str, model: CalibratedModel) -> list[Effect]:
+    """Return the effects of a robot that a user names."""
+    name, _, joint = (part.strip() for part in text.partition(":"))
+    of_robot = [effect for effect in model.model.effects if effect.scope == "robot"]
+    found = [e for e in of_robot if e.heading[0] == name and joint in ("", e.heading[1])]
+    if not found:
+        known = dict.fromkeys(":".join(filter(None, effect.heading[:2])) for effect in of_robot)
+        raise BadInputError(
+            f"effect {text!r} is not in the model; expected one of {', '.join(nearest_first([text], known))}"
+        )
+    return found
+
+
+def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect]) -> Estimate:
+    """Return what is known of a robot once some effects may be others, as large and as rough as such effects are."""
+    earlier, station = model.robot_estimate, placed.station
+    largest = dict(zip(station.model.names, largest_basis(station.model, station.conditions)[0], strict=True))
+    C = earlier.dense_covariance()
+    for effect in effects:
+        parameters = effect.parameters(station.model.chain)
+        at = earlier.places(parameter.name for parameter in parameters)
+        belief = belief_of(effect, parameters)
+        sizes = np.array([parameter.size / largest[parameter.name] for parameter in parameters])
+        wider = np.diag(sizes**2) if belief is None else np.linalg.inv(belief)
+        C[np.ix_(at, at)] += np.where(np.isfinite(wider), wider, 0.0) * np.outer(earlier.free[at], earlier.free[at])
+    return replace(earlier, covariance=Covariance.of(C[np.ix_(earlier.free, earlier.free)]))
+
+
+def _taken_in(
+    model: CalibratedModel, measurements: Measurements, *, sigma: float | None, earlier: Estimate
+) -> CalibratedModel:
+    """Return the robot at the station of new rows, found from them and from what is known of it as it was."""
+    arm = model.model
+    x, y, z = map(float, model.payload_centre)
+    gx, gy, gz = map(float, arm.chain.gravity)
+    declared = model.sigma if model.is_noise_declared and model.sensor_kind == measurements.kind else ()
+    units = [block.unit for block in blocks_of(model.sensor_kind)]
+    angles = [float(size) for size, unit in zip(declared, units, strict=False) if unit == "rad"]
+    options = Options(
+        effects=tuple(effect for effect in arm.effects if effect.scope == "robot"),
+        sigma=float(next(iter(declared))) if sigma is None and len(declared) else sigma,
+        sigma_orientation=angles[0] if angles else None,
+        moment_frame=arm.chain.moment_frame,
+        equilibrium=arm.equilibrium,
+        gravity=(gx, gy, gz),
+        payload_centre=(x, y, z),
+        setup=replace(model.setup, points={}),
+        earlier=earlier,
+    )
+    rows = with_means(measurements, arm, model.covered.days)
+    found = CalibratedModel.of(fit_tables(arm.chain.robot, rows, options))
+    covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
+    return replace(found, covered=covered, rows=marks, provenance=model.provenance)

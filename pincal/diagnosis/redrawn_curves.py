@@ -1,0 +1,160 @@
+"""What the curve of each drive has to do with the error on another day: each taken anew, alone, with blocks left out.
+
+A curve that is taken anew is as rough as it was believed to be, and everything else stays as it was calibrated, but for the
+places of instrument and target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pincal.calibration.placing import Placed
+from pincal.diagnosis.changes import belief_of
+from pincal.diagnosis.row_evidence import rows_in_noise
+from pincal.identify.quadratic import Factor
+from pincal.identify.split import row_groups
+from pincal.io.diagnosis_file import CurveEntry, CurvesEntry
+from pincal.measure.measurements import Measurements
+from pincal.model.conditions import recorded_variable
+from pincal.model.effect import Curve
+
+# Rows from which on there is something to leave out.
+_FEWEST = 24
+# Blocks that are left out in turn, each of a few regions of joint space.
+_BLOCKS = 8
+# A curve was seen where its standard deviation, its mean apart, is at most this part of what was believed of it before: a
+# quarter of the variance. In gaps of 25 degrees of a UR10's table it is .6 and more of that, beside its rows .1.
+_SEEN = 0.5
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of a station, block by block, by the parameters that may be found anew.
+
+    Attributes:
+        G: shape (B, P, P), information of each block, by these parameters.
+        b: shape (B, P), its gradient.
+        A: shape (P, N, m), the Jacobian of the first readings in metres.
+        off: shape (N, m), what is left of them as calibrated [m].
+        block: shape (N,), of each row.
+        kept: shape (N,), which rows count.
+    """
+
+    G: np.ndarray
+    b: np.ndarray
+    A: np.ndarray
+    off: np.ndarray
+    block: np.ndarray
+    kept: np.ndarray
+
+    def found(self, free: np.ndarray, belief: np.ndarray, *, without: int | None = None) -> np.ndarray:
+        """Return how far some parameters move, shape (F,), a block left out."""
+        at = np.ix_(free, free)
+        H, b = self.whole[0][at] + belief, self.whole[1][free]
+        if without is not None:
+            H, b = H - self.G[without][at], b - self.b[without][free]
+        return Factor.of(H).solve(b)
+
+    @cached_property
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Information and gradient of all blocks together."""
+        return self.G.sum(axis=0), self.b.sum(axis=0)
+
+    def error(self, free: np.ndarray, belief: np.ndarray) -> float:
+        """Return the mean error of rows by what the other blocks make of some parameters [m]."""
+        errors = []
+        for k in np.unique(self.block[self.kept]):
+            here = self.kept & (self.block == k)
+            step = self.found(free, belief, without=int(k))
+            left = self.off[here] - np.einsum("p,pnm->nm", step, self.A[np.ix_(free, np.flatnonzero(here))])
+            errors.append(np.linalg.norm(left, axis=1))
+        return float(np.concatenate(errors).mean())
+
+
+def redrawn_curves(placed: Placed, table: Measurements, *, kept: np.ndarray, session: str) -> CurvesEntry | None:
+    """Return what each curve of a model contributes to the error on another day; None if it has none, or rows are few.
+
+    Args:
+        placed: the robot as it was calibrated, at the place of the rows.
+        table: the rows.
+        kept: shape (N,), which of them count.
+        session: what they are called.
+    """
+    model = placed.station.model
+    curves = [
+        (effect, span, belief)
+        for effect, span in zip(model.effects, model.spans, strict=True)
+        if isinstance(effect, Curve) and (belief := belief_of(effect, effect.parameters(model.chain))) is not None
+    ]
+    if not curves or kept.sum() < _FEWEST:
+        return None
+    own = np.flatnonzero(placed.solution.free)
+    places = [np.arange(span.start, span.stop) for _, span, _ in curves]
+    free = np.unique(np.concatenate([own, *places]))
+    rows = _rows(placed, free, block=row_groups(table, split="blocked", seed=0) % _BLOCKS, kept=kept)
+
+    def reestimated(some: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        at = np.searchsorted(free, np.concatenate([own, *(places[i] for i in some)]))
+        belief, start = np.zeros((len(at),) * 2), len(own)
+        for i in some:
+            end = start + len(places[i])
+            belief[start:end, start:end] = curves[i][2]
+            start = end
+        return at, belief
+
+    entries = []
+    for i, (effect, span, belief) in enumerate(curves):
+        at, believed = reestimated([i])
+        change = rows.found(at, believed)[len(own) :]
+        entries.append(_entry(placed, effect, span, belief, change, error=rows.error(at, believed), kept=kept))
+    entries.sort(key=lambda entry: entry.error_mm)
+    before, after = (1e3 * rows.error(*reestimated(some)) for some in ((), range(len(curves))))
+    return CurvesEntry(session=session, as_it_was_mm=before, all_anew_mm=after, joints=tuple(entries))
+
+
+def _rows(placed: Placed, free: np.ndarray, *, block: np.ndarray, kept: np.ndarray) -> _Rows:
+    station, sigma = placed.station, placed.model.sigma
+    whole, r = rows_in_noise(station, placed.values, sigma, free)
+    N, m = len(station), sum(part.size for part in station.sensor.blocks)
+    A, r = whole[:, : N * m].reshape(len(free), N, m), r[: N * m].reshape(N, m)
+    names = np.unique(block[kept])
+    of = [np.flatnonzero(kept & (block == k)) for k in names]
+    parts = [A[:, rows].reshape(len(free), -1) for rows in of]
+    first = station.sensor.blocks[0].size
+    metres = sigma[0] * station.metres_per_reading(placed.values) / station.weights[:, None]
+    return _Rows(
+        G=np.array([part @ part.T for part in parts]),
+        b=np.array([part @ r[rows].ravel() for part, rows in zip(parts, of, strict=True)]),
+        A=A[:, :, :first] * metres,
+        off=r[:, :first] * metres,
+        block=np.searchsorted(names, block),
+        kept=kept,
+    )
+
+
+def _entry(
+    placed: Placed, curve: Curve, span: slice, belief: np.ndarray, change: np.ndarray, *, error: float, kept: np.ndarray
+) -> CurveEntry:
+    """Return what one curve contributes."""
+    chain, joint = placed.station.model.chain, str(curve.locus.joint)
+    i = chain.robot.joint_names.index(joint)
+    q = recorded_variable(chain, placed.station.conditions.select(np.flatnonzero(kept)), joint, span=curve.locus.span)
+    basis = curve.basis(q)
+    basis = basis - basis.mean(axis=1, keepdims=True)
+    C = placed.model.dense_covariance[span, span]
+    known, believed = (np.einsum("kn,kl,ln->n", basis, part, basis) for part in (C, np.linalg.inv(belief)))
+    old, difference = placed.values[span] @ basis, change @ basis
+    new = old + difference
+    both = float(np.linalg.norm(old) * np.linalg.norm(new))
+    return CurveEntry(
+        joint=joint,
+        error_mm=1e3 * error,
+        correlation=float(old @ new) / both if both else None,
+        rms=float(np.sqrt(np.mean(difference**2))),
+        unit=chain.robot.joint_units[i],
+        seen=float(np.mean(known <= _SEEN**2 * np.maximum(believed, 1e-300))),
+    )

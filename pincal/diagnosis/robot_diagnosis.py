@@ -1,0 +1,342 @@
+"""Has a calibrated robot changed, and what? From a model and a few new rows to a diagnosis and a re-identified model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.caveats import CaveatKind, findings_on_outliers
+from pincal.calibration.placing import Placed, moved, place_station
+from pincal.diagnosis.change_search import ChangeVerdict, search
+from pincal.diagnosis.excluded import excluded, rival_names, tell_apart
+from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
+from pincal.diagnosis.redrawn_curves import redrawn_curves
+from pincal.diagnosis.row_evidence import Known
+from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.fingerprints import count, fingerprints, known_rows, together
+from pincal.identify.fit import Priors
+from pincal.identify.noise import Noise
+from pincal.identify.problem import Problem
+from pincal.identify.solve import solve
+from pincal.identify.station import Station
+from pincal.io.diagnosis_file import (
+    ChangedParameter,
+    ChangeEntry,
+    ChangeName,
+    CurvesEntry,
+    DiagnosisFile,
+    ExcludedEntry,
+    MovedEntry,
+)
+from pincal.measure.admit import check_table
+from pincal.measure.measurements import Measurements
+from pincal.model.conditions import recorded_variable
+from pincal.model.effect import Curve
+from pincal.notes import Note, Severity, doubts_first
+from pincal.validate.accuracy import error_summary
+
+# Chance of a false alarm.
+FALSE_ALARM = 0.01
+# What is left after all changes, relative to the reach, beyond which the rows are not of this robot; and what is left before
+# any, beyond which it is not worth while to look for them: a drive that is off by 0.2 rad leaves half as much.
+_HOPELESS, _STRANGE = 0.01, 0.1
+# Degrees of freedom by which a calibration is taken to know its noise, where nobody knows how many rows it had.
+_DEGREES = 200.0
+# Changes from which on another robot of the same type is likelier than one to which so much has happened.
+_MANY = 4
+# Part of an error, and of the rows, below which a curve of a drive is worth a word.
+_BRINGS = 0.9
+# Rows with the fingerprint of another that is met by chance.
+_SAME_BY_CHANCE = 1
+
+
+@dataclass(frozen=True, repr=False)
+class Diagnosis:
+    """Whether a robot has changed, and what.
+
+    Attributes:
+        found: the contents of ``diagnosis.json``.
+        model: the re-identified model, at the new station; the robot as it was where it has not changed.
+    """
+
+    found: DiagnosisFile
+    model: CalibratedModel
+
+    def __repr__(self) -> str:
+        what = ", ".join(" of ".join(filter(None, (change.effect, change.joint))) for change in self.changes)
+        answer = f"changed: {what or 'nothing in the catalogue'}" if self.changed else "unchanged"
+        return f"Diagnosis({self.model.model.chain.robot.name!r}: {answer}, p {self.found.p_value:.2g})"
+
+    @property
+    def changed(self) -> bool:
+        """Whether the robot has changed."""
+        return self.found.changed
+
+    @property
+    def changes(self) -> tuple[ChangeEntry, ...]:
+        """What changed, the surest first."""
+        return self.found.changes
+
+    @property
+    def excluded(self) -> tuple[ExcludedEntry, ...]:
+        """Changes that would have been detected."""
+        return self.found.excluded
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The contents of ``diagnosis.json`` in JSON types."""
+        return msgspec.to_builtins(self.found)  # type: ignore[no-any-return]
+
+
+def diagnose(
+    calibrated: Calibrated,
+    measurements: Measurements,
+    *,
+    alpha: float = FALSE_ALARM,
+    sigma: float | None = None,
+) -> Diagnosis:
+    """Test whether a robot still matches its model, up to the poses of instrument and target, and identify what has changed.
+
+    Args:
+        calibrated: the robot as it was calibrated.
+        measurements: new rows, with any instrument in any set-up.
+        alpha: chance of an alarm on a robot that has not changed.
+        sigma: noise of one component of the new readings [m]; default: the column ``sigma``. It is never taken to be less
+            than what the calibration left, which holds what its model does not describe.
+
+    Returns:
+        What has changed, with what it could be as well; what has not; and the re-identified model.
+
+    Raises:
+        BadInputError: if the rows are too few to locate instrument and target, or those that the model was fitted
+            to, or not of this robot.
+
+    Example:
+        >>> from pincal import Options, Robot, calibrate, measurements_from_arrays
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> robot = Robot.from_urdf(kuka_urdf_path())
+        >>> rng = np.random.default_rng(0)
+        >>> def measured(n, offset):
+        ...     q = robot.random_configurations(n, rng)
+        ...     tips = robot.forward_kinematics(q + offset * np.eye(6)[2])
+        ...     position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((n, 3))
+        ...     return measurements_from_arrays(robot.joint_names, q, position=position)
+        >>> fit = calibrate(robot, measured(100, 0.0), Options(effects=GEOMETRIC))
+        >>> [(change.effect, change.joint) for change in diagnose(fit, measured(15, 3e-4)).changes]
+        [('joint_offset', 'joint_3')]
+        >>> diagnose(fit, measured(15, 0.0)).changed
+        False
+    """
+    if not 0.0 < alpha < 0.5:
+        raise BadInputError(f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01")
+    model = calibrated.robot_model()
+    placed = relocated(model, measurements, sigma=sigma)
+    verdict = searched = changes_since(model, placed, alpha)
+    if doubts := doubts_about(verdict, placed, measurements):
+        verdict = verdict.none()
+    lineup, happened = verdict.lineup, verdict.happened
+    posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
+    reidentified = _reidentified(model, verdict, posterior)
+    station = reidentified.readings(measurements)
+    after = error_summary(station, reidentified.values)
+    _refuse_strange(model, measurements, after["rms_mm"], _HOPELESS)
+    session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
+    kept[list(verdict.wrong_rows)] = False
+    curves = redrawn_curves(placed, measurements, kept=kept, session=session)
+    found = DiagnosisFile(
+        changed=verdict.changed,
+        p_value=verdict.p_value,
+        alpha=alpha,
+        changes=_ranked(tuple(_entries(verdict, posterior, session)), curves),
+        excluded=tuple(excluded(verdict, searched)),
+        gap={"before": error_summary(placed.station, placed.values), "after": after},
+        station=_moved(calibrated, reidentified),
+        rows=len(measurements),
+        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, measurements)]),
+        curves=curves,
+        is_judged=not doubts,
+    )
+    return Diagnosis(found, reidentified)
+
+
+def changes_since(model: CalibratedModel, placed: Placed, alpha: float) -> ChangeVerdict:
+    """Return what has happened to a calibrated robot that was placed at a new station."""
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
+    return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station), apart=row_anomalies(placed))
+
+
+def row_anomalies(placed: Placed) -> np.ndarray:
+    """Return the places of rows that stand apart from all others wherever instrument and target are.
+
+    The size of the others' residuals is theirs, not that of the noise: rows of a robot that has changed are all off, and
+    none of them stands apart.
+    """
+    station, start = placed.station, placed.values
+    problem, free = Problem((station,)), placed.solution.free
+    sizes = np.array([parameter.size for parameter in station.parameters])
+    held = Priors(np.where(free, sizes, np.inf), np.full(len(sizes), np.inf))
+    found = solve(problem, start, free, held, Noise((None,) * len(station.sensor.blocks)))
+    return np.flatnonzero(found.weights == 0.0)
+
+
+def doubts_about(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> tuple[Note, ...]:
+    """Return why rows can't tell whether a robot has changed, as a calibration of them would; none if they can."""
+    rejected = np.isin(np.arange(len(measurements)), verdict.wrong_rows)
+    at = placed.station, placed.values, placed.solution.free
+    found = findings_on_outliers(*at, table=measurements, rejected=rejected & verdict.is_undecided)
+    # One change that leaves nothing explains rows that happen to be in order.
+    explained = len(verdict.steps) == 1 and not verdict.is_unexplained
+    wanted = (CaveatKind.MANY_OUTLIERS,) if explained else (CaveatKind.MANY_OUTLIERS, CaveatKind.STEP)
+    return tuple(one.note for one in found if one.kind in wanted)
+
+
+def known_degrees(model: CalibratedModel, station: Station) -> float:
+    """Return the degrees of freedom by which a calibration knows the noise of readings like a station's."""
+    rows, sizes = count(model.rows), [block.size for block in station.sensor.blocks]
+    return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else _DEGREES
+
+
+def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: float | None = None) -> Placed:
+    """Return a calibrated robot at the station of new rows, whose noise may be declared [m].
+
+    Raises:
+        BadInputError: if the noise is not a length, or the rows are too few to tell where instrument and target stand, or
+            those that the model was fitted to: it obeys them, whatever happened since.
+    """
+    check_table(model.model.chain.robot, measurements, minimum=1)
+    if sigma is not None:
+        if not 0.0 < sigma < np.inf:
+            raise BadInputError(f"noise of {sigma:g} m; expected a length above 0, such as 5e-5")
+        measurements = replace(measurements, sigma=np.full(len(measurements), sigma))
+    placed = place_station(model, measurements)
+    known = int(np.sum(known_rows(model.rows, placed.station)))
+    if known > _SAME_BY_CHANCE:
+        raise MeasurementError(
+            f"{measurements.source}: the model was fitted to {known} of these {len(measurements)} rows, so they can't show "
+            "whether the robot has changed since; expected rows measured later"
+        )
+    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["rms_mm"], _STRANGE)
+    return placed
+
+
+def _refuse_strange(model: CalibratedModel, measurements: Measurements, rms_mm: float, limit: float) -> None:
+    """Refuse rows that are farther from the robot than this part of its reach."""
+    if rms_mm > 1e3 * limit * model.model.chain.robot.reach:
+        raise MeasurementError(
+            f"{measurements.source}: no change in the catalogue brings the model closer than {rms_mm:.3g} mm to these "
+            "rows; expected rows of the calibrated robot. Are units, joint zeros and tip those of its table?"
+        )
+
+
+def _reidentified(model: CalibratedModel, verdict: ChangeVerdict, posterior: Refitted) -> CalibratedModel:
+    """Return the robot at the new station, with what changed found and nothing else released."""
+    lineup, happened = verdict.lineup, verdict.happened
+    if not happened:
+        return lineup.robot
+    rows = together(model.rows, fingerprints(lineup.station))
+    return replace(lineup.reidentified(happened, posterior), rows=rows)
+
+
+def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
+    """Yield what is to be said where most of the error goes with a curve that the calibration had not seen everywhere."""
+    if curves is None:
+        return
+    best = curves.joints[0]
+    if best.error_mm < _BRINGS * curves.as_it_was_mm and best.seen < _BRINGS:
+        yield (
+            f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with a re-estimated "
+            f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "
+            "elsewhere this is not a change; pincal update --anew adds the rows"
+        )
+
+
+def _ranked(changes: tuple[ChangeEntry, ...], curves: CurvesEntry | None) -> tuple[ChangeEntry, ...]:
+    """Return changes with those of curves among themselves in the order of what they bring on the new rows."""
+    if curves is None:
+        return changes
+    order = [entry.joint for entry in curves.joints]
+    brings = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
+    return tuple(change if change.curve_rms is None else next(brings) for change in changes)
+
+
+def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
+    changes = verdict.lineup.changes
+    for step in verdict.steps:
+        change = changes[step.score.change]
+        likes = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
+        yield ChangeEntry(
+            effect=change.name,
+            joint=change.joint,
+            source=change.source,
+            parameters=dict(_parameters(verdict, step.score.change, posterior)),
+            p_value=step.p_value,
+            equivalent=tuple(likes),
+            tell_apart=tell_apart(verdict, step),
+            curve_rms=_curve_rms(verdict, step.score.change, posterior),
+            session=session,
+        )
+    if verdict.is_unexplained:
+        yield ChangeEntry(
+            effect="unnamed",
+            joint=None,
+            parameters={},
+            p_value=verdict.p_value,
+            equivalent=(),
+            tell_apart="measure more poses over the whole range of the joints, and calibrate or discover again with them",
+        )
+
+
+def _curve_rms(verdict: ChangeVerdict, change: int, posterior: Refitted) -> float | None:
+    """Return by how much a curve of the model is another one over the rows, its mean apart; None for what is no curve."""
+    lineup = verdict.lineup
+    if lineup.changes[change].belief is None:
+        return None
+    model, places = lineup.station.model, lineup.places[change]
+    curve = next(e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0])
+    if not isinstance(curve, Curve):
+        return None
+    at = np.searchsorted(lineup.free(verdict.happened), places)
+    q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
+    return float(np.std(posterior.changes[at] @ curve.basis(q)))
+
+
+def _parameters(verdict: ChangeVerdict, change: int, posterior: Refitted) -> Iterator[tuple[str, ChangedParameter]]:
+    lineup = verdict.lineup
+    at = {int(place): k for k, place in enumerate(lineup.free(verdict.happened))}
+    for place in lineup.places[change]:
+        parameter, k = lineup.station.parameters[place], at[int(place)]
+        before = parameter.nominal + float(lineup.start[place])
+        moved_by = float(posterior.changes[k])
+        yield parameter.name, ChangedParameter(before, before + moved_by, float(posterior.sigma[k]), parameter.unit)
+
+
+def _moved(calibrated: Calibrated, after: CalibratedModel) -> MovedEntry:
+    """Return how far instrument and target are from where they stood: of several stations, from the nearest."""
+    ways = [moved(before, after) for before in calibrated.models.values()]
+    return MovedEntry(**min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument).to_dict())
+
+
+def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note | str]:
+    for i in verdict.beside:
+        change = verdict.lineup.changes[i]
+        where = "" if change.joint is None else f" of {change.joint}"
+        yield (
+            f"{change.name}{where} is in these rows, but by its size it was present at the calibration and is not modelled, "
+            "so it is not a change; discover identifies missing effects"
+        )
+    if len(verdict.steps) >= _MANY:
+        yield Note(
+            Severity.DOUBT,
+            f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this robot, not of another one "
+            "of its type; if they are, calibrate it again",
+        )
+    if verdict.wrong_rows:
+        lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)
+        yield f"excluded because they contradict all other rows: lines {lines}"

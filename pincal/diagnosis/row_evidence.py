@@ -1,0 +1,275 @@
+r"""What new readings say of a calibrated robot, its calibration's own uncertainty allowed for.
+
+With r the residuals of the new rows in units of their noise, R the Jacobian by the robot's parameters, known with covariance
+C, M by masses that a URDF knows to some per cent, F by what the new station alone has (base, targets, instrument) and by
+changes that are found already, and G by changes that are asked for,
+
+.. math:: r = R d + M m + F f + G g + e, \qquad d \sim N(0, C), \quad m \sim N(0, S), \quad e \sim N(0, 1),
+
+d and m are uncertain and f is anything. With all three projected out the gain of a change is
+
+.. math:: T_g = b_g^T P_{gg}^{-1} b_g, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r,
+
+what it takes off the squares: chi-square with as many degrees of freedom as the data see of it, if it has not happened.
+
+Masses that are off have bent the calibration, too: what is left is M m less what the parameters took up of it. The rows of
+the calibration are gone, so that part is computed in poses spread over the range that they covered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.unmodelled import Unmodelled
+from pincal.discover.levers import MassError
+from pincal.identify.normal import belief_rows, block_rows
+from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
+from pincal.identify.station import Station
+from pincal.model.effect import Effect
+from pincal.model.sizes import largest_basis
+from pincal.parameters import root_of
+from pincal.recorded import RECORDABLE
+
+# Poses over which masses are taken to have bent a calibration.
+_POSES = 200
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a calibration knows of a robot's parameters, and what it can't.
+
+    Attributes:
+        names: the parameters.
+        values: shape (K,).
+        root: shape (K, n), of their covariance.
+        masses: masses as an effect; None for a rigid model.
+        taken_up: shape (K, m), what the calibration made of a unit of each mass parameter.
+        left: effects that the model left; their parameters are the last ones of the K.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    root: np.ndarray
+    masses: MassError | None
+    taken_up: np.ndarray
+    left: tuple[Effect, ...] = ()
+
+    @classmethod
+    def of(cls, calibrated: CalibratedModel) -> Known:
+        """Return what a calibrated model knows of its robot, the effects that it left among it."""
+        chain = calibrated.model.chain
+        effects = (effect for effect in calibrated.model.effects if effect.scope == "robot")
+        names = tuple(parameter.name for effect in effects for parameter in effect.parameters(chain))
+        estimate = calibrated.estimate.take(names)
+        masses = MassError.of(calibrated.model, calibrated.model_values)
+        taken_up = np.zeros((len(names), 0)) if masses is None else _taken_up(calibrated, names, masses)
+        known = cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
+        return known if calibrated.left is None else known._beside(calibrated.left)
+
+    def _beside(self, left: Unmodelled) -> Known:
+        """Return the same with what a model left, which its parameters have taken up as far as they could."""
+        index = {name: i for i, name in enumerate(self.names)}
+        taken = np.zeros((len(self.names), len(left.values)))
+        for name, row in zip(left.names, left.taken_up, strict=True):
+            taken[index[name]] = row
+        root = root_of(left.covariance)
+        E = len(root)
+        return replace(
+            self,
+            names=(*self.names, *left.parameter_names),
+            values=np.concatenate([self.values - taken @ left.values, left.values]),
+            root=np.block([[self.root, -taken @ root], [np.zeros((E, self.root.shape[1])), root]]),
+            taken_up=np.vstack([self.taken_up, np.zeros((E, self.taken_up.shape[1]))]),
+            left=left.effects,
+        )
+
+
+def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassError) -> np.ndarray:
+    """Return how far a calibration's parameters move if masses are off by a unit each, shape (K, m)."""
+    model, rng = calibrated.model, np.random.default_rng(0)
+    lower, upper = calibrated.covered.q.T
+    q = model.chain.robot.following(rng.uniform(lower, upper, (_POSES, len(lower))))
+    conditions = calibrated.conditions_at(model.chain.robot.as_reported(q))
+    approach = rng.choice([-1.0, 1.0], conditions.q.shape)
+    conditions = replace(
+        conditions,
+        payload=rng.choice(calibrated.covered.payload, _POSES),
+        **{name: np.zeros_like(conditions.q) for name, each in RECORDABLE.items() if each.of_joints}
+        | {"approach": approach},
+        temperature=np.full(_POSES, 20.0),
+        time=np.linspace(0.0, 1.0, _POSES),
+    )
+    wide = model.with_effects([*model.effects, masses])
+    n = model.n_parameters
+    values = np.append(calibrated.model_values, np.zeros(wide.n_parameters - n))
+    _, J = wide.linearise(values, conditions)
+    columns = J.transpose(2, 0, 1).reshape(J.shape[2], -1) / calibrated.sigma[0]
+    G = columns @ columns.T
+    sizes = np.array([parameter.size for parameter in model.parameters]) / largest_basis(model, conditions)[0]
+    H = G[:n, :n] + np.diag(sizes**-2.0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    slope = np.linalg.lstsq(H * np.outer(scale, scale), scale[:, None] * G[:n, n:], rcond=ROUNDING)[0]
+    return np.asarray((scale[:, None] * slope)[[model.index(name) for name in names]])
+
+
+@dataclass(frozen=True)
+class RowEvidence:
+    """What new rows say beyond what is known, by the F parameters of the model that they were seen under.
+
+    Attributes:
+        form: P as its information, b as its gradient, r^T V^-1 r as its square.
+        rows: shape (N, 2), what a row alone takes off the square if its reading is wrong, and the rank of that.
+    """
+
+    form: Quadratic
+    rows: np.ndarray
+
+    def gain(self, j: np.ndarray, belief: np.ndarray | None = None) -> tuple[float, int]:
+        """Return T and rank of parameters, by their places, that change together.
+
+        Of parameters that are believed to hang together, with information of shape (K, K), these are of the directions in
+        which the rows tell more than the belief: chosen without the readings, so that T keeps its distribution.
+        """
+        if belief is None:
+            return self.form.gain(j)
+        told, along = self._beside(j, belief)
+        seen = told > 1.0
+        return float(np.sum(along[seen] ** 2 / told[seen])), int(seen.sum())
+
+    def odds(self, j: np.ndarray, belief: np.ndarray) -> float:
+        """Return -2 log odds of a change of parameters of which something is believed, against none."""
+        told, along = self._beside(j, belief)
+        return float(np.sum(np.log1p(told) - along**2 / (1.0 + told)))
+
+    def _beside(self, j: np.ndarray, belief: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the information of the rows in units of that believed, and the gradient, in directions told apart, (K,)."""
+        root = root_of_inverse(belief, np.diag(belief), ROUNDING)
+        told, axes = np.linalg.eigh(root.T @ self.form.H[np.ix_(j, j)] @ root)
+        return np.maximum(told, 0.0), axes.T @ (root.T @ self.form.g[j])
+
+    def estimate(self, j: np.ndarray, belief: np.ndarray | None = None) -> np.ndarray:
+        """Return the most probable change of parameters to first order, zero for what is not seen."""
+        if belief is None:
+            return self.form.estimate(j)[0]
+        H = self.form.H[np.ix_(j, j)] + belief
+        root = root_of_inverse(H, np.diag(H), ROUNDING)
+        return np.asarray(root @ (root.T @ self.form.g[j]))
+
+
+class ReestimatedCurves(NamedTuple):
+    """Parameters that have changed together.
+
+    Attributes:
+        places: shape (K,), of the parameters.
+        belief: shape (K, K), information about how far they change.
+        change: shape (K,), by how much they stand elsewhere than they were.
+    """
+
+    places: np.ndarray
+    belief: np.ndarray
+    change: np.ndarray
+
+
+def weighted_rows(
+    station: Station,
+    values: np.ndarray,
+    known: Known,
+    free: np.ndarray,
+    *,
+    beside: np.ndarray,
+    sigma: np.ndarray,
+    redrawn: Sequence[ReestimatedCurves] = (),
+) -> RowEvidence:
+    """Return what the rows of a station say.
+
+    Args:
+        station: the rows under a model of the robot with masses and all effects that are asked for.
+        values: shape (P,), where it is linearised: the robot's parameters as they are known, but for those that are free.
+        known: what is known of the robot.
+        free: places of parameters that are anything: the station's own, and those of the robot that have changed.
+        beside: places of parameters that are known to about their size: of what follows instrument and weather.
+        sigma: shape (blocks,), noise of one component of each block of readings.
+        redrawn: changes of parameters of which something is believed; none of them is among those that are free.
+    """
+    A, r = rows_in_noise(station, values, sigma)
+    F, uncertain = A[free], [prior_root(station, known, beside) @ A]
+    for places, belief, change in redrawn:
+        uncertain.append(root_of_inverse(belief, np.diag(belief), ROUNDING).T @ A[places])
+        r = r + change @ A[places]
+    nuisance = np.vstack([*uncertain, F])
+    H = nuisance @ nuisance.T
+    H.flat[: (len(H) + 1) * (len(H) - len(F)) : len(H) + 1] += 1.0
+    # Rows of Q are what is projected out, so that V^-1 = 1 - Q^T Q.
+    Q = root_of_inverse(H, np.diag(H), ROUNDING).T @ nuisance
+    rank = root_of_inverse(F @ F.T, np.sum(F**2, axis=1), ROUNDING).shape[1]
+    across, along = A @ Q.T, Q @ r
+    left = r - Q.T @ along
+    form = Quadratic(
+        names=tuple(parameter.name for parameter in station.parameters),
+        H=A @ A.T - across @ across.T,
+        g=A @ r - across @ along,
+        square=float(r @ left),
+        degrees=len(r) - rank,
+        whole=np.sum(A**2, axis=1),
+    )
+    return RowEvidence(form, _rows_alone(left, Q, len(station)))
+
+
+def prior_root(station: Station, known: Known, beside: np.ndarray) -> np.ndarray:
+    """Return how uncertain the parameters of a station are before its rows, shape (n, P): the root of their covariance.
+
+    Args:
+        station: as in :func:`weighted_rows`.
+        known: what is known of the robot.
+        beside: places of parameters that are known to about their size.
+    """
+    # Effects that are asked for may share names; those of the model and of masses come first.
+    index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
+    robot = [index[name] for name in known.names]
+    masses = () if known.masses is None else known.masses.parameters(station.model.chain)
+    sizes = np.array([parameter.size for parameter in masses])
+    n, k = known.root.shape[1], known.root.shape[1] + len(beside)
+    out = np.zeros((k + len(masses), len(station.parameters)))
+    out[:n, robot] = known.root.T
+    out[np.arange(n, k), beside] = [station.parameters[i].size for i in beside]
+    out[np.arange(k, len(out)), np.array([index[p.name] for p in masses], int)] = sizes
+    out[k:, robot] = -sizes[:, None] * known.taken_up.T
+    return out
+
+
+def rows_in_noise(
+    station: Station, values: np.ndarray, sigma: np.ndarray, places: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Jacobian, shape (P, R), and residuals, shape (R,), in units of the noise, row by row.
+
+    What the sensor knows beside its readings stands at the end. With places, shape (p,), the Jacobian is by these parameters
+    alone, shape (p, R).
+    """
+    free = np.ones(len(values), bool) if places is None else np.isin(np.arange(len(values)), places)
+    columns, readings = [], []
+    for piece, residuals, jacobian in station.linearise(values, free):
+        whitening = np.empty_like(residuals)
+        for rows, size in zip(block_rows(station), sigma, strict=True):
+            whitening[rows] = station.weights[piece] / size
+        columns.append((jacobian * whitening).transpose(0, 2, 1).reshape(len(jacobian), -1))
+        readings.append((residuals * whitening).T.ravel())
+    J, r = belief_rows(station, values, free)
+    A = np.hstack([*columns, J])
+    return A if places is None else A[np.searchsorted(np.flatnonzero(free), places)], np.concatenate([*readings, r])
+
+
+def _rows_alone(left: np.ndarray, Q: np.ndarray, n: int) -> np.ndarray:
+    """Return what each row takes off the square if its reading is wrong, and the rank of that, shape (N, 2)."""
+    m = len(left) // n
+    out = np.zeros((n, 2))
+    for i in range(n):
+        here = slice(m * i, m * i + m)
+        root = root_of_inverse(np.eye(m) - Q[:, here].T @ Q[:, here], np.ones(m), SEEN)
+        along = left[here] @ root
+        out[i] = along @ along, len(along)
+    return out

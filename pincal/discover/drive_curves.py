@@ -1,0 +1,260 @@
+r"""How fine and how rough drive curves are: what rows and distinct positions carry.
+
+How fine is judged by blocks of poses left out (:func:`resolved`); how rough by the likelihood of the data whatever the
+heights (empirical Bayes, :func:`smoothed`). With G, g the normal equations of everything, the curves as fine as the poses
+carry them, L the information of all priors and :math:`R_j / w_j^2` that of the roughness of curve j, the heights x and
+their covariance C are those of :math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood integrated over x is
+largest where
+
+.. math:: w_j^2 = \frac{x_j^T R_j x_j}{\operatorname{tr} R_j (P_j^{-1} - C_j)} w_j^2, \qquad P_j = D_j^{-2} + R_j / w_j^2,
+
+for priors of size D (Wood and Fasiolo 2017, Biometrics 73, 1071-1081, equation 4); the noise follows from what is left. One
+pass over the data serves all iterations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import eigvalsh, lstsq
+from scipy.linalg.lapack import dtrtri
+
+from pincal.discover.levers import situation_of
+from pincal.discover.policy import CURVES
+from pincal.discover.score_tests import BesideNuisances
+from pincal.identify.beliefs import priors_of
+from pincal.identify.equations import Linearised
+from pincal.identify.fit import ModelFit, carried
+from pincal.identify.quadratic import ROUNDING, Factor, Form
+from pincal.model.catalogue.transmission import most_pieces
+from pincal.model.conditions import distinct_values
+from pincal.model.effect import Curve, Effect, Resolvable
+from pincal.robot.robot import Robot
+
+
+def smoothed(fit: ModelFit, curves: Sequence[Curve]) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], ModelFit]:
+    """Return the curves of a fit as fine as the poses carry them and as rough as the data call for, with their heights.
+
+    Beside them the other parameters move; the fit is returned with these where they are to first order.
+    """
+    situation, sigma = situation_of(fit), fit.solution.estimated
+    finer, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
+    problem, alike = (
+        fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in fit.options.effects])
+        for by in (finer, smooth)
+    )
+    start = carried(fit.solution, fit.problem, problem)
+    places = [problem.places_at(curve) for curve in finer.values()]
+    sizes = priors_of(alike, fit.options).sizes
+    for curve, at in zip(curves, places, strict=True):
+        start.values[at] = _drawn_again(curve, fit.values[fit.problem.places_at(curve)], finer[curve])
+        start.free[at] = True
+    here = Linearised(problem, start.values, start.free, start.weights, sizes)
+    found = here.equations(sigma)
+    kept = np.flatnonzero(start.free & problem.is_shared)
+    believed = problem.beliefs.beyond_priors(kept, start.values, sizes)
+    quadratic = CurveSquares(
+        rows=Form.of(found.form.H - believed.H, found.form.g - believed.g),
+        believed=believed,
+        sizes=sizes[kept],
+        values=start.values[kept],
+        squares=here.chi2(sigma),
+        readings=int(problem.readings(start.weights).sum()),
+    )
+    columns = [np.searchsorted(kept, at) for at in places]
+    bends = [np.asarray(curve.smoothness()) for curve in smooth.values()]
+    roughness, step, noise = quadratic.likeliest(columns, bends)
+    chosen = {}
+    for curve, w, at, own in zip(curves, roughness, places, columns, strict=True):
+        pieces = _pieces(finer[curve], found.form.H[np.ix_(own, own)] / noise, float(w))
+        smooth[curve] = curve.smooth(situation, float(w), pieces)
+        chosen[curve] = smooth[curve], _drawn_again(finer[curve], start.values[at] + step[own], smooth[curve])
+    start.values[kept] += step
+    others = problem.carried_over(start.values, fit.problem)
+    return chosen, replace(fit, solution=replace(fit.solution, values=others))
+
+
+def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> int:
+    """Return how many pieces are half as long as the shortest waves of which the rows say as much as the roughness does.
+
+    Of k radians a unit the prior says k^4 / w^2 and rows of levers l the sum of l^2 over their range, whatever k.
+
+    Args:
+        curve: a curve.
+        information: shape (K, K), of the rows about its heights.
+        roughness: w.
+    """
+    q, span = _along(curve)
+    wave = 0.25 * np.pi * curve.resolution / span * q
+    heights = _heights(curve, np.stack([np.sin(wave), np.cos(wave)]))
+    density = float(np.sum(heights * (heights @ information))) / span
+    return int(np.ceil(span / np.pi * (density * roughness**2) ** 0.25))
+
+
+def _drawn_again(curve: Curve, heights: np.ndarray, other: Curve) -> np.ndarray:
+    """Return the heights of a curve in other pieces."""
+    return _heights(other, heights @ curve.basis(_along(other)[0]))
+
+
+def _heights(curve: Curve, drawn: np.ndarray) -> np.ndarray:
+    """Return the heights, shape (..., K), of what is drawn at many positions along a curve, shape (..., N)."""
+    return np.asarray(lstsq(curve.basis(_along(curve)[0]).T, drawn.T, lapack_driver="gelsy", check_finite=False)[0].T)
+
+
+def _along(curve: Curve) -> tuple[np.ndarray, float]:
+    """Return many positions along a curve, and the length of its range."""
+    lower, upper = curve.locus.span or (-np.pi, np.pi)
+    return np.linspace(lower, upper, CURVES.densely * curve.resolution), upper - lower
+
+
+@dataclass(frozen=True, eq=False)
+class CurveSquares:
+    """The sum of squares of data and priors about present values of F parameters.
+
+    Attributes:
+        rows: what the data alone say.
+        believed: beyond the priors of each parameter, but for the curves' roughness.
+        sizes: shape (F,), standard deviations of the priors; inf for none.
+        values: shape (F,).
+        squares: of the residuals, in units of the noise.
+        readings: their number.
+    """
+
+    rows: Form
+    believed: Form
+    sizes: np.ndarray
+    values: np.ndarray
+    squares: float
+    readings: int
+
+    def likeliest(self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the likeliest roughness of each curve, the step of all parameters with it, and the variance of the noise.
+
+        Args:
+            columns: of each curve.
+            bends: of each curve, R.
+        """
+        w, noise = np.full(len(columns), CURVES.roughness), 1.0
+        alone = [eigvalsh(R * np.outer(self.sizes[at], self.sizes[at])) for at, R in zip(columns, bends, strict=True)]
+        for _ in range(CURVES.moves):
+            step, spent, traces = self._posterior(columns, bends, w, noise)
+            left = self.squares - 2.0 * float(self.rows.g @ step) + float(step @ self.rows.H @ step)
+            noise = max(left / max(self.readings - spent, 1.0), CURVES.least_noise)
+            before = w.copy()
+            for j, (at, R, known, trace) in enumerate(zip(columns, bends, alone, traces, strict=True)):
+                x = self.values[at] + step[at]
+                free = float(np.sum(known / (1.0 + known / w[j] ** 2))) - trace
+                factor = np.sqrt(float(x @ R @ x) / max(free, 1e-300))
+                w[j] = max(w[j] * np.clip(factor, 1.0 / CURVES.farthest, CURVES.farthest), CURVES.least)
+            if np.max(np.abs(np.log(w / before))) < CURVES.settled:
+                break
+        # Known surer, and nearer to what is believed by as much: the others are pulled as before, and move less.
+        firm = np.full(len(self.sizes), 1.0 + CURVES.firm)
+        firm[np.concatenate(columns)] = 1.0
+        firmly = replace(self, sizes=self.sizes / np.sqrt(firm), values=self.values / firm)
+        return w, firmly._posterior(columns, bends, w, noise)[0], noise
+
+    def _posterior(
+        self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray], w: np.ndarray, noise: float
+    ) -> tuple[np.ndarray, float, list[float]]:
+        """Return what data and priors say together with curves of roughness w.
+
+        That is the step to the most probable values, shape (F,), the number of parameters that the data know, and of each
+        curve the trace of R and the covariance of its heights.
+        """
+        precision = self.sizes**-2.0
+        H, g = self.rows.H / noise + self.believed.H, self.rows.g / noise + self.believed.g - precision * self.values
+        H.flat[:: len(H) + 1] += precision
+        for at, R, each in zip(columns, bends, w, strict=True):
+            H[np.ix_(at, at)] += R / each**2
+            g[at] -= R @ self.values[at] / each**2
+        # The covariance is the square of its root; only parts of it are asked for.
+        factor = Factor.of(H)
+        root, _ = dtrtri(factor.L, lower=1, overwrite_c=1)
+        root *= factor.scale
+        # What is known is known from the rows, but for what priors, beliefs and roughness say.
+        beliefs = np.flatnonzero(np.any(self.believed.H, axis=1))
+        inner = root[:, beliefs]
+        spent = len(H) - float(np.einsum("ij,ij->j", root, root) @ (precision + ROUNDING / factor.scale**2))
+        spent -= float(np.vdot(inner.T @ inner, self.believed.H[np.ix_(beliefs, beliefs)]))
+        traces = []
+        for at, R, each in zip(columns, bends, w, strict=True):
+            inner = root[:, at]
+            traces.append(float(np.vdot(inner.T @ inner, R)))
+            spent -= traces[-1] / each**2
+        return root.T @ (root @ g), spent, traces
+
+
+def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
+    """Yield what can't be told of joints that take the same positions again and again, q of shape (N, n)."""
+    for joint, kind, x in zip(robot.joint_names, robot.joint_types, q.T, strict=True):
+        values = distinct_values(x)
+        if 1 < values < CURVES.enough and values == most_pieces(x):
+            step = 2.0 * float(np.ptp(x)) / (values - 1)
+            wave = f"{step:.3g} m" if kind == "prismatic" else f"{np.degrees(step):.3g} deg"
+            yield (
+                f"{joint} takes {values} distinct positions in {len(x)} rows: its drive error between them is not "
+                f"observable, and a period shorter than {wave} is aliased to a longer one; choose positions that don't "
+                "repeat, as pincal design does"
+            )
+
+
+def curves_over(fit: ModelFit, curve: Curve, sizes: Sequence[int]) -> list[Curve]:
+    """Return a drive curve in several resolutions, as fine as the poses and their distinct positions allow."""
+    situation = situation_of(fit)
+    most = most_pieces(situation.positions(str(curve.locus.follows)))
+    return [curve.resized(situation, size) for size in sizes if size <= most]
+
+
+def resolved(fit: ModelFit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.ndarray, np.ndarray]:
+    """Return an effect in the resolution that predicts blocks of poses left out best; itself if it has none.
+
+    Every other resolution is tried first, then those on either side of the best. Its parameters and those of the effect as
+    it was given are returned as well, to first order.
+    """
+    forms, test = _forms_of(fit, effect), BesideNuisances(fit)
+    if not forms:
+        estimate = test([effect]).estimate([0])
+        return effect, estimate, estimate
+    tried = dict(zip(range(0, len(forms), 2), _tested(test, forms[::2], groups), strict=True))
+    best = max(tried, key=lambda k: tried[k][1])
+    beside = [k for k in (best - 1, best + 1) if 0 <= k < len(forms)]
+    *closer, (estimate, _) = _tested(test, [*(forms[k] for k in beside), effect], groups)
+    tried |= zip(beside, closer, strict=True)
+    best = max(tried, key=lambda k: tried[k][1])
+    return forms[best], tried[best][0], estimate
+
+
+def _forms_of(fit: ModelFit, effect: Effect) -> list[Effect]:
+    if isinstance(effect, Resolvable):
+        return list(effect.resolutions(situation_of(fit)))
+    return list(curves_over(fit, effect, CURVES.sizes)) if isinstance(effect, Curve) else []
+
+
+def _tested(test: BesideNuisances, curves: Sequence[Effect], groups: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    """Return, of each curve, its parameters to first order and by how much it lowers the squared error on blocks left out.
+
+    They are tested a few at a time, as nothing is asked of two together and the memory grows with the square of all.
+    """
+    found = list[tuple[np.ndarray, float]]()
+    for some in _few_at_once(test.fit, curves):
+        tests = test(some, groups)
+        found += [(tests.estimate([i]), float(tests.gains_by_block([i]).sum())) for i in range(len(some))]
+        # Before the next tests are made, and not after it.
+        del tests
+    return found
+
+
+def _few_at_once(fit: ModelFit, curves: Sequence[Effect]) -> Iterator[list[Effect]]:
+    """Yield curves in their order, several together as long as they have few parameters."""
+    some, total = list[Effect](), 0
+    for curve in curves:
+        size = len(curve.parameters(fit.problem.chain))
+        if some and total + size > CURVES.at_once:
+            yield some
+            some, total = [], 0
+        some.append(curve)
+        total += size
+    yield some

@@ -1,0 +1,355 @@
+"""From the history of a discovery to its findings: how sure each is, what else it could be, and where the misfit was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import reduce
+from typing import Literal
+
+import numpy as np
+from msgspec.structs import replace as changed
+from scipy.special import chdtrc
+
+from pincal.discover.candidate_tests import named_tests
+from pincal.discover.decisions import Row, accepted
+from pincal.discover.elastic import Sure, deciding_measurement, instead_of, sure_compliances, without_compliance
+from pincal.discover.ending import line_details
+from pincal.discover.first_order import ScoreResult, ScoreTests, chance_of
+from pincal.discover.levers import levers
+from pincal.discover.locate import Located, locate
+from pincal.discover.policy import TESTING, WHERE
+from pincal.discover.precheck import ABSORBED
+from pincal.discover.scatter import Excess, find_excess
+from pincal.discover.shrink import PartialResidual, period_of
+from pincal.discover.steps import History, SearchStep
+from pincal.identify.fit import ModelFit, without
+from pincal.io.discovery_file import (
+    Bootstrap,
+    Disagreement,
+    EffectName,
+    Findings,
+    FoundEffect,
+    FoundParameter,
+    Gap,
+    Stage,
+    Untestable,
+)
+from pincal.model.catalogue import untestable
+from pincal.model.effect import Effect, Harmonic
+from pincal.parameters import Estimate
+from pincal.robot.robot import Robot
+from pincal.units import format_small
+from pincal.validate.misfit import MISFIT, judge
+
+_FOLLOWED = {
+    "approach": "depending on the direction from which it arrives",
+    "load": "following the load on its axis",
+    "move": "in proportion to its last move",
+    "payload": "following the payload",
+    "temperature": "following the temperature",
+    "time": "as time goes by",
+}
+
+
+def findings_of(
+    fit: ModelFit,
+    trail: History,
+    *,
+    gaps: tuple[Stage, ...],
+    traces: tuple[PartialResidual, ...],
+    measured: ModelFit | None = None,
+    held_out: Mapping[str, dict[Literal["before", "after"], Gap]] | None = None,
+    approach_from: str | None = None,
+) -> Findings:
+    """Return what a discovery found.
+
+    Args:
+        fit: the fit with all that was found, its covariance paying for the choice.
+        trail: how it was found.
+        gaps: the errors at the start and after each change of the model.
+        traces: what each effect explains.
+        measured: the last fit over the rows as they were measured, each reading of a pose a row; default: those of the fit.
+        held_out: the errors at the start and in the end on rows held out in each way.
+        approach_from: where directions of approach come from, in words; None where there are none.
+    """
+    final = trail.final
+    excess = find_excess(final, measured)
+    scatter = None if excess is None else excess.scattering
+    floor, left = _errors_of(final)
+    # Residuals that are larger than the declared noise allows.
+    is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < MISFIT
+    periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
+    effects = tuple(found for step in trail.steps for found in _found(fit, trail, step, gaps=gaps, periods=periods))
+    return Findings(
+        noise_floor_mm=floor,
+        gap={"before": gaps[0].gap, "after": gaps[-1].gap},
+        chain=gaps,
+        where=where_of(trail, excess, is_misfit=is_misfit),
+        effects=effects,
+        scatter=() if scatter is None else (scatter,),
+        not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
+        verdict=judge(None, left=is_misfit or excess is not None),
+        unexplained_mm=left,
+        approach_from=approach_from,
+        held_out=dict(held_out or {}),
+    )
+
+
+def _errors_of(fit: ModelFit) -> tuple[float, float]:
+    """Return the rms errors that noise makes and those that it does not, over the rows of all stations [mm]."""
+    sizes, rows = [], []
+    for station, places, blocks in fit.stations:
+        sigma, found, size = (
+            float(noise_floor(fit)[blocks.start]),
+            fit.solution.estimated[blocks.start],
+            station.sensor.blocks[0].size,
+        )
+        to_mm = 1e3 * station.metres_per_reading(fit.values[places])
+        sizes.append((sigma * np.sqrt(size) * to_mm, np.sqrt(max(found**2 - sigma**2, 0.0) * size) * to_mm))
+        rows.append(len(station))
+    if len(sizes) == 1:
+        return float(sizes[0][0]), float(sizes[0][1])
+    floor, left = np.sqrt(np.average(np.square(sizes), axis=0, weights=rows))
+    return float(floor), float(left)
+
+
+def _found(
+    fit: ModelFit,
+    trail: History,
+    step: SearchStep,
+    *,
+    gaps: tuple[Stage, ...],
+    periods: dict[Effect, float | None],
+) -> Iterator[FoundEffect]:
+    """Yield what entered in one step; elasticity joint by joint."""
+    place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
+    before, after = gaps[place], gaps[place + 1]
+    # Standard deviations that pay for the choice, too.
+    known = fit.estimate
+    if step.is_elastic:
+        found = [
+            (sure.effect, e := sure.estimate, known.take(e.names).fitted_sigma, sure.p_value, *_in_its_place(trail, sure))
+            for sure in sure_compliances(trail.final, step.effects, step.equivalent)
+        ]
+    else:
+        decide = _deciding(step)
+        whole = step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]
+        estimate = known.take(trail.final.names_of(whole))
+        found = [(step.effect, estimate, estimate.sigma, _p_value(step.score, fit), step.equivalent, decide)]
+    line = line_details(trail, step)
+    for effect, estimate, sigma, p_value, equivalent, decide in found:
+        score = replace(step.score, p_value=p_value)
+        if step.is_elastic and trail.is_held_up and not accepted(Row(effect, score, score.ebic), trail.policy):
+            # Beside all other compliances, which few rows leave to what is known beforehand, nothing is left of it.
+            continue
+        yield FoundEffect.of(
+            effect,
+            period=periods.get(effect),
+            parameters=_parameters(estimate, sigma),
+            p_value=p_value,
+            gap_before_mm=before.mean_mm,
+            gap_after_mm=after.mean_mm,
+            gap_before_mrad=before.mean_mrad,
+            gap_after_mrad=after.mean_mrad,
+            equivalent=tuple(EffectName.of(other) for other in equivalent),
+            tell_apart=decide,
+            **line,
+        )
+
+
+def _p_value(score: ScoreResult, fit: ModelFit) -> float:
+    """Return the p-value of a step by rows that are independent or, if it is larger, by blocks of consecutive rows."""
+    of_blocks = fit.solution.of_blocks
+    return max(score.p_value, float(chdtrc(score.rank, score.gain / of_blocks))) if of_blocks > 1.0 else score.p_value
+
+
+def _deciding(step: SearchStep) -> str:
+    """Return what would tell an effect from the first that could stand in its place, or from several that together could."""
+    told = (step.before, step.tested, step.estimate)
+    if not step.together:
+        return "".join(deciding_measurement(*told, rival) for rival in step.equivalent[:1])
+    names = [f"{effect.name} of order {at.order}" if (at := effect.locus).order else effect.name for effect in step.together]
+    words = f"{', '.join(names[:-1])} and {names[-1]} of {step.effect.locus.joint} are together equivalent"
+    return f"{words}; {deciding_measurement(*told, *step.together)}"
+
+
+def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:
+    """Return what could be compliant in the place of one joint's compliance, others among it, and what decides."""
+    compliance = sure.effect
+    rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, sure.estimate, sure.beside), *sure.others)))
+    if not rivals:
+        return (), ""
+    rest = without_compliance(trail.final, compliance, *(sure.others[:1] if sure.beside else ()))
+    own = np.array([sure.estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)])
+    return rivals, deciding_measurement(rest, compliance, own, rivals[0])
+
+
+def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParameter]:
+    """Return parameters by name; nothing is known of those whose standard deviation is infinite."""
+    return {
+        p.name: FoundParameter(p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None, p.unit)
+        for p, value, sigma in zip(estimate.parameters, estimate.values, sigmas, strict=True)
+    }
+
+
+def _not_testable(trail: History) -> Iterator[tuple[Effect, str]]:
+    """Yield what these data can't test, with the reason."""
+    final = trail.final
+    is_alone = len(final.problem.stations) == 1
+    lost = untestable(final.problem.chain, final.problem.conditions)
+    yield from ((effect, reason) for effect, reason in lost if is_alone or effect.scope == "robot")
+    for i, effect in enumerate(trail.last.effects):
+        if trail.last.gain([i])[1] == 0:
+            yield effect, ABSORBED
+
+
+def noise_floor(fit: ModelFit) -> np.ndarray:
+    """Return the declared standard deviations of the blocks, shape (blocks,), those of the residuals where none are."""
+    pairs = zip(fit.noise.declared, fit.solution.estimated, strict=True)
+    return np.array([estimated if declared is None else declared for declared, estimated in pairs])
+
+
+def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple[Disagreement, ...]:
+    """Return where model and data disagree, the share that of the excess over the noise.
+
+    The disagreement is located in the first fit that has elasticity, if the arm is elastic, else in the first of all,
+    without regard to what it was named later.
+
+    Args:
+        trail: the discovery.
+        excess: what is left along the lever of one joint in the end, if something is.
+        is_misfit: whether the residuals are larger than the noise allows in the end.
+    """
+    robot = trail.final.problem.chain.robot
+    fit, found = trail.first, list[Disagreement]()
+    sigma = noise_floor(trail.final)
+    for step in trail.steps:
+        if step.is_elastic:
+            fit = step.after
+            found.append(_elastic(step, sigma))
+    places, regions = _located(fit, sigma)
+    for name, place in places:
+        region, words = None if place.joint else "whole arm", _words(place, robot)
+        words = f"{name}: {words}" if name else words
+        found.append(Disagreement(words, place.share, place.joint, region, place.acts_on, place.depends_on))
+    found += regions
+    if excess:
+        found.append(_left_along(trail.final, excess, sigma))
+    elif is_misfit and not places:
+        statement = "the residuals follow no joint position, load or recorded column"
+        found.append(Disagreement(statement, 1.0, region="whole workspace"))
+    return tuple(found)
+
+
+def _located(fit: ModelFit, sigma: np.ndarray) -> tuple[list[tuple[str, Located]], list[Disagreement]]:
+    """Return where a fit and its data disagree, of several stations with their names, the largest first."""
+    places: list[tuple[str, Located]] = []
+    regions: list[Disagreement] = []
+    for station, alone, (_, _, blocks) in zip(fit.problem.stations, fit.alone, fit.stations, strict=True):
+        location = locate(alone, sigma[blocks])
+        part = 1.0 if not station.name else _excess(alone, sigma[blocks]) / max(_excess(fit, sigma), 1e-300)
+        part = float(np.clip(part, 0.0, 1.0))
+        places += [(station.name, replace(place, share=part * place.share)) for place in location.places]
+        name = f"{station.name}: " if station.name else ""
+        regions += [changed(r, statement=name + r.statement, share=part * r.share) for r in location.regions]
+    if len(fit.problem.stations) == 1:
+        return places, regions
+    places.sort(key=lambda pair: -pair[1].share)
+    regions.sort(key=lambda region: -region.share)
+    return places[: WHERE.places], regions[: WHERE.places]
+
+
+def _excess(fit: ModelFit, sigma: np.ndarray) -> float:
+    """Return what the noise does not make of a fit's squared residuals, in units of its variance."""
+    solution = fit.solution
+    readings = fit.problem.readings(solution.weights)
+    degrees = readings - solution.effective * (readings / readings.sum())
+    return float(np.sum(degrees * ((solution.estimated / sigma) ** 2 - 1.0)))
+
+
+def _elastic(step: SearchStep, sigma: np.ndarray) -> Disagreement:
+    """Say how much of what a model leaves follows the static moments, and where it is strongest."""
+    whole = _excess(step.before, sigma)
+    share = 1.0 - max(_excess(step.after, sigma), 0.0) / whole if whole > 0.0 else 0.0
+    joint = sure_compliances(step.after, step.effects)[0].effect.locus.joint
+    statement = f"the residuals of the geometric model follow the static moments on the joints, mainly that on {joint}"
+    return Disagreement(statement, float(np.clip(share, 0.0, 1.0)), joint)
+
+
+def _left_along(fit: ModelFit, excess: Excess, sigma: np.ndarray) -> Disagreement:
+    """Say how much of what is left in the end is along the lever of one joint."""
+    chain, made = fit.problem.chain, 0.0
+    drive = int(chain.drives[chain.robot.joint_names.index(excess.joint)])
+    for alone, (_, _, blocks) in zip(fit.alone, fit.stations, strict=True):
+        lever, rows = levers(alone, (drive,))[0], alone.solution.weights > 0.0
+        squares = float(np.sum(lever[: alone.station.sensor.blocks[0].size, rows] ** 2))
+        made += excess.sigma**2 * squares / float(sigma[blocks.start]) ** 2
+    share = made / max(_excess(fit, sigma), made)
+    return Disagreement(excess.statement, share, excess.joint)
+
+
+def _words(place: Located, robot: Robot) -> str:
+    """Return where a disagreement acts, what it follows, and the range in which most of it sits."""
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
+    if place.acts_on == "base":
+        moves = "the whole arm moves on its base"
+    elif place.acts_on == "lengths":
+        moves = f"all lengths are scaled by {format_small(place.size, '1')} rms"
+    elif place.acts_on != "drive":
+        moves = f"the axis of {place.joint} tilts by {format_small(place.size, 'rad')} rms"
+    elif units[place.joint or ""] == "m":
+        moves = f"{place.joint} has an error along its axis of {format_small(place.size, 'm')} rms"
+    else:
+        moves = f"{place.joint} has an error about its own axis of {format_small(place.size, 'rad')} rms"
+    whose = "its own position" if place.depends_on == place.joint else f"the position of {place.depends_on}"
+    text = f"{moves}, {_FOLLOWED.get(place.depends_on, f'following {whose}')}"
+    if place.window is None:
+        return text
+    form, unit, factor = (".3f", "m", 1.0) if units[place.depends_on] == "m" else (".0f", "deg", np.degrees(1.0))
+    low, high = (f"{x * factor:{form}}" for x in place.window)
+    return f"{text}; {100 * place.inside:.0f} % of it between {low} and {high} {unit}"
+
+
+def bootstrap_last(trail: History) -> Bootstrap | None:
+    """Return the chance that data without the effect that was accepted last look as if they had it: a parametric bootstrap.
+
+    Data drawn from the model without it, with the noise as found, are tested against all candidates, and the best score is
+    compared with that of the real data. That asks about the choice as a whole, which no p-value of a single candidate does.
+    To first order nothing has to be fitted: of normal noise the projected products b' of the score tests are normal, with
+    covariance S'. None if nothing was accepted but elasticity.
+    """
+    steps = [step for step in trail.steps if not step.is_elastic]
+    if not steps:
+        return None
+    rest = reduce(without, steps[-1].effects, trail.final)
+    tests = named_tests(rest, trail.extra, trail.policy, steps[-1].effects)
+    return Bootstrap.of(steps[-1].effect, p_value=chance_of_best(tests, TESTING.drawn), draws=TESTING.drawn)
+
+
+def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
+    """Return the chance that noise alone gives some candidate as small a p-value as the best one has.
+
+    Args:
+        tests: all candidates against a model.
+        draws: tables to draw.
+        seed: of the draws.
+    """
+    S, _ = tests.projected
+    rng = np.random.default_rng(seed)
+    scale = np.sqrt(np.maximum(np.diag(S), 1e-300))
+    sizes, axes = np.linalg.eigh(S / np.outer(scale, scale))
+    seen = sizes > TESTING.drawn_from * sizes[-1]
+    noise = rng.standard_normal((draws, np.count_nonzero(seen)))
+    b = noise * np.sqrt(sizes[seen]) @ axes[:, seen].T * scale
+    # What the candidates don't see of the noise is left whatever they explain.
+    unseen = max(tests.dof - noise.shape[1], 1.0)
+    squares = np.sum(noise**2, axis=1) + rng.chisquare(unseen, draws)
+    observed, drawn = 1.0, np.ones(draws)
+    for i, effect in enumerate(tests.effects):
+        observed = min(observed, tests.score([i], 1).p_value)
+        places, whitening = tests.whitening([i])
+        if rank := whitening.shape[1]:
+            gains = np.sum((b[:, places] @ whitening) ** 2, axis=1)
+            drawn = np.minimum(drawn, effect.looks * chance_of(gains, rank, squares, tests.dof))
+    return float(1.0 + np.count_nonzero(drawn <= observed)) / (draws + 1.0)

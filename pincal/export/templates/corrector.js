@@ -1,0 +1,252 @@
+// The page: files in and out, the table of corrections, and the drawing.
+
+const $ = (id) => document.getElementById(id);
+const DEGREE = Math.PI / 180, SHOWN_ROWS = 500;
+const WORDS = { ok: "corrected", joint_limit: "beyond a joint limit", singular: "singular", unreached: "out of reach", no_pose: "no pose" };
+const options = { payload: 0, temperature: ABOUT.days.temperature ?? 0, time: ABOUT.days.time ?? 0, target: 0, frame: ABOUT.frame,
+  start: ABOUT.start.slice() };
+let file = null, result = null, here = 0;
+
+// --- settings
+
+function field(label, input, wide) {
+  const box = document.createElement("label");
+  box.append(label, input);
+  box.className = wide ? "wide" : "";
+  $("fields").append(box);
+}
+function choice(label, values, key) {
+  const input = document.createElement("select");
+  for (const [value, words] of values) input.add(new Option(words, value));
+  input.value = options[key];
+  input.onchange = () => { options[key] = key === "target" ? Number(input.value) : input.value; run(); };
+  field(label, input, true);
+}
+function quantity(label, get, set) {
+  const input = document.createElement("input");
+  input.inputMode = "decimal";
+  input.value = String(Number(get().toFixed(4)));
+  input.onchange = () => {
+    const value = readNumber(input.value.trim(), true);
+    input.setAttribute("aria-invalid", String(!Number.isFinite(value)));
+    if (Number.isFinite(value)) { set(value); run(); } else input.value = String(Number(get().toFixed(4)));
+  };
+  field(label, input);
+}
+function settings() {
+  if (ABOUT.base) choice("Positions x y z are in", [["base", "the robot's base frame"], ["instrument", "the instrument's frame"]], "frame");
+  if (TARGETS.length > 1) choice("Target", TARGETS.map((name, i) => [i, name]), "target");
+  for (const [name, words] of [["payload", "Payload [kg]"], ["temperature", "Temperature [°C]"], ["time", "Time [s]"]]) {
+    if (ABOUT.needs.includes(name)) quantity(words, () => options[name], (v) => { options[name] = v; });
+  }
+  JOINTS.forEach((name, i) => {
+    const size = ABOUT.types[i] === "prismatic" ? 1e-3 : DEGREE;
+    quantity(`Start of ${name} [${size === DEGREE ? "°" : "mm"}]`, () => options.start[i] / size, (v) => { options.start[i] = v * size; });
+  });
+}
+
+// --- files
+
+async function take(chosen) {
+  if (!chosen) return;
+  const bytes = new Uint8Array(await chosen.arrayBuffer()), parts = [];
+  for (let i = 0; i < bytes.length; i += 8192) parts.push(String.fromCharCode(...bytes.subarray(i, i + 8192)));
+  file = { name: chosen.name, text: parts.join("") };
+  run();
+}
+function run() {
+  result = null;
+  here = 0;
+  $("refused").hidden = true;
+  if (file) try {
+    result = correct(file.name, file.text, options);
+  } catch (error) {
+    $("refused").textContent = error instanceof Refused ? error.message : `${file.name} can't be read (${error.message})`;
+    $("refused").hidden = false;
+  }
+  $("walk").hidden = $("result").hidden = !result;
+  if (result) tell();
+  draw();
+}
+function corrected() { return file.name.replace(/(\.[^.]*)?$/, "-corrected$1"); }
+function save() {
+  const url = URL.createObjectURL(new Blob([Uint8Array.from(result.text, (c) => c.charCodeAt(0))]));
+  const link = Object.assign(document.createElement("a"), { href: url, download: corrected() });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(url), 1000);
+}
+
+// --- the table of corrections
+
+function tell() {
+  const rows = result.rows, ok = rows.filter((row) => row.status === "ok"), left = rows.filter((row) => row.status !== "ok");
+  const most = (list, k) => Math.max(0, ...list.map((row) => row.before[k]));
+  const mean = ok.length ? ok.reduce((sum, row) => sum + row.before[0], 0) / ok.length : 0;
+  $("summary").textContent = `${file.name}: ${ok.length} of ${rows.length} points corrected. ` + (ok.length
+    ? `Without correction this robot misses by ${(1e3 * mean).toFixed(3)} mm in the mean and ${(1e3 * most(ok, 0)).toFixed(3)} mm at most.` : "");
+  $("save").textContent = `Save ${corrected()}`;
+  $("save").disabled = !ok.length;
+  const named = (list) => `${list.length > 1 ? `${list.length} lines` : "line"} ${list.length > 1 ? "(" : ""}` +
+    `${list.slice(0, 20).join(", ")}${list.length > 20 ? ", ..." : ""}${list.length > 1 ? ")" : ""}`;
+  const notes = Object.entries(WORDS).map(([status, words]) => [words, left.filter((row) => row.status === status).map((row) => row.line)])
+    .filter(([, list]) => list.length).map(([words, list]) => ["bad", `left as it was, ${words}: ${named(list)}`]);
+  const turned = Math.max(0, ...ok.map((row) => row.after[1]));
+  if (JOINTS.length < 6 && ok.length) notes.push(["bad", `an arm of ${JOINTS.length} joints reaches positions: orientations stay off by ${(1e3 * turned).toFixed(3)} mrad at most`]);
+  const moved = ok.filter((row) => row.q.some((q, i) => Math.abs(q - row.seed[i]) > 2 * DEGREE)).map((row) => row.line);
+  if (moved.length) notes.push(["bad", `a joint moves by more than 2° in ${named(moved)}: look at it before the robot moves`]);
+  notes.push(...result.notes.map((note) => ["", note]));
+  if (rows.length > SHOWN_ROWS) notes.push(["", `the table shows the first ${SHOWN_ROWS} of ${rows.length} points; all are in the file`]);
+  $("notes").replaceChildren(...notes.map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
+  const head = document.createElement("tr");
+  for (const [name, unit] of [["line", ""], ["off by", "mm"], ["off by", "mrad"], ["", ""],
+    ...JOINTS.map((name, i) => [`Δ ${name}`, ABOUT.types[i] === "prismatic" ? "mm" : "deg"])]) {
+    const cell = document.createElement("th");
+    cell.append(name, Object.assign(document.createElement("small"), { textContent: unit }));
+    head.append(cell);
+  }
+  $("rows").tHead.replaceChildren(head);
+  $("rows").tBodies[0].replaceChildren(...rows.slice(0, SHOWN_ROWS).map((row, i) => {
+    const line = document.createElement("tr"), add = (text, kind = "") => {
+      line.append(Object.assign(document.createElement("td"), { textContent: text, className: kind }));
+    };
+    add(row.line);
+    add(row.before ? (1e3 * row.before[0]).toFixed(3) : "");
+    add(row.before ? (1e3 * row.before[1]).toFixed(3) : "");
+    add(row.status === "ok" ? "✓" : WORDS[row.status], row.status === "ok" ? "" : "bad");
+    row.q.forEach((q, k) => add(row.status === "ok" ? ((q - row.seed[k]) / (ABOUT.types[k] === "prismatic" ? 1e-3 : DEGREE)).toFixed(4) : ""));
+    line.onclick = () => show(i);
+    return line;
+  }));
+  $("row").max = rows.length - 1;
+  show(0);
+}
+function show(i) {
+  here = i;
+  $("row").value = i;
+  const row = result.rows[i];
+  $("which").textContent = `${i + 1} of ${result.rows.length}, line ${row.line}`;
+  [...$("rows").tBodies[0].rows].forEach((line, k) => line.classList.toggle("here", k === i));
+  draw();
+}
+
+// --- the drawing: the arm as strokes, seen from any side
+
+const eye = { turn: -0.9, tilt: 0.35, zoom: 1 };
+const UP = (() => {
+  // The rotation that turns "up" upwards by the shortest way.
+  const [x, y, z] = norm(ABOUT.up) ? ABOUT.up : [0, 0, 1], s = Math.hypot(x, y), angle = Math.atan2(s, z);
+  return s > 1e-9 ? fromQuaternion(quaternionOf([y / s * angle, -x / s * angle, 0])) : [1, 0, 0, 0, z < 0 ? -1 : 1, 0, 0, 0, z < 0 ? -1 : 1];
+})();
+// The joints of the arm from its base to the target, and the directions of their axes, in the base frame.
+function armAt(q, target) {
+  const { arm, follows, nodes } = ABOUT, points = [[0, 0, 0]], axes = [];
+  let T = arm.first;
+  follows.forEach(([k, factor, offset], i) => {
+    const value = factor * q[k] + offset, slides = ABOUT.types_of_all[i] === "prismatic", [c, s] = slides ? [1, 0] : [Math.cos(value), Math.sin(value)];
+    const joint = product(T, arm.before[i]);
+    T = product(joint, product([c, -s, 0, 0, s, c, 0, 0, 0, 0, 1, slides ? value : 0], arm.after[i]));
+    points.push([0, 1, 2].map((r) => T[4 * r] * nodes[i][0] + T[4 * r + 1] * nodes[i][1] + T[4 * r + 2] * nodes[i][2] + T[4 * r + 3]));
+    axes.push([joint[2], joint[6], joint[10]]);
+  });
+  const tip = product(T, arm.tip);
+  points.push([tip[3], tip[7], tip[11]], target);
+  return { points, axes };
+}
+function draw() {
+  const canvas = $("view"), box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1, ctx = canvas.getContext("2d");
+  canvas.width = box.width * ratio;
+  canvas.height = box.height * ratio;
+  ctx.scale(ratio, ratio);
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const reach = ABOUT.reach, size = 0.52 * Math.min(box.width, box.height) * eye.zoom / reach, [ct, st, cp, sp] =
+    [Math.cos(eye.turn), Math.sin(eye.turn), Math.cos(eye.tilt), Math.sin(eye.tilt)];
+  const upright = (p) => [0, 1, 2].map((i) => UP[3 * i] * p[0] + UP[3 * i + 1] * p[1] + UP[3 * i + 2] * p[2]);
+  const seen = (p, is_upright) => {
+    const [x, y, z] = is_upright ? p : upright(p), across = -st * x + ct * y, into = ct * x + st * y, middle = z - 0.36 * reach;
+    const depth = into * cp + middle * sp, scale = size / (1 - 0.12 * depth / reach);
+    return [box.width / 2 + across * scale, box.height / 2 - (middle * cp - into * sp) * scale, depth];
+  };
+  const stroke = (points, width, paint) => {
+    ctx.beginPath();
+    points.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+    Object.assign(ctx, { lineWidth: width, strokeStyle: paint, lineCap: "round", lineJoin: "round" });
+    ctx.stroke();
+  };
+  for (let k = -4; k <= 4; ++k) for (const flip of [false, true]) {
+    const at = (t) => (flip ? [t, k * reach / 4, 0] : [k * reach / 4, t, 0]);
+    stroke([seen(at(-reach), true), seen(at(reach), true)], 1, colour("floor"));
+  }
+  const rows = result ? result.rows : [], row = rows[here];
+  const q = row ? row.q : options.start, state = { ...options, approach: JOINTS.map(() => 0), ...(row?.state ?? {}), q };
+  const pose = row ? calibrated(state)[0] : nominal(state)[0], { points, axes } = armAt(q, [pose[3], pose[7], pose[11]]);
+  const thick = Math.max(6, 0.085 * reach * size);
+  for (let i = 0; i + 1 < points.length; ++i) {
+    const taper = i + 2 >= points.length ? 0.25 : Math.max(0.4, 1 - 0.5 * i / axes.length);
+    const ends = [seen(points[i]), seen(points[i + 1])];
+    stroke(ends, thick * taper, colour(i + 2 >= points.length ? "joint" : "arm"));
+    stroke(ends.map(([x, y]) => [x - 0.15 * thick * taper, y - 0.1 * thick * taper]), 0.3 * thick * taper, "rgb(255 255 255 / .22)");
+  }
+  axes.forEach((axis, i) => {
+    const half = 0.045 * reach * Math.max(0.45, 1 - 0.5 * i / axes.length), p = points[i + 1];
+    stroke([-1, 1].map((side) => seen(p.map((x, k) => x + side * half * axis[k]))), thick * Math.max(0.5, 1 - 0.45 * i / axes.length), colour("joint"));
+  });
+  const good = rows.filter((r) => r.before), longest = good.reduce((most, r) => Math.max(most, r.before[0]), 0);
+  const exact = longest > 0 ? 0.12 * reach / longest : 1, power = 10 ** Math.floor(Math.log10(exact) + 1e-9);
+  const factor = longest > 0 ? power * [5, 2, 1].find((d) => d * power <= exact * (1 + 1e-9)) : 1;
+  good.slice(0, 5000).forEach((r) => {
+    const tail = [3, 7, 11].map((k) => r.wanted[k]), move = [3, 7, 11].map((k) => factor * (r.from[k] - r.wanted[k]));
+    const [a, b] = [seen(tail), seen(tail.map((x, k) => x + move[k]))], angle = Math.atan2(b[1] - a[1], b[0] - a[0]);
+    const paint = `hsl(${215 - 205 * r.before[0] / longest} 78% 50%)`, barb = Math.min(8, 0.4 * Math.hypot(b[0] - a[0], b[1] - a[1]));
+    stroke([a, b], r === row ? 3.5 : 1.6, paint);
+    stroke([2.6, -2.6].flatMap((t, i) => [...(i ? [b] : []), [b[0] + barb * Math.cos(angle + t), b[1] + barb * Math.sin(angle + t)]]), r === row ? 3.5 : 1.6, paint);
+  });
+  if (row) {
+    const [x, y] = seen([row.wanted[3], row.wanted[7], row.wanted[11]]);
+    ctx.beginPath();
+    ctx.arc(x, y, 7, 0, 7);
+    Object.assign(ctx, { lineWidth: 2, strokeStyle: colour("text") });
+    ctx.stroke();
+  }
+  $("legend").textContent = good.length ? `Arrows: from the point that is meant to where this robot goes without correction, ${factor.toLocaleString("en")} times as long; the longest is ${(1e3 * longest).toFixed(3)} mm.`
+    : "Drag to turn, scroll or pinch to zoom.";
+}
+
+function look() {
+  const view = $("view"), fingers = new Map(), spread = () => { const [a, b] = [...fingers.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
+  const zoom = (by) => { eye.zoom = Math.min(Math.max(eye.zoom * by, 0.2), 40); draw(); };
+  view.onpointerdown = (e) => { fingers.set(e.pointerId, [e.clientX, e.clientY]); view.setPointerCapture(e.pointerId); };
+  view.onpointermove = (e) => {
+    const old = fingers.get(e.pointerId);
+    if (!old) return;
+    const before = fingers.size === 2 ? spread() : 0;
+    fingers.set(e.pointerId, [e.clientX, e.clientY]);
+    if (before) { zoom(spread() / before); return; }
+    eye.turn -= (e.clientX - old[0]) * 0.008;
+    eye.tilt = Math.min(Math.max(eye.tilt + (e.clientY - old[1]) * 0.008, -1.5), 1.5);
+    draw();
+  };
+  view.onpointerup = view.onpointercancel = (e) => fingers.delete(e.pointerId);
+  view.onwheel = (e) => { e.preventDefault(); zoom(Math.exp(-e.deltaY * 0.0012)); };
+  view.onkeydown = (e) => {
+    const keys = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[e.key];
+    if (keys) { eye.turn += keys[0]; eye.tilt += keys[1]; e.preventDefault(); draw(); }
+    if (e.key === "+" || e.key === "-") zoom(e.key === "+" ? 1.2 : 1 / 1.2);
+  };
+}
+
+function begin() {
+  settings();
+  look();
+  $("joints").textContent = JOINTS.join(", ");
+  $("file").onchange = (e) => { take(e.target.files[0]); e.target.value = ""; };
+  $("save").onclick = save;
+  $("row").oninput = () => show(Number($("row").value));
+  const over = (e, is) => { e.preventDefault(); $("drop").classList.toggle("over", is); };
+  document.ondragover = (e) => over(e, true);
+  document.ondragleave = (e) => over(e, false);
+  document.ondrop = (e) => { over(e, false); take(e.dataTransfer.files[0]); };
+  window.onresize = draw;
+  matchMedia("(prefers-color-scheme: dark)").onchange = draw;
+  draw();
+}
+begin();

@@ -1,0 +1,163 @@
+"""Where a table begins: the row of names among titles, units and second headers."""
+
+from __future__ import annotations
+
+import re
+import statistics
+import unicodedata
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from pincal.units import SIZES
+
+NUMBERED = re.compile(r"(j|joint|a|axis|q|actual_q|actualq|theta|rax)[ _.-]?(\d{1,2})", re.IGNORECASE)
+"""What programs call the joints of an arm when they number them, blanks and signs before the number left out."""
+
+# Units as people write them out.
+_WRITTEN = {"°": ("degree", "degrees", "º"), "mm": ("millimeter", "millimeters", "millimetre", "millimetres")}
+_WRITTEN |= {"m": ("meter", "meters", "metre", "metres"), "rad": ("radian", "radians"), "s": ("sec", "second", "seconds")}
+_SPELLED = {word: unit for unit, words in _WRITTEN.items() for word in (unit, *words)} | {"deg": "deg"}
+# What stands below a name that has no unit of its own, or one that no column needs.
+_NO_UNITS = (
+    "",
+    "-",
+    "--",
+    "1",
+    "n",
+    "nm",
+    "%",
+    "a",
+    "v",
+    "m/s",
+    "deg/s",
+    "rad/s",
+    "mm/s",
+    "string",
+    "text",
+    "hh:mm:ss",
+    "date",
+)
+# Names that tell the row of names, beside those of joints.
+_KNOWN = ("x", "y", "z", "qx", "qy", "qz", "qw", "distance", "socket", "point", "u", "v", "cx", "cy", "cz", "plane", "gauge")
+# A row with less of its cells filled is a title, not a header.
+_FILLED = 0.6
+
+
+def normal_unit(text: str) -> str:
+    """Return a unit as units are listed, with one micro sign, written out or not.
+
+    Example:
+        >>> normal_unit("Degrees"), normal_unit("MM"), normal_unit("kg")
+        ('°', 'mm', 'kg')
+    """
+    plain = unicodedata.normalize("NFC", text.strip()).replace("μ", "µ")
+    return plain if plain in SIZES else _SPELLED.get(plain.casefold(), plain)
+
+
+@dataclass(frozen=True)
+class TableHead:
+    """Where the names of the columns stand.
+
+    Attributes:
+        header: row of the names, the first being 0.
+        body: first row below all that belongs to the header.
+        labels: names, with the units of a row below them.
+        units: row of the units, if there is one.
+    """
+
+    header: int
+    body: int
+    labels: tuple[str, ...]
+    units: int | None = None
+
+    def told(self, lines: Sequence[int]) -> str:
+        """Return what is taken for what, in words; ``lines`` are the numbers of the rows in the file."""
+        left = [lines[i] for i in range(self.body) if i not in (self.header, self.units)]
+        texts = [f"the names of the columns are taken from line {lines[self.header]}"]
+        texts += [f"units from line {lines[self.units]}"] if self.units is not None else []
+        texts += [f"{len(left)} other lines above the numbers are left out"] if left else []
+        return ", ".join(texts)
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number, with a decimal point or comma."""
+    try:
+        float(cell.replace(",", ".", 1))
+    except ValueError:
+        return False
+    return True
+
+
+def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) -> TableHead | None:
+    """Return where the names of a table's columns stand, among its first rows; None where no row looks like names.
+
+    Args:
+        rows: cells.
+        joints: names of joints, which tell the row of names from others.
+
+    Example:
+        >>> rows = [["KR 16, cell 3"], ["A1", "A2", "x", "y"], ["deg", "deg", "mm", "mm"], ["1", "2", "3", "4"]]
+        >>> find_heading(rows).labels
+        ('A1 [deg]', 'A2 [deg]', 'x [mm]', 'y [mm]')
+    """
+    widths = [len(row) for row in rows]
+    usual = statistics.mode(widths) if rows else 0
+    if usual < 2:
+        return None
+    wide = [len(row) >= usual and sum(bool(c.strip()) for c in row) >= _FILLED * usual for row in rows]
+    names = [is_wide and not any(map(is_number, row)) for is_wide, row in zip(wide, rows, strict=True)]
+    with_units = [is_unit_row(row, usual) for row in rows]
+    body = next((i for i, row in enumerate(rows) if i and wide[i] and any(map(is_number, row)) and any(names[:i])), None)
+    if body is None:
+        return None
+    top = body
+    while top and (names[top - 1] or with_units[top - 1]):
+        top -= 1
+    candidates = [i for i in range(top, body) if names[i] and not with_units[i]]
+    # Rows of numbers above the names would be lost.
+    if not candidates or any(sum(map(is_number, row)) >= _FILLED * usual for row in rows[:top]):
+        return None
+    header = max(candidates, key=lambda i: (_known(rows[i], joints), -i))
+    units = next((i for i in range(header + 1, body) if with_units[i]), None)
+    labels = _distinct([cell.strip() for cell in rows[header]], rows[header - 1] if header else ())
+    if units is not None:
+        below = [cell.strip().strip("[]()") for cell in rows[units]]
+        below += [""] * (len(labels) - len(below))
+        pairs = zip(labels, map(normal_unit, below), strict=False)
+        labels = [
+            f"{name} [{unit}]" if unit in SIZES and name and not re.search(r"[\[(]", name) else name for name, unit in pairs
+        ]
+    return TableHead(header, body, tuple(labels), units)
+
+
+def is_unit_row(row: Sequence[str], usual: int) -> bool:
+    """Return whether a row holds units alone, two or more of a usual width of the table."""
+    cells = [normal_unit(cell.strip().strip("[]()")) for cell in row]
+    return (
+        usual - 1 <= len(row)
+        and sum(c in SIZES for c in cells) > 1
+        and all(c in SIZES or c.casefold() in _NO_UNITS for c in cells)
+    )
+
+
+def names_joints(cells: Sequence[str], joints: Collection[str]) -> bool:
+    """Return whether a row names joints: one by its name, or three by numbers."""
+    bare = [re.split(r"\s*[\[(]", cell)[0].strip().casefold() for cell in cells]
+    return bool({*bare} & {joint.casefold() for joint in joints}) or sum(bool(NUMBERED.match(cell)) for cell in bare) > 2
+
+
+def _known(row: Sequence[str], joints: Collection[str]) -> int:
+    bare = [re.split(r"\s*[\[(]", cell)[0].strip().casefold() for cell in row]
+    known = {*_KNOWN, *(joint.casefold() for joint in joints)}
+    return sum(cell in known or bool(NUMBERED.fullmatch(cell)) for cell in bare)
+
+
+def _distinct(labels: list[str], above: Sequence[str]) -> list[str]:
+    """Return the labels, those that stand twice with the group that the row above names."""
+    twice = {label for label, count in Counter(labels).items() if label and count > 1}
+    group, found = "", list[str]()
+    for label, over in zip(labels, [*above, *[""] * len(labels)], strict=False):
+        group = over.strip() or group
+        found.append(f"{group} {label}" if label in twice and group else label)
+    return found

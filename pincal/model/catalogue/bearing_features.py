@@ -1,0 +1,111 @@
+"""What a bearing's compliance has beside k_x and k_y: stiff and soft directions of its own, and its place on the axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.model.chain import Chain, MomentFrame
+from pincal.model.compliances import BENDING_SIZE, BearingElasticity
+from pincal.model.conditions import MOMENT, Conditions
+from pincal.model.effect import Effect, Family, Locus, Term
+from pincal.model.effect_bases import joint_index, parameters_of
+from pincal.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class ObliqueBearing(Effect):
+    r"""Bearing whose principal compliance directions are not those of the frame.
+
+    Beside k_x and k_y it has :math:`\gamma_x = k_{xy} n_y, \gamma_y = k_{xy} n_x`: with all three its compliance is a
+    symmetric matrix, whose principal directions are anywhere. Not in the paper's frame, where moment and tilt have different
+    axes.
+
+    Distinguished by:
+        moving the joint to several positions under a constant load, or two payloads: a diagonal compliance stays along the
+        frame's axes.
+
+    Source:
+        the model of Radkhah et al. with a full symmetric compliance in place of a diagonal one.
+
+    Attributes:
+        joint: the joint.
+    """
+
+    joint: str
+    family: ClassVar[Family] = Family.ELASTICITY
+    name: ClassVar[str] = "oblique_bearing"
+    meaning: ClassVar[str] = "the bearing's principal compliance directions differ from the frame's axes"
+    uses_moments: ClassVar[bool] = True
+
+    @property
+    def locus(self) -> Locus:
+        """The tilt of its bearing, which follows the moment there."""
+        return Locus(self.joint, "tilt", MOMENT, shape="oblique", cause=BearingElasticity.name)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Compliance k_xy [rad/(N m)]."""
+        return parameters_of(self, self.joint, ("k_xy",), unit="rad/(N m)", size=BENDING_SIZE)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the tilt about each axis by the moment about the other."""
+        assert moments is not None
+        i = joint_index(chain, self.joint)
+        pairs = ("gamma_x", 3 * i + 1), ("gamma_y", 3 * i)
+        return tuple(Term(0, chain.joint(i, symbol), moments[:, m], m) for symbol, m in pairs)
+
+
+@dataclass(frozen=True)
+class BearingPlace(Effect):
+    """Bearing at another place on its axis than the URDF's joint frame.
+
+    The place of a URDF's joint frame on its axis is arbitrary. That of the bearing is observable as far as it is compliant.
+
+    Distinguished by:
+        as for the bearing's compliance, from poses in which moment and force at the bearing differ, such as an arm stretched
+        out and folded.
+
+    Source:
+        the model of Radkhah et al. with the bearing anywhere on its axis.
+
+    Attributes:
+        joint: the joint.
+    """
+
+    joint: str
+    family: ClassVar[Family] = Family.ELASTICITY
+    name: ClassVar[str] = "bearing_place"
+    meaning: ClassVar[str] = "the bearing is at another place on its axis than the URDF's joint frame"
+
+    @property
+    def locus(self) -> Locus:
+        """The place of its bearing."""
+        return Locus(self.joint, "place", cause=BearingElasticity.name)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Height h of the bearing on the axis, from the frame before [m]; its typical error is a link's size."""
+        robot, i = chain.robot, joint_index(chain, self.joint)
+        nominal, size = float(chain.bearing_heights[i]), robot.reach / robot.n_joints
+        return (Parameter(f"{self.joint}.h", "m", self.name, nominal, size),)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add a constant."""
+        return (Term(0, chain.joint(joint_index(chain, self.joint), "h")),)
+
+
+def bearing_features(chain: Chain, effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return what else there is to know of each bearing that is compliant; nothing in the paper's frame."""
+    bearings = [effect for effect in effects if isinstance(effect, BearingElasticity) and chain.moment_frame != "paper"]
+    joints = [joint for bearing in bearings for joint in (bearing.joints or chain.robot.joint_names)]
+    return tuple(kind(joint) for joint in joints for kind in (ObliqueBearing, BearingPlace))
+
+
+def without_idle_features(moment_frame: MomentFrame, effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return effects without what belongs to bearings, where none is compliant or in the paper's frame."""
+    effects = tuple(effects)
+    if moment_frame != "paper" and any(isinstance(effect, BearingElasticity) for effect in effects):
+        return effects
+    return tuple(effect for effect in effects if not isinstance(effect, ObliqueBearing | BearingPlace))

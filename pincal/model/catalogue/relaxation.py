@@ -1,0 +1,188 @@
+r"""What dies away with time: a joint that creeps, links that grow as the arm warms up by itself.
+
+Both follow :math:`a f(t), \; f = 1 - e^{-(t - t_0) / \tau}`, zero before :math:`t_0`. The time constant is a parameter as
+well, linearised about the amplitude A and the time constant that are expected:
+
+.. math:: a f(t) + \delta\tau \, A \, \frac{\partial f}{\partial\tau}, \qquad
+          \frac{\partial f}{\partial\tau} = - \frac{t - t_0}{\tau^2} e^{-(t - t_0) / \tau} .
+
+A discovery tries a few time constants without this term (A = 0), and expands about what it found until nothing moves.
+"""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model.catalogue.environment import lengths_that_grow
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions, PoseSet
+from pincal.model.effect import Candidate, ExponentialDrift, Locus, Term
+from pincal.model.effect_bases import GROWTH, DriveEffect, drive_unit, recorded
+from pincal.model.symbols import held
+from pincal.parameters import Parameter
+
+# Time constants that a discovery tries, over the time of the table: the longest is nearly a steady drift.
+_CONSTANTS = (0.07, 0.2, 0.6, 2.0)
+# Time constants that are told from a jump, and from a steady drift, over the time of the table.
+_SHORTEST, _LONGEST = 0.01, 5.0
+# Step by which a time constant moves at most, as a factor.
+_FAR = 2.0
+# What counts as settled: change of the time constant, and of the amplitude in which it is linearised.
+_SAME, _SAME_AMPLITUDE = 1e-3, 0.02
+# After so many time constants nothing moves any more.
+_OVER = 50.0
+
+
+class _Relaxing(ABC):
+    """What effects share that die away with time; their fields are those of the effects."""
+
+    name: ClassVar[str]
+    joint: str | None
+    constant: float
+    start: float
+    span: float | None
+    expected: float
+
+    def __post_init__(self) -> None:
+        """Refuse a time constant that is none."""
+        if not self.constant > 0.0:
+            where = f" of {self.joint}" if self.joint else ""
+            raise BadInputError(f"{self.name}{where}: time constant {self.constant:g} s; expected more than 0")
+
+    def about(self, values: np.ndarray) -> Self:
+        """Return the effect about an amplitude and a change of the time constant; itself once next to nothing moves."""
+        change = float(values[1]) / self.constant if len(values) > 1 else 0.0
+        same = abs(values[0] - self.expected) <= _SAME_AMPLITUDE * abs(values[0])
+        if same and abs(change) <= _SAME:
+            return self
+        constant = self.constant * float(np.clip(1.0 + change, 1.0 / _FAR, _FAR))
+        if self.span is not None:
+            constant = float(np.clip(constant, _SHORTEST * self.span, _LONGEST * self.span))
+        return replace(self, constant=constant, expected=float(values[0]))  # type: ignore[type-var]
+
+    def _named(self, element: str, symbol: str, unit: str) -> tuple[Parameter, ...]:
+        """Return amplitude and, where it is a parameter, time constant."""
+        amplitude = Parameter(f"{element}.{symbol}", unit, self.name, 0.0, GROWTH)
+        if not self.expected:
+            return (amplitude,)
+        return amplitude, Parameter(f"{element}.{symbol}_tau", "s", self.name, self.constant, GROWTH)
+
+    def _shapes(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return f at times [s], and A times its slope by the time constant where that is a parameter, shape (N,) each."""
+        since = (held(time, self.start, self.start + _OVER * self.constant) - self.start) / self.constant
+        left = np.exp(-since)
+        if not self.expected:
+            return (1.0 - left,)
+        return 1.0 - left, -self.expected / self.constant * since * left
+
+
+@dataclass(frozen=True)
+class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
+    r"""Creep of a joint offset with time: by :math:`a (1 - e^{-(t - t_0) / \tau})`.
+
+    Distinguished by:
+        repeating the first poses during the day, joint by joint, with the time recorded. Expansion moves the target along
+        the arm, creep of an offset moves it across.
+
+    Source:
+        drift of pose characteristics in ISO 9283.
+
+    Attributes:
+        joint: the joint.
+        constant: the time constant [s].
+        start: t_0, when it began [s].
+        span: time span of the data [s], which limits the time constant that can be found; None for no limit.
+        expected: A, amplitude about which the time constant is linearised [rad or m]; 0 to hold the time constant.
+    """
+
+    constant: float
+    start: float = 0.0
+    span: float | None = None
+    expected: float = 0.0
+    name: ClassVar[str] = "joint_creep"
+    meaning: ClassVar[str] = "the joint offset creeps with time, ever more slowly"
+    follows: ClassVar[str] = "time"
+    recorded_as: ClassVar[str] = "time"
+
+    @classmethod
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
+        """Yield it on every joint, with several time constants."""
+        for joint in situation.joints:
+            forms = [cls(joint, constant, start, span) for constant, start, span in _tried(situation)]
+            yield Candidate(forms[0], variants=tuple(forms))
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Amplitude a [rad or m]; the time constant [s]."""
+        return self._named(self.joint, "creep", drive_unit(chain, self.joint))
+
+    def bases(self, chain: Chain, conditions: Conditions) -> tuple[np.ndarray, ...]:
+        """Return what has crept."""
+        return self._shapes(self.variable(chain, conditions))
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(_Relaxing, ExponentialDrift):
+    r"""Expansion as the arm warms up: lengths grow by the fraction :math:`a (1 - e^{-(t - t_0) / \tau})` of nominal.
+
+    An arm warms up by itself, independently of the air temperature. Where it follows the air closely, thermal expansion
+    is equivalent. See there for the lengths that grow.
+
+    Distinguished by:
+        the temperature of the arm itself, recorded; repeating the first poses later, and again after the arm has cooled
+        down. A drift of the base moves all poses alike.
+
+    Source:
+        Heisel, Richter and Wurst (1997), on the warming up of an arm.
+
+    Attributes:
+        constant: the time constant [s].
+        joint: the joint that moves the one link that grows; None for the whole arm.
+        start: t_0, when it began to warm up [s].
+        span: time span of the data [s], which limits the time constant that can be found; None for no limit.
+        expected: A, growth about which the time constant is linearised [1]; 0 to hold the time constant.
+    """
+
+    constant: float
+    joint: str | None = None
+    start: float = 0.0
+    span: float | None = None
+    expected: float = 0.0
+    name: ClassVar[str] = "thermal_growth"
+    meaning: ClassVar[str] = "the links expand with time, ever more slowly, as the arm warms up"
+
+    @property
+    def locus(self) -> Locus:
+        """The lengths of one link or of all, by the time."""
+        return Locus(self.joint, "lengths", "time")
+
+    @classmethod
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
+        """Yield it on every link, and on the whole arm."""
+        for joint in (*situation.joints, None):
+            forms = [cls(constant, joint, start, span) for constant, start, span in _tried(situation)]
+            yield Candidate(forms[0], variants=tuple(forms))
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Growth in the end [1]; the time constant [s]."""
+        return self._named(self.joint or "arm", "growth", "1")
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add what has grown to the lengths."""
+        lengths = {k: length for k, length in lengths_that_grow(chain, self.joint).items() if length}
+        shapes = self._shapes(recorded(self, "time", conditions.time))
+        return tuple(Term(p, k, length * shape) for p, shape in enumerate(shapes) for k, length in lengths.items())
+
+
+def _tried(situation: PoseSet) -> list[tuple[float, float, float]]:
+    """Return time constants to try, with start and length of the time recorded [s]."""
+    time = situation.conditions.time
+    span = 0.0 if time is None else float(np.ptp(time))
+    start = 0.0 if time is None else float(np.min(time))
+    span = span or 1.0  # Without times it is reported as not testable, with some time constant.
+    return [(part * span, start, span) for part in _CONSTANTS]

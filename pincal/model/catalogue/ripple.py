@@ -1,0 +1,191 @@
+r"""Fine waves of a joint's own position: teeth of a motor's or a stage's gear, and the lines of an encoder.
+
+A wheel that turns k times per turn of the joint makes an error of k cycles per revolution (its eccentricity), and of 2 k
+and more (its teeth, a strain wave gear's two lobes). An encoder whose two signals differ in size, offset or phase errs
+between its lines: once and twice a line (Heydemann 1981).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model.conditions import TURN, PoseSet
+from pincal.model.effect import Candidate, Harmonic
+from pincal.model.effect_bases import WAVE, DriveHarmonic
+
+# Waves a turn among which a discovery looks for gear ripple: fewer are curves of the drive, more need ever more poses. The
+# two lobes of a strain wave gear of 1:101 make 202 cycles per revolution, and twice as many.
+_BAND = (20.0, 450.0)
+# What stands for all orders where none is known: the ratio of a usual strain wave gear.
+_USUAL, _LINES = 101.0, 1024.0
+# Half of twice the log-likelihood that a wave chosen in the whole band has to gain, about (see ``independent_orders``).
+_GAIN = 18.0
+# Lines a turn of encoders that count in binary: powers of two, from the least that is no curve of the drive.
+_BINARY = tuple(2.0**n for n in range(5, 17))
+# Chance that any order is as near to what is proposed of it, above which nothing is proposed: a hint, as good as one in ten.
+_BY_CHANCE = 0.1
+
+
+@dataclass(frozen=True)
+class GearRipple(DriveHarmonic, Harmonic):
+    r"""Motor or gear stage that turns many times per revolution of the joint: it adds :math:`s \sin kq + c \cos kq`.
+
+    Distinguished by:
+        many poses of this joint alone, spaced by less than half a period; a ratio from the data sheet leaves one order to
+        test instead of hundreds. The noise of few poses resembles some order. An encoder with one or two periods per line
+        has the same ripple.
+
+    Source:
+        Tuttle (1992); the chance of a false wave after Baluev (2008).
+
+    Attributes:
+        joint: the joint, a revolute one.
+        order: k, cycles per revolution; a ratio need not be a whole number.
+        chosen_among: number of independent orders among which this one was selected; 1 for a known one.
+    """
+
+    order: float
+    chosen_among: float = 1.0
+    name: ClassVar[str] = "gear_ripple"
+    meaning: ClassVar[str] = "a motor or gear stage causes a ripple of many cycles per revolution"
+    pattern: ClassVar[str] = "ripple_{wave}_{order}"
+    typical: ClassVar[float] = WAVE
+    band: ClassVar[tuple[float, float] | None] = _BAND
+
+    def __post_init__(self) -> None:
+        """Refuse orders that are none."""
+        _check(self)
+
+    @property
+    def looks(self) -> float:
+        """The orders among which this one was chosen."""
+        return self.chosen_among
+
+    @classmethod
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
+        """Yield it on every joint that turns; its order has to be searched for, or named."""
+        for joint in situation.revolute:
+            among = len(situation.revolute) * independent_orders(situation.positions(joint), _BAND)
+            yield Candidate(cls(joint, _USUAL, among), variants=())
+
+    def tuned(self, order: float, chosen_among: float = 1.0) -> GearRipple:
+        """Return the ripple of another order."""
+        return replace(self, order=order, chosen_among=chosen_among)
+
+    @property
+    def same(self) -> tuple[Harmonic, ...]:
+        """An encoder with a line a wave, or with one every two waves."""
+        return tuple(EncoderSubdivision(self.joint, order) for order in (self.order, self.order / 2.0))
+
+    def suggested(self, resolution: float) -> Harmonic:
+        """Return an encoder that counts in binary, if there is one of so many lines and few orders are as near to one."""
+        power, _ = _binary(self.order, resolution)
+        return EncoderSubdivision(self.joint, 2.0**power) if power else self
+
+    def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
+        """Return of which wheel it may be a harmonic: of those that are named, or of a usual strain wave gear."""
+        known = {_USUAL: "the ratio of a usual strain wave gear"} | dict(wheels)
+        near, chance = list[tuple[float, int, str]](), 1.0
+        for turns, whose in known.items():
+            if 2.0 * resolution < turns < order + resolution:
+                chance *= 1.0 - 2.0 * resolution / turns
+                times = round(order / turns)
+                near.append((abs(order - times * turns), times, f"{f'{times} x ' if times > 1 else ''}{turns:g}, {whose}"))
+        off, _, words = min(near, default=(np.inf, 0, ""))
+        return f"{words}{_as_near(1.0 - chance)}" if off <= resolution and 1.0 - chance <= _BY_CHANCE else ""
+
+
+@dataclass(frozen=True)
+class EncoderSubdivision(DriveHarmonic, Harmonic):
+    r"""Interpolation error of an encoder: :math:`\sum_j s_j \sin jkq + c_j \cos jkq`, once and twice per line.
+
+    Distinguished by:
+        the number of lines from the data sheet, and positions that divide a line evenly. Gear ripple of the same order is
+        equivalent.
+
+    Source:
+        Heydemann (1981).
+
+    Attributes:
+        joint: the joint, a revolute one.
+        order: k, lines per revolution of the joint; for an encoder on the motor, those of the motor times the ratio.
+    """
+
+    order: float
+    name: ClassVar[str] = "encoder_subdivision"
+    meaning: ClassVar[str] = "the encoder has interpolation errors between its lines"
+    pattern: ClassVar[str] = "line_{wave}_{order}"
+    typical: ClassVar[float] = WAVE
+
+    def __post_init__(self) -> None:
+        """Refuse orders that are none."""
+        _check(self)
+
+    @classmethod
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
+        """Yield it on every joint that turns, not to be tested until its lines are named."""
+        unknown = "its lines per revolution are not known; give them: --try encoder_subdivision:JOINT:order=LINES"
+        yield from (Candidate(cls(joint, _LINES), variants=(), obstacle=unknown) for joint in situation.revolute)
+
+    def tuned(self, order: float, chosen_among: float = 1.0) -> EncoderSubdivision:
+        """Return the error of an encoder of other lines; they are known, not chosen."""
+        return replace(self, order=order)
+
+    @property
+    def orders(self) -> tuple[float, ...]:
+        """Once and twice a line."""
+        return self.order, 2.0 * self.order
+
+    def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
+        """Return that it is a power of two, if it is one."""
+        power, chance = _binary(order, resolution)
+        return f"2^{power}, as of an encoder with binary subdivision{_as_near(chance)}" if power else ""
+
+
+def independent_orders(q: np.ndarray, band: tuple[float, float]) -> float:
+    """Return among how many independent orders the highest of a periodogram is chosen (Baluev 2008, Eq. 5).
+
+    Args:
+        q: shape (N,), positions [rad].
+        band: least and largest order [1/turn].
+    """
+    spread = float(np.std(q)) / TURN
+    return 1.0 + (band[1] - band[0]) * spread * float(np.sqrt(4.0 * np.pi * _GAIN))
+
+
+def resolution_of(q: np.ndarray) -> float:
+    """Return by how much two orders have to differ to be told apart [1/turn]: one over the turns that are covered.
+
+    Args:
+        q: shape (N,), positions [rad].
+
+    Example:
+        >>> resolution_of(np.array([0.0, np.pi]))
+        2.0
+    """
+    return TURN / float(np.ptp(q))
+
+
+def _binary(order: float, resolution: float) -> tuple[int, float]:
+    """Return the power of two that an order is, 0 if none, and the chance that any order of the band is as near to one."""
+    powers = [lines for lines in _BINARY if lines < _BAND[1]]
+    chance = 2.0 * resolution * len(powers) / (_BAND[1] - _BAND[0])
+    power = round(np.log2(order))
+    is_near = 2.0**power in _BINARY and abs(order - 2.0**power) <= resolution
+    return (power if is_near and chance <= _BY_CHANCE else 0), chance
+
+
+def _as_near(chance: float) -> str:
+    return f" (a random order is as near to such a number with a probability of {100.0 * chance:.1g} %)"
+
+
+def _check(effect: GearRipple | EncoderSubdivision) -> None:
+    if not effect.order > 0.0:
+        raise BadInputError(
+            f"{effect.name} of {effect.joint}: order {effect.order:g}; expected cycles per revolution, more than 0"
+        )

@@ -1,0 +1,137 @@
+"""What the compiled loops take: the constant part of a chain, values of its coordinates, and what parameters do to them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+# Coordinates a joint, a frame (base or tool).
+BLOCK = 10
+FRAME = 6
+
+
+class Layout(NamedTuple):
+    """The constant part of a chain as arrays.
+
+    Attributes:
+        kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
+        less: shape (K,), an earlier coordinate whose translation coordinate k takes back, -1 for none.
+        fixed_before: shape (K,), index of the fixed transform that precedes coordinate k, -1 for none.
+        fixed: shape (F, 3, 4), the fixed transforms.
+        base_rotation: shape (set-ups, 3, 3), reference orientation of the base in each instrument's frame.
+        tool_rotation: shape (tools, 3, 3), reference orientation of each tool frame.
+        moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint i's moment is
+            expressed in; it is taken about the origin of the later one.
+        moment_cut: shape (n,), the last coordinate that turns or moves this frame.
+        masses, centres: shape (n,), (n, 3), the bodies in the link frames.
+        gravity: shape (3,), in the robot's base frame.
+    """
+
+    kind: np.ndarray
+    less: np.ndarray
+    fixed_before: np.ndarray
+    fixed: np.ndarray
+    base_rotation: np.ndarray
+    tool_rotation: np.ndarray
+    moment_y: np.ndarray
+    moment_z: np.ndarray
+    moment_cut: np.ndarray
+    masses: np.ndarray
+    centres: np.ndarray
+    gravity: np.ndarray
+
+
+class Values(NamedTuple):
+    """Values of all coordinates at all poses: a constant part and the columns that differ from pose to pose.
+
+    Attributes:
+        constant: shape (K,), coordinates [rad or m].
+        slot: shape (K,), column of ``varying`` that coordinate k takes its value from, -1 for the constant.
+        varying: shape (V, N).
+    """
+
+    constant: np.ndarray
+    slot: np.ndarray
+    varying: np.ndarray
+
+
+class Terms(NamedTuple):
+    """Which parameter moves which coordinate, as a list of terms: d x_k / d parameter = basis.
+
+    Attributes:
+        coordinate, parameter: shape (E,).
+        slot: shape (E,), column of ``basis``, -1 where the derivative is 1.
+        elastic: shape (E,), whether the term depends on the static moments.
+        basis: shape (S, N).
+    """
+
+    coordinate: np.ndarray
+    parameter: np.ndarray
+    slot: np.ndarray
+    elastic: np.ndarray
+    basis: np.ndarray
+
+
+class Compliances(NamedTuple):
+    """How coordinates follow the moments: d x_k / d n_l.
+
+    Attributes:
+        coordinate, moment: shape (C,), k and l = 3 i + component of joint i.
+        rate: shape (C, N), or (C, 1) where it is the same at all poses [rad/(N m) or m/(N m)].
+    """
+
+    coordinate: np.ndarray
+    moment: np.ndarray
+    rate: np.ndarray
+
+
+class MassTerms(NamedTuple):
+    """What parameters add to the masses beyond joints.
+
+    Attributes:
+        joint, parameter: shape (E,), the link that an entry belongs to, and the parameter's column.
+        mass: shape (E,), by one unit of the parameter [kg].
+        moment: shape (E, 3), first moment of mass in the link frame by one unit [kg m].
+    """
+
+    joint: np.ndarray
+    parameter: np.ndarray
+    mass: np.ndarray
+    moment: np.ndarray
+
+
+class Places(NamedTuple):
+    """Which reference orientations hold at each pose: of the base, and of the tool; both of shape (N,)."""
+
+    base: np.ndarray
+    tool: np.ndarray
+
+
+class Payload(NamedTuple):
+    """Mass [kg], shape (N,), and centre of mass in the tip frame [m], shape (3,), beyond the last link."""
+
+    mass: np.ndarray
+    centre: np.ndarray
+
+
+class Wanted(NamedTuple):
+    """The columns that are asked for.
+
+    Attributes:
+        terms: the parameters.
+        compliances: how coordinates follow the moments; may be empty.
+        masses: the parameters that masses depend on; may be empty.
+        n_columns: number P of columns.
+        rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the instrument's axes; 0 for the
+            moments themselves instead of columns.
+        sweeps: 0 for moments on the undeformed arm; else how often the effect of deformation on the moments is
+            followed round.
+    """
+
+    terms: Terms
+    compliances: Compliances
+    masses: MassTerms
+    n_columns: int
+    rows: int
+    sweeps: int

@@ -1,0 +1,248 @@
+"""Parts of the compiled loops: frames that walk along the arms of a group of poses, and the masses that they pass.
+
+Poses are worked on in groups of LANES: the last axis of every working array runs over the poses of a group, so that each
+inner loop is one that the compiler turns into vector instructions (measured: 5 times faster than pose by pose).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pincal.model.kernel_inputs import BLOCK, FRAME
+
+# Poses worked on together: fewer cost more in calls, more outgrow a second-level cache of 512 KiB (6R arm).
+LANES = 64
+
+COMPILE = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+# What C, or Python, never calls needs nothing to be called by.
+WHOLE = COMPILE | {"no_cfunc_wrapper": True}
+INNER = WHOLE | {"no_cpython_wrapper": True}
+# What is called once, or is short, is cheaper to compile as a part of what calls it: no function of its own is optimised.
+PART = INNER | {"inline": "always"}
+
+
+class Arms(NamedTuple):
+    """Room for the arms of a group of poses.
+
+    Attributes:
+        x, c, s: shape (K, lanes), coordinates, their cosines and sines.
+        R, p: shape (3, 3, lanes), (3, lanes), the frames that walk.
+        W, O: shape (K, 3, lanes), axis and origin of each coordinate.
+    """
+
+    x: np.ndarray
+    c: np.ndarray
+    s: np.ndarray
+    R: np.ndarray
+    p: np.ndarray
+    W: np.ndarray
+    O: np.ndarray
+
+
+class Loads(NamedTuple):
+    """Room for what arms carry.
+
+    Attributes:
+        M: shape (n, lanes), the mass beyond each joint.
+        B: shape (n, 3, lanes), the sum of mass times centre there.
+        F: shape (4 n, 3, lanes), the link frames, the three rows of the rotation and then the origin; or nothing.
+        A, H: shape (3 n, 3, lanes), axis w_l of moment l and h_l = w_l x D_l.
+        mass: shape (lanes,), of one body.
+    """
+
+    M: np.ndarray
+    B: np.ndarray
+    F: np.ndarray
+    A: np.ndarray
+    H: np.ndarray
+    mass: np.ndarray
+
+
+@njit(**INNER)
+def room(a, b):
+    """Return room for a x b rows of lanes. Each number of axes that is allocated takes half a second to compile."""
+    return np.empty((a, b, LANES))
+
+
+@njit(**INNER)
+def room_for_arms(K):
+    """Return room for arms of K coordinates."""
+    coordinates = np.zeros((3, K, LANES))
+    return Arms(coordinates[0], coordinates[1], coordinates[2], room(3, 3), room(1, 3)[0], room(K, 3), room(K, 3))
+
+
+@njit(**INNER)
+def fill(out, value):
+    """Out = value, for an array of one axis."""
+    for i in range(LANES):
+        out[i] = value
+
+
+@njit(**INNER)
+def copy_lanes(values, out):
+    """Out = values, each of one axis. An assignment would bring its check of shapes, which takes seconds to compile."""
+    for i in range(LANES):
+        out[i] = values[i]
+
+
+@njit(**INNER)
+def copy_rows(values, out):
+    """Out = values, each of two axes."""
+    for r in range(len(out)):
+        copy_lanes(values[r], out[r])
+
+
+@njit(**INNER)
+def _add(values, out):
+    """Out += values, each of one axis."""
+    for i in range(LANES):
+        out[i] += values[i]
+
+
+@njit(**INNER)
+def load_coordinates(kind, values, span, whole, arms):
+    """Put the coordinates of a span of poses, start and number, into x, their cosines and sines into c and s.
+
+    Constant coordinates are the same in every group and are loaded only if ``whole``.
+    """
+    (start, m), x, c, s = span, arms.x, arms.c, arms.s
+    for k in range(len(values.constant)):
+        j = values.slot[k]
+        if j >= 0:
+            for i in range(m):
+                x[k, i] = values.varying[j, start + i]
+            if kind[k] < 3:
+                for i in range(m):
+                    c[k, i] = math.cos(x[k, i])
+                    s[k, i] = math.sin(x[k, i])
+        elif whole:
+            fill(x[k], values.constant[k])
+            fill(c[k], math.cos(values.constant[k]))
+            fill(s[k], math.sin(values.constant[k]))
+
+
+@njit(**INNER)
+def _identity(R, p):
+    for r in range(3):
+        fill(p[r], 0.0)
+        for j in range(3):
+            fill(R[r, j], 1.0 if j == r else 0.0)
+
+
+@njit(**INNER)
+def _apply(R, p, F):
+    """Multiply the frames (R, p) by a fixed transform from the right."""
+    for r in range(3):
+        for i in range(LANES):
+            a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            p[r, i] += a * F[0, 3] + b * F[1, 3] + d * F[2, 3]
+            R[r, 0, i] = a * F[0, 0] + b * F[1, 0] + d * F[2, 0]
+            R[r, 1, i] = a * F[0, 1] + b * F[1, 1] + d * F[2, 1]
+            R[r, 2, i] = a * F[0, 2] + b * F[1, 2] + d * F[2, 2]
+
+
+@njit(**INNER)
+def _turn(rotations, index, span, R):
+    """Turn each frame by the reference orientation that holds at its pose."""
+    start, m = span
+    if len(rotations) == 1:
+        A = rotations[0]
+        for r in range(3):
+            for i in range(LANES):
+                a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+                R[r, 0, i] = a * A[0, 0] + b * A[1, 0] + d * A[2, 0]
+                R[r, 1, i] = a * A[0, 1] + b * A[1, 1] + d * A[2, 1]
+                R[r, 2, i] = a * A[0, 2] + b * A[1, 2] + d * A[2, 2]
+        return
+    for i in range(m):
+        A = rotations[index[start + i]]
+        for r in range(3):
+            a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            for j in range(3):
+                R[r, j, i] = a * A[0, j] + b * A[1, j] + d * A[2, j]
+
+
+@njit(**INNER)
+def _walk(layout, first, last, arms):
+    """Move the frames (R, p) over the coordinates first .. last - 1; note each one's axis and origin in W, O."""
+    x, c, s, R, p, W, O = arms
+    for k in range(first, last):
+        if layout.fixed_before[k] >= 0:
+            _apply(R, p, layout.fixed[layout.fixed_before[k]])
+        kind = layout.kind[k]
+        axis = kind if kind < 3 else kind - 3
+        j, l = (axis + 1) % 3, (axis + 2) % 3
+        for r in range(3):
+            for i in range(LANES):
+                W[k, r, i] = R[r, axis, i]
+                O[k, r, i] = p[r, i]
+            if kind >= 3:
+                for i in range(LANES):
+                    p[r, i] += R[r, axis, i] * x[k, i]
+                if layout.less[k] >= 0:
+                    for i in range(LANES):
+                        p[r, i] -= R[r, axis, i] * x[layout.less[k], i]
+            else:
+                for i in range(LANES):
+                    a, b = R[r, j, i], R[r, l, i]
+                    R[r, j, i] = c[k, i] * a + s[k, i] * b
+                    R[r, l, i] = c[k, i] * b - s[k, i] * a
+
+
+@njit(**PART)
+def walk_arms(layout, places, span, arms):
+    """Walk the whole chain from instrument to target; reference orientations stand before the angles of base and tool."""
+    K = len(arms.x)
+    _identity(arms.R, arms.p)
+    # One call of _walk, with one type of bounds: each is compiled into what calls it.
+    for part in range(3):
+        first = 3 * part if part < 2 else K - 3
+        last = K - 3 if part == 1 else first + 3
+        _walk(layout, first, last, arms)
+        if part == 0:
+            _turn(layout.base_rotation, places.base, span, arms.R)
+        elif part == 1:
+            _turn(layout.tool_rotation, places.tool, span, arms.R)
+
+
+@njit(**INNER)
+def _add_body(R, p, mass, centre, B):
+    """Add mass times the place of its centre to B."""
+    for r in range(3):
+        for i in range(LANES):
+            place = p[r, i] + R[r, 0, i] * centre[0] + R[r, 1, i] * centre[1] + R[r, 2, i] * centre[2]
+            B[r, i] += mass[i] * place
+
+
+@njit(**PART)
+def walk_bodies(layout, payload, span, arms, loads):
+    """Walk the arm from its base and weigh what is beyond each joint: M, B and, where there is room for them, F."""
+    (start, m), n = span, len(layout.masses)
+    R, p, M, B, F, mass = arms.R, arms.p, loads.M, loads.B, loads.F, loads.mass
+    _identity(R, p)
+    for j in range(n):
+        first = FRAME + j * BLOCK
+        _walk(layout, first, first + BLOCK, arms)
+        if len(F) > 0:
+            for r in range(3):
+                copy_rows(R[r], F[4 * j + r])
+            copy_rows(p, F[4 * j + 3])
+        fill(mass, layout.masses[j])
+        fill(M[j], layout.masses[j])
+        for r in range(3):
+            fill(B[j, r], 0.0)
+        _add_body(R, p, mass, layout.centres[j], B[j])
+    _apply(R, p, layout.fixed[layout.fixed_before[FRAME + n * BLOCK]])
+    fill(mass, 0.0)
+    for i in range(m):
+        mass[i] = payload.mass[start + i]
+    _add(mass, M[n - 1])
+    _add_body(R, p, mass, payload.centre, B[n - 1])
+    for j in range(n - 2, -1, -1):
+        _add(M[j + 1], M[j])
+        for r in range(3):
+            _add(B[j + 1, r], B[j, r])

@@ -1,0 +1,277 @@
+"""Which of the arms that reach a pose a controller takes: by the posture that the program names, else the nearest.
+
+A program's flags are those of the arm's shape, whatever a maker calls them: on which side of axis 1 the wrist is, whether
+the elbow is above or below, to which side the wrist is bent. They change only where the arm is singular.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pincal.compensate.ik_problem import IkProblem
+from pincal.compensate.iterations import newton
+from pincal.errors import BadInputError
+from pincal.model.chain import Chain
+from pincal.model.effects import Conditions
+from pincal.model.model import Model
+from pincal.programs.program import Posture
+from pincal.robot.kinematics import Kinematics
+from pincal.robot.robot import Robot
+from pincal.units import plain_number
+
+# Random arms among which starts for the search are chosen; starts where the posture is known, and where it is not.
+_POOL, _STARTS, _MORE_STARTS = 30_000, 12, 64
+# ArmSearch that differ by less are one [rad or m].
+_SAME = 1e-5
+# A joint this close to where its turn number changes may have either [rad].
+_ON_EDGE = 1e-4
+# Poses are searched for in pieces of this many.
+_PIECE = 64
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class ProgramAxes:
+    """How the axes of a program follow from the joints of the URDF: axes = matrix joints + zeros.
+
+    Attributes:
+        matrix: shape (n, n).
+        zeros: shape (n,), axes where all joints are at zero [rad or m].
+    """
+
+    matrix: np.ndarray
+    zeros: np.ndarray
+
+    @classmethod
+    def parse(cls, text: str | None, robot: Robot) -> ProgramAxes:
+        """Return the axes that a text says, one sum of joints and degrees for each, such as ``q1, -q2+90, q3-q2``.
+
+        The joints of the text are those that the controller reports, which are the axes if there is none.
+
+        Raises:
+            BadInputError: for other text, or axes from which the joints don't follow.
+
+        Example:
+            >>> ProgramAxes.parse("q1, 90-q2, q3-q2, q4, q5, q6", Robot.from_urdf("ur10")).matrix[2].tolist()
+            [0.0, -1.0, 1.0, 0.0, 0.0, 0.0]
+        """
+        n = robot.n_joints
+        reported = robot.as_reported(np.eye(n)).T
+        if text is None:
+            return cls(reported, np.zeros(n))
+        matrix, zeros = np.zeros((n, n)), np.zeros(n)
+        sums = [part.replace(" ", "").replace("-", "+-").split("+") for part in text.split(",")]
+        try:
+            for k, (row, terms) in enumerate(zip(matrix, sums, strict=True)):
+                for term in filter(None, terms):
+                    if "q" in term:
+                        sign, _, joint = term.partition("q")
+                        row[range(n)[int(joint) - 1]] += {"": 1.0, "-": -1.0}[sign]
+                    else:
+                        zeros[k] += np.deg2rad(plain_number(term))
+            if abs(np.linalg.det(matrix)) < 0.5:
+                raise ValueError
+        except (ValueError, KeyError, IndexError):
+            raise BadInputError(f"axes {text!r}; expected {n} sums such as q1, 90-q2, q3-q2, of joints 1 to {n}") from None
+        return cls(matrix @ reported, zeros)
+
+    def to_program(self, q: np.ndarray) -> np.ndarray:
+        """Return the axes at joint positions, shape (N, n)."""
+        return np.asarray(q @ self.matrix.T + self.zeros)
+
+    def to_robot(self, axes: np.ndarray) -> np.ndarray:
+        """Return the joint positions at axes, shape (N, n)."""
+        return np.asarray((axes - self.zeros) @ np.linalg.inv(self.matrix).T)
+
+
+@dataclass(frozen=True)
+class ArmSearch:
+    """The nominal arm, searched for joint positions.
+
+    Attributes:
+        robot: the arm.
+        axes: the axes of the programs.
+    """
+
+    robot: Robot
+    axes: ProgramAxes
+
+    @cached_property
+    def model(self) -> Model:
+        """The nominal arm, its target the tip."""
+        return Model(Chain.of(self.robot), ())
+
+    @cached_property
+    def _kinematics(self) -> Kinematics:
+        return Kinematics.of(self.robot)
+
+    @cached_property
+    def _pool(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        q = self.robot.random_configurations(_POOL, np.random.default_rng(0))
+        return q, self.tips(q), self.sides(q)
+
+    @cached_property
+    def _zero(self) -> np.ndarray:
+        return self.axes.to_robot(np.zeros((1, self.robot.n_joints)))
+
+    @property
+    def has_sides(self) -> bool:
+        """Whether the arm has the shape that flags are for: six joints that turn."""
+        return self.robot.joint_types == ("revolute",) * 6
+
+    def tips(self, q: np.ndarray) -> np.ndarray:
+        """Return poses of the tip in the base frame, shape (N, 3, 4) [m]."""
+        return np.asarray(self.model.predict(np.zeros(0), Conditions.at(q)))
+
+    def sides(self, q: np.ndarray) -> np.ndarray:
+        """Return front, up and down of joint positions, shape (N, 6), as 1 or -1, shape (N, 3)."""
+        if not self.has_sides:
+            return np.zeros((len(q), 3))
+        axes = self._axes(q)
+        looks, wrist, elbow = self._shape(q, axes)
+        p1, p2, p3 = (axes[:, i, :3, 3] for i in range(3))
+        lies = axes[:, 1, :3, 2] * self._signs[0]
+        front = _dot(wrist - p1, looks)
+        up = _dot(np.cross(p3 - p2, wrist - p2), lies)
+        forearm = axes[:, 3, :3, 2] * np.sign(_dot(wrist - elbow, axes[:, 3, :3, 2]))[:, None]
+        bent = np.cross(forearm, axes[:, 5, :3, 2] * self._signs[2])
+        down = _dot(bent, axes[:, 4, :3, 2] * self._signs[1])
+        return np.asarray(np.sign(np.column_stack([front, up, down])))
+
+    def _axes(self, q: np.ndarray) -> np.ndarray:
+        """Return the frames whose z axes are those of the joints, shape (N, 6, 4, 4)."""
+        frames = self._kinematics.frames(q)
+        frames[:, 0] = self._kinematics.first
+        return np.asarray(np.einsum("nijk,ikl->nijl", frames[:, :-1], self._kinematics.before))
+
+    def _shape(self, q: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return where the arm looks, and its wrist and its elbow, shape (N, 3) each."""
+        z, turn = axes[:, 0, :3, 2], (q[:, 0] - self._zero[0, 0])[:, None]
+        x = np.array([1.0, 0.0, 0.0])
+        looks = x * np.cos(turn) + np.cross(z, x) * np.sin(turn)
+        return looks, _nearest(axes[:, 4], axes[:, 3]), axes[:, 2, :3, 3]
+
+    @cached_property
+    def _signs(self) -> np.ndarray:
+        """Signs that direct axes 2 and 5 to up x front where axis 4 is at zero, and axis 6 outwards."""
+        q = self._zero
+        axes = self._axes(q)
+        looks, wrist, _ = self._shape(q, axes)
+        lies = np.cross([0.0, 0.0, 1.0], looks[0])
+        tip = self.robot.forward_kinematics(q)[0, :3, 3] - wrist[0]
+        signs = np.array([axes[0, 1, :3, 2] @ lies, axes[0, 4, :3, 2] @ lies, axes[0, 5, :3, 2] @ tip])
+        return np.where(signs < 0.0, -1.0, 1.0)
+
+    def find(self, tips: np.ndarray, postures: list[Posture], near: np.ndarray | None) -> list[np.ndarray]:
+        """Return the joint positions that reach poses of the tip in a posture, whole turns left open.
+
+        Args:
+            tips: shape (N, 3, 4), in the base frame.
+            postures: of each.
+            near: shape (n,), joint positions from which to start, too.
+
+        Returns:
+            Of each pose, shape (k, n).
+        """
+        found: list[np.ndarray] = []
+        for start in range(0, len(tips), _PIECE):
+            rows = range(start, min(start + _PIECE, len(tips)))
+            starts = [self._starts(tips[i], postures[i], near) for i in rows]
+            owner = np.repeat(np.arange(len(rows)), [len(part) for part in starts])
+            q = np.concatenate(starts)
+            problem = IkProblem.of(
+                self.model,
+                np.zeros(0),
+                conditions=Conditions.at(q),
+                wanted=tips[start : start + len(rows)][owner],
+                with_orientation=True,
+            )
+            own = self.robot.own_joints
+            q, reached = newton(problem, q[:, own], seed=q[:, own])
+            q = self.robot.spread(q)
+            sides = self.sides(q)
+            for k, i in enumerate(rows):
+                right = reached & (owner == k)
+                for side, wanted in enumerate(postures[i].sides if self.has_sides else ()):
+                    if wanted is not None:
+                        right &= (sides[:, side] > 0.0) == wanted
+                found.append(self._distinct(q[right]))
+        return found
+
+    def _starts(self, tip: np.ndarray, posture: Posture, near: np.ndarray | None) -> np.ndarray:
+        q, tips, sides = self._pool
+        distance = np.linalg.norm(tips[:, :, 3] - tip[:, 3], axis=1) / self.robot.reach
+        distance += 0.5 * np.arccos(np.clip(0.5 * (np.einsum("nij,ij->n", tips[:, :, :3], tip[:, :3]) - 1.0), -1.0, 1.0))
+        is_known = self.has_sides and None not in posture.sides
+        for side, wanted in enumerate(posture.sides if self.has_sides else ()):
+            if wanted is not None:
+                distance = np.where((sides[:, side] > 0.0) == wanted, distance, np.inf)
+        count = _STARTS if is_known else _MORE_STARTS
+        best = np.argpartition(distance, count)[:count]
+        return np.concatenate([q[best], near[None]]) if near is not None else q[best]
+
+    def _distinct(self, q: np.ndarray) -> np.ndarray:
+        """Return joint positions, each once: whole turns make no difference."""
+        turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
+        kept: list[np.ndarray] = []
+        for row in q:
+            change = [row - other for other in kept]
+            moved = [np.where(turns, d - _TURN * np.round(d / _TURN), d) for d in change]
+            if not any(np.abs(d).max() < _SAME for d in moved):
+                kept.append(row)
+        return np.array(kept).reshape(-1, self.robot.n_joints)
+
+    def turned(self, q: np.ndarray, posture: Posture, near: np.ndarray) -> np.ndarray | None:
+        """Return joint positions moved by whole turns into the limits, as the turn numbers say and else near others.
+
+        Args:
+            q: shape (n,).
+            posture: its turn numbers.
+            near: shape (n,).
+
+        Returns:
+            Shape (n,), or None if no turn brings them there.
+        """
+        out = q.copy()
+        for joint, kind in enumerate(self.robot.joint_types):
+            wanted = [turn for turn in posture.turns if turn.joint == joint]
+            choices = q[joint] + _TURN * np.arange(-4, 5) * (kind != "prismatic")
+            inside = (choices >= self.robot.lower[joint] - 1e-9) & (choices <= self.robot.upper[joint] + 1e-9)
+            for turn in wanted:
+                sides = [np.tile(q, (9, 1)) for _ in range(3)]
+                for part, aside in zip(sides, (-_ON_EDGE, 0.0, _ON_EDGE), strict=True):
+                    part[:, joint] = choices + aside
+                inside &= np.any([turn.counted(self.axes.to_program(part)) == turn.value for part in sides], axis=0)
+            if not inside.any():
+                return None
+            out[joint] = min(choices[inside], key=lambda value: abs(value - near[joint]))
+        return out
+
+
+def rigid_pose(robot: Robot, link: str, seen_from: str) -> np.ndarray | None:
+    """Return the pose of a link, shape (4, 4), as seen from another that never moves against it; None if there is none."""
+    import pinocchio as pin
+
+    model = robot.pinocchio_model()
+    if not (model.existFrame(link, pin.BODY) and model.existFrame(seen_from, pin.BODY)):
+        return None
+    frames = [model.frames[model.getFrameId(name, pin.BODY)] for name in (seen_from, link)]
+    if frames[0].parentJoint != frames[1].parentJoint:
+        return None
+    return np.asarray((frames[0].placement.inverse() * frames[1].placement).homogeneous)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("ni,ni->n", a[:, :3], b[:, :3]))
+
+
+def _nearest(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the points of lines, along z of frames of shape (N, 4, 4), that are nearest to other lines, shape (N, 3)."""
+    p, u, r, v = first[:, :3, 3], first[:, :3, 2], second[:, :3, 3], second[:, :3, 2]
+    cosine = _dot(u, v)
+    apart = 1.0 - cosine**2
+    along = (_dot(r - p, u) - cosine * _dot(r - p, v)) / np.where(apart < 1e-9, 1.0, apart)
+    return np.asarray(p + np.where(apart < 1e-9, 0.0, along)[:, None] * u)

@@ -1,0 +1,281 @@
+"""A program whose points are corrected: the real arm, told the new ones by a nominal controller, arrives at the old ones.
+
+A pose P of the tool T in the base B means the tip at W = B P T^-1. Of the nominal arm's joint positions q that reach W,
+those of the program's posture are taken; the calibrated model gives the joints q' at which the real tip is at W. What the
+program is then to say is the joints q', or the pose B^-1 FK(q') T where the nominal arm is at q'. A point is corrected as a
+whole or left as it was, with a reason.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.compensate.compensation import compensate_poses
+from pincal.compensate.robot_frames import false_targets
+from pincal.model.effects import Conditions
+from pincal.programs.arms import ArmSearch, ProgramAxes
+from pincal.programs.language import ControllerLanguage
+from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Program, spliced
+from pincal.robot.se3 import compose, inverse, rotation_vectors
+
+# A correction below this changes nothing in the program [m and rad].
+_NOTHING = 1e-8
+_REASONS = {
+    "singular": "the arm is singular there: a small correction would take large joint motions",
+    "joint_limit": "an axis would leave its limits",
+    "unreachable": "no joint positions were found",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProgramCell:
+    """What a program does not say of the cell that it runs in.
+
+    Attributes:
+        tools, bases: poses of tools and bases by the names that programs use, shape (4, 4) [m].
+        world: shape (4, 4), the controller's world in the robot's base.
+        flange: shape (4, 4), the controller's flange in the robot's tip.
+        axes: the program's axes.
+        seed: shape (n,), positions of the URDF's joints near which the program starts.
+        payload: mass at the tip [kg].
+        limits: whether axes have to stay within their limits.
+        max_change: the most that a joint may move by a correction [rad or m].
+    """
+
+    axes: ProgramAxes
+    tools: Mapping[str, np.ndarray] = field(default_factory=dict)
+    bases: Mapping[str, np.ndarray] = field(default_factory=dict)
+    world: np.ndarray = field(default_factory=lambda: np.eye(4))
+    flange: np.ndarray = field(default_factory=lambda: np.eye(4))
+    seed: np.ndarray | None = None
+    payload: float = 0.0
+    limits: bool = True
+    max_change: float = float(np.deg2rad(2.0))
+
+
+@dataclass(frozen=True)
+class Change:
+    """A corrected point.
+
+    Attributes:
+        point: what it was.
+        values: the numbers that it has now, before they are rounded.
+        q: shape (n,), the nominal arm's joint positions at the point as programmed.
+        commanded: shape (n,), at the point as corrected.
+        frames: the poses of base and tool, as one before and one behind the pose of a point, shape (4, 4) each.
+        shift: how far the point moves [m].
+        turn: by what angle [rad].
+    """
+
+    point: Point
+    values: np.ndarray
+    q: np.ndarray
+    commanded: np.ndarray
+    frames: tuple[np.ndarray, np.ndarray]
+    shift: float
+    turn: float
+
+
+class Corrector:
+    """Corrects points of programs by a calibrated model."""
+
+    def __init__(self, calibrated: CalibratedModel, language: ControllerLanguage, cell: ProgramCell) -> None:
+        # Within, joints are those of the URDF; the program's axes know what the controller reports.
+        chain = calibrated.model.chain
+        robot = replace(chain.robot, couplings=())
+        calibrated = replace(calibrated, model=calibrated.model.with_chain(replace(chain, robot=robot)))
+        self.calibrated, self.language, self.cell, self.robot = calibrated, language, cell, robot
+        self.arms = ArmSearch(robot, cell.axes)
+        at = self.conditions(np.zeros((1, robot.n_joints)))
+        # The calibrated target on the tip.
+        self.target = compose(inverse(false_targets(calibrated, at)), false_targets(calibrated, at, of="target"))
+
+    def conditions(self, q: np.ndarray) -> Conditions:
+        """Return the conditions of joint positions, shape (N, n)."""
+        return self.calibrated.conditions_at(q, payload=self.cell.payload)
+
+    def frames(self, point: Point, program: Program) -> tuple[np.ndarray, np.ndarray] | str:
+        """Return what stands before and behind a point's pose between base and tip, or why that is not known."""
+        found = []
+        places = (("base", point.base, self.cell.bases, program.bases), ("tool", point.tool, self.cell.tools, program.tools))
+        for option, frame, given, declared in places:
+            pose = _known(frame or Frame(""), given, declared, option)
+            if isinstance(pose, str):
+                return pose
+            found.append(pose)
+        return self.cell.world @ found[0], np.linalg.inv(self.cell.flange @ found[1])
+
+    def changes(self, program: Program) -> tuple[dict[PointKey, Change], list[Left]]:
+        """Return the corrections of a program's points, and what is left as it was."""
+        left, joints, framed = (
+            list(program.left),
+            dict[PointKey, np.ndarray](),
+            dict[PointKey, tuple[np.ndarray, np.ndarray]](),
+        )
+        poses: dict[PointKey, Point] = {}
+        nowhere = (self.cell.world, np.linalg.inv(self.cell.flange))
+        for key, point in program.points.items():
+            frames = self.frames(point, program) if point.kind == "pose" else nowhere
+            reason = frames if isinstance(frames, str) else self._refusal(point)
+            if reason:
+                left.append(Left(point.name, point.source, point.line, str(reason)))
+                continue
+            framed[key] = frames  # type: ignore[assignment]
+            if point.kind == "pose":
+                poses[key] = point
+        tips = {key: framed[key][0] @ self.language.pose(point.values) @ framed[key][1] for key, point in poses.items()}
+        found = dict(
+            zip(poses, self.arms.find(np.array(list(tips.values())).reshape(-1, 4, 4)[:, :3],
+                                      [point.posture for point in poses.values()], self.cell.seed), strict=True)
+        )  # fmt: skip
+        near = self.cell.seed
+        for key, point in program.points.items():
+            if key not in framed:
+                continue
+            q = self.joints(point) if point.kind == "joints" else self._chosen(point, found[key], near)
+            if isinstance(q, str):
+                left.append(Left(point.name, point.source, point.line, q))
+            else:
+                joints[key] = near = q
+        changed = self._corrected({key: (program.points[key], q, framed[key]) for key, q in joints.items()}, left)
+        return self._with_turns(program, changed, left), left
+
+    def _refusal(self, point: Point) -> str:
+        if reason := self.language.refusal(point):
+            return reason
+        if point.kind == "joints":
+            if len(point.numbers) != self.robot.n_joints:
+                return f"{len(point.numbers)} axes; the model has {self.robot.n_joints}"
+            q = self.joints(point)
+            beyond = (q < self.robot.lower - 1e-6) | (q > self.robot.upper + 1e-6)
+            if self.cell.limits and beyond.any():
+                return f"{self.robot.joint_names[int(beyond.argmax())]} is beyond its limits in the model"
+            return ""
+        if self.robot.n_joints != 6:
+            return f"a pose does not tell the joints of an arm with {self.robot.n_joints} joints"
+        return ""
+
+    def joints(self, point: Point, values: np.ndarray | None = None) -> np.ndarray:
+        """Return the joint positions of a point in axes, shape (n,) [rad or m]."""
+        given = point.values if values is None else values
+        return np.asarray(self.cell.axes.to_robot((given * self._units())[None])[0])
+
+    def _units(self) -> np.ndarray:
+        turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
+        return self.language.joint_units(turns)
+
+    def _chosen(self, point: Point, found: np.ndarray, near: np.ndarray | None) -> np.ndarray | str:
+        """Return the joint positions by which a controller reaches a pose, or why they are not known."""
+        if point.near is not None and len(point.near) == self.robot.n_joints:
+            near = self.joints(point, np.array(point.near))
+        if near is None and (None in point.posture.sides or not self.arms.has_sides):
+            return "nothing before it tells which arm reaches it: give joint positions to start from (--seed-joints)"
+        start = np.zeros(self.robot.n_joints) if near is None else near
+        turned = [self.arms.turned(q, point.posture, start) for q in found]
+        reached = [q for q in turned if q is not None]
+        if not reached:
+            return "no joint positions within the limits reach it in the posture that it says, by the nominal model"
+        return min(reached, key=lambda q: float(np.sum((q - start) ** 2)))
+
+    def solve(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, list[str]]:
+        """Return the joints at which the real tip is at poses, shape (N, 3, 4), near q, shape (N, n), and why not."""
+        wanted = compose(tips, np.repeat(self.target, len(tips), axis=0))
+        found = compensate_poses(self.calibrated, wanted, self.conditions(q), frame="base", limits=self.cell.limits)
+        reasons = [_REASONS.get(str(status), "") for status in found.status]
+        moved = np.abs(found.q - q)
+        before, after = self.arms.sides(q), self.arms.sides(found.q)
+        for i in range(len(q)):
+            if not reasons[i] and moved[i].max() > self.cell.max_change:
+                joint = self.robot.joint_names[int(moved[i].argmax())]
+                reasons[i] = f"{joint} would move by {np.rad2deg(moved[i].max()):.3g} deg (--max-change)"
+            elif not reasons[i] and np.any(before[i] * after[i] < 0.0):
+                reasons[i] = "the correction would change the arm's posture"
+        return found.q, reasons
+
+    def _corrected(
+        self, rows: Mapping[PointKey, tuple[Point, np.ndarray, tuple[np.ndarray, np.ndarray]]], left: list[Left]
+    ) -> dict[PointKey, Change]:
+        if not rows:
+            return {}
+        q = np.array([row[1] for row in rows.values()])
+        tips = self.arms.tips(q)
+        commanded, reasons = self.solve(q, tips)
+        moved = self.arms.tips(commanded)
+        changes = {}
+        for i, (key, (point, _, frames)) in enumerate(rows.items()):
+            if reasons[i]:
+                left.append(Left(point.name, point.source, point.line, reasons[i]))
+                continue
+            before, after = (np.linalg.inv(frames[0]) @ _whole(T) @ np.linalg.inv(frames[1]) for T in (tips[i], moved[i]))
+            if point.kind == "pose":
+                values = self.language.numbers(after, point.values)
+            else:
+                values = self.cell.axes.to_program(commanded[i : i + 1])[0] / self._units()
+            turn = float(np.linalg.norm(rotation_vectors((after[:3, :3] @ before[:3, :3].T)[None])))
+            shift = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
+            changes[key] = Change(point, values, q[i], commanded[i], frames, shift, turn)
+        return changes
+
+    def _with_turns(self, program: Program, changes: dict[PointKey, Change], left: list[Left]) -> dict[PointKey, Change]:
+        """Return the changes without those that need another turn number where points share it."""
+        shared = Counter((p.source, n) for p in program.points.values() for n in {t.number for t in p.posture.turns})
+        kept = {}
+        for key, change in changes.items():
+            point = change.point
+            new = {(edit.source, edit.start) for edit in self.turn_edits(change)}
+            numbers = {turn.number for turn in point.posture.turns if (point.source, turn.number.start) in new}
+            if any(shared[point.source, number] > 1 for number in numbers):
+                left.append(Left(point.name, point.source, point.line, "it shares a turn number, which would change"))
+            else:
+                kept[key] = change
+        return kept
+
+    def turn_edits(self, change: Change) -> list[Edit]:
+        """Return the edits of a point's turn numbers."""
+        point, axes = change.point, self.cell.axes.to_program(change.commanded[None])[0]
+        edits = []
+        for number in dict.fromkeys(turn.number for turn in point.posture.turns):
+            turns = [turn for turn in point.posture.turns if turn.number == number]
+            text = self.language.turn_text(turns, axes, self.cell.axes.to_program(change.q[None])[0])
+            if text != number.text:
+                edits.append(Edit(point.source, number.start, number.end, text))
+        return edits
+
+    def edits(self, change: Change) -> list[Edit]:
+        """Return the edits of one point."""
+        if max(change.shift, change.turn, float(np.abs(change.commanded - change.q).max())) < _NOTHING:
+            return []
+        texts = self.language.point_numbers(change.point, change.values)
+        pairs = zip(change.point.numbers, texts, strict=True)
+        edits = [Edit(change.point.source, n.start, n.end, text) for n, text in pairs if text != n.text]
+        return edits + self.turn_edits(change)
+
+
+def written_program(program: Program, edits: Sequence[Edit]) -> list[bytes]:
+    """Return the files of a program with edits."""
+    return [spliced(source, i, edits) for i, source in enumerate(program.sources)]
+
+
+def _known(
+    frame: Frame, given: Mapping[str, np.ndarray], declared: Mapping[str, np.ndarray | None], option: str
+) -> np.ndarray | str:
+    """Return the pose of a frame, or why it is not known."""
+    if frame.pose is not None:
+        return frame.pose
+    if frame.name in given:
+        return given[frame.name]
+    if frame.reason:
+        return frame.reason
+    if frame.name in declared:
+        pose = declared[frame.name]
+        return f"{option} {frame.name} has more than one value, or a computed one" if pose is None else pose
+    return f"the values of {frame.name or option} are not known: give --{option} '{frame.name or option}=X,Y,Z,...'"
+
+
+def _whole(T: np.ndarray) -> np.ndarray:
+    return np.vstack([T, [0.0, 0.0, 0.0, 1.0]])

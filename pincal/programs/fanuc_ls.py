@@ -1,0 +1,189 @@
+"""FANUC's listings of programs: motions in ``/MN``, positions in ``/POS``, each with its frames and its configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pincal.programs.language import LANGUAGES, ControllerLanguage
+from pincal.programs.program import Draft, Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.syntax import Source, Statement, number_at
+
+if TYPE_CHECKING:
+    from lark import Token, Tree
+
+_LINES = r"""
+start: _NL* PROG _NL (HEAD? _NL)* MN _NL (line? _NL)* POS _NL (BODY? _NL)* END (_NL | _EOT)*
+line: LINE_NUMBER? KIND PLACE REST? -> motion
+    | LINE_NUMBER? PLACE REST?      -> more
+    | LINE_NUMBER? OTHER            -> other
+    | LINE_NUMBER                   -> other
+PROG.5: /\/PROG[^\r\n]*/
+MN.5: /\/MN(?![^\s])/
+POS.5: /\/POS(?![^\s])/
+END.5: /\/END(?![^\s])/
+LINE_NUMBER.4: /\d*:/
+KIND.3: /[JLCA](?=[ \t]*PR?\[)/
+PLACE.2: /PR?\[[^\]\r\n]*\]/
+REST: /[^\s\x04][^\r\n\x04]*/
+OTHER: /([^\s\/\x04]|\/\/)[^\r\n\x04]*/
+HEAD: /[^\s\x04][^\r\n\x04]*/
+BODY: /[^\s\x04\/][^\r\n\x04]*/
+_NL: /\r\n|\r|\n/
+_EOT: "\x04"
+%ignore /[ \t\f\xa0]+/
+"""
+_POSITIONS = r"""
+start: block* "\x04"
+block: PLACE "{" group+ "}" ";"
+group: GROUP "UF" ":" FRAME "," "UT" ":" FRAME "," (configuration ",")? value ("," value)*
+configuration: "CONFIG" ":" "'" SIDE+ "," TURN "," TURN "," TURN "'"
+value: NAME "=" SIGNED UNIT
+PLACE: /P\[[^\]\r\n]*\]/
+GROUP: /GP\d+:/
+FRAME: /F|\d+/
+SIDE: /[NFUDTBLR](?![A-Z])/
+TURN: /[+-]?\d+/
+NAME: /J\d+|E\d+|[XYZWPR]/
+SIGNED: /[+-]?(\d+(\.\d*)?|\.\d+)|\*+/
+UNIT: "mm" | "deg"
+%ignore /[ \t\f\xa0\r\n]+/
+"""
+_WORDS = "a FANUC listing: /PROG, /MN with motions, /POS with positions, /END"
+_PATHS: dict[str, Path] = {"J": "joint", "L": "line", "C": "circle", "A": "joint"}
+_JUMPS = ("LBL", "JMP", "IF", "ELSE", "SELECT", "FOR", "CALL", "END", "SKIP")
+# What makes a motion's target something else than its position.
+_MOVED = ("OFFSET", "TOOL_OFFSET", "VOFFSET", "COORD", "RTCP", "PTH_OFFSET")
+
+
+@LANGUAGES.register
+class FanucLs(ControllerLanguage):
+    """FANUC's listings."""
+
+    name = "FANUC LS"
+    suffixes = (".ls",)
+
+    def read(self, sources: Sequence[Source]) -> Program:
+        """Return the program of a listing."""
+        draft = Draft(sources, by_itself=True)
+        draft.tools["0"] = draft.bases["0"] = np.eye(4)
+        for i, source in enumerate(sources):
+            lines = source.parse(_LINES, _WORDS).children
+            begin = next(token for token in lines if getattr(token, "type", "") == "POS").end_pos
+            end = next(token for token in lines if getattr(token, "type", "") == "END").start_pos
+            for block in source.parse(_POSITIONS, _WORDS, part=(begin, end)).children:
+                self._declare(draft, i, source, block)
+            self._move(draft, i, [line for line in lines if hasattr(line, "data")])
+        return draft.finish()
+
+    def _declare(self, draft: Draft, i: int, source: Source, block: Tree[Token]) -> None:
+        """Take note of a position."""
+        place, *groups = block.children
+        name, line = _place(str(place)), source.place(place.start_pos)[0]  # type: ignore[union-attr, arg-type]
+        point = self._point(i, name, line, groups[0].children)  # type: ignore[union-attr]
+        if isinstance(point, Point):
+            draft.declare(point)
+        else:
+            draft.left.append(Left(name, i, line, point))
+            draft.changed[name] = point
+
+    def _point(self, i: int, name: str, line: int, group: Sequence[Any]) -> Point | str:
+        """Return the point that a group is, or why it is none."""
+        label, user, tool, *rest = group
+        if label != "GP1:":
+            return "it has no group 1"
+        values = {str(tree.children[0]): tree.children[1:] for tree in rest if tree.data == "value"}
+        numbers = {key: number_at(number) for key, (number, _) in values.items()}
+        if any(number is None for number in numbers.values()):
+            return "it is not taught"
+        known = {key: number for key, number in numbers.items() if number is not None}
+        if any(number.value for key, number in known.items() if key.startswith("E")):
+            return "an external axis is not at 0"
+        keys = [key for key in known if not key.startswith("E")]
+        if keys == list("XYZWPR"):
+            sides = [tree for tree in rest if tree.data == "configuration"]
+            posture = _posture(sides[0].children) if sides else Posture()
+            numbers_in_order = tuple(known[key] for key in keys)
+            return Point(name, i, line, "pose", numbers_in_order, posture, Frame(str(tool)), Frame(str(user)))
+        if keys == [f"J{k + 1}" for k in range(len(keys))]:
+            return Point(name, i, line, "joints", tuple(known[key] for key in keys))
+        return "neither X Y Z W P R nor joints"
+
+    def _move(self, draft: Draft, i: int, lines: Sequence[Tree[Token]]) -> None:
+        """Take note of the motions."""
+        run = 0
+        pending: tuple[Tree[Token], str] | None = None
+        for line in lines:
+            parts = {token.type: token for token in line.children if not hasattr(token, "data")}
+            rest = str(parts.get("REST", parts.get("OTHER", "")))
+            if line.data == "other":
+                pending = None
+                text = rest.split("!")[0].upper() if not rest.lstrip().startswith(("!", "//", "--")) else ""
+                draft.computed |= set(_places_in(text))
+                for kind, frames in (("UTOOL[", draft.tools), ("UFRAME[", draft.bases)):
+                    if text.startswith(kind):
+                        frames[text[len(kind) :].split("]")[0].split(":")[0].strip()] = None
+                if text.startswith("P["):
+                    draft.changed[_place(text.split("]")[0] + "]")] = "the program sets it"
+                run += text.startswith(_JUMPS)
+                continue
+            place, kind = parts["PLACE"], str(parts.get("KIND", ""))
+            name, at = _place(str(place)), place.line or 0
+            if line.data == "more" and rest.lstrip().startswith("="):
+                draft.changed[name] = "the program sets it"
+                draft.computed |= set(_places_in(rest))
+                continue
+            words = rest.replace(",", " ").replace(";", " ").upper().split()
+            target: str | Left = name if name.startswith("P[") and name[2:-1].isdigit() else Left(
+                name, i, at, "a position register" if name.startswith("PR[") else "a computed position")  # fmt: skip
+            if "INC" in words:
+                draft.changed[name] = target = f"a relative motion (INC), line {at}"
+                target = Left(name, i, at, target)
+            elif any(word in words for word in _MOVED):
+                draft.computed.add(name)
+                target = Left(name, i, at, f"moved by an offset ({next(w for w in words if w in _MOVED)})")
+            draft.computed |= set(_places_in(rest)) - {name}
+            is_via = kind == "C" and not words
+            if is_via:
+                pending = (line, name)
+                continue
+            statement = Statement((), place.start_pos or 0, place.end_pos or 0, at)
+            empty = Frame("")
+            if line.data == "more" and pending is None:
+                continue
+            via = (pending[1],) if pending is not None else ()
+            path: Path = "circle" if via else _PATHS.get(kind, "joint")
+            if path == "circle" and not via:
+                path = "joint"
+            span = (place.start_pos or 0, place.end_pos or 0)
+            draft.motions.append(Motion(path, (*via, target), statement, i, empty, empty, span, run))
+            pending = None
+
+
+def _place(text: str) -> str:
+    """Return a position's name without its comment: ``P[1:"App"]`` is P[1]."""
+    kind, _, index = text.partition("[")
+    return f"{kind}[{index.removesuffix(']').partition(':')[0].strip()}]"
+
+
+def _places_in(text: str) -> Iterator[str]:
+    """Yield the positions that a text names."""
+    for k, piece in enumerate(text.split("P[")[1:], 1):
+        if not text.split("P[")[k - 1][-1:].isalpha():
+            yield _place("P[" + piece.split("]")[0] + "]")
+
+
+def _posture(configuration: Sequence[Token]) -> Posture:
+    """Return what a configuration says: flip or not, up or down, front (T) or back; turns of axes 1, 4 and 6."""
+    sides = {str(token) for token in configuration if token.type == "SIDE"}
+    turns = [number for token in configuration if token.type == "TURN" and (number := number_at(token)) is not None]
+    counted = tuple(Turn(j, "whole", int(number.value), number) for j, number in zip((0, 3, 5), turns, strict=True))
+    return Posture(
+        front=_side(sides, "T", "B"), up=_side(sides, "U", "D"), down=_side(sides, "N", "F"), turns=counted
+    )  # fmt: skip
+
+
+def _side(sides: set[str], yes: str, no: str) -> bool | None:
+    return None if (yes in sides) == (no in sides) else yes in sides

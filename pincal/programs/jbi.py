@@ -1,0 +1,186 @@
+"""Yaskawa's jobs: positions in pulses or Cartesian in the head, motions after ``//INST``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.programs.language import LANGUAGES, ControllerLanguage
+from pincal.programs.program import Draft, Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.syntax import Number, Source, Statement, number_at
+
+_GRAMMAR = r"""
+start: (COMMENT? _NL)* JOB _NL (_head? _NL)* INST _NL (_line? _NL)* (_line? _EOT)
+_head: tag | configuration | position | COMMENT
+tag: TAG REST?
+configuration: RCONF SIGNED ("," SIGNED)*
+position: PLACE "=" SIGNED ("," SIGNED)*
+_line: motion | other | COMMENT
+motion: MOVE PLACE REST?
+other: OTHER
+JOB.5: /\/JOB(?![^\s])/
+INST.5: /\/\/INST(?![^\s])/
+RCONF.4: /\/\/\/RCONF/
+TAG.3: /\/{2,3}[A-Z][A-Z0-9]*/
+MOVE.3: /(MOV[JLCS]|IMOV)(?![A-Z0-9])/
+PLACE.3: /(BC|EC|BP|EX|C|P)\d+/
+SIGNED: /[+-]?(\d+(\.\d*)?|\.\d+)/
+REST: /[^\s\x04'][^\r\n\x04]*/
+OTHER: /[^\s\x04'][^\r\n\x04]*/
+COMMENT.4: /'[^\r\n]*/
+_NL: /\r\n|\r|\n/
+_EOT: "\x04"
+%ignore /[ \t\f\xa0]+/
+"""
+_WORDS = "a job: /JOB, //POS with positions, //INST with motions, END"
+_PATHS: dict[str, Path] = {"MOVL": "line", "MOVJ": "joint", "MOVS": "joint", "MOVC": "joint"}
+_JUMPS = ("*", "JUMP", "CALL", "IF", "ELSE", "ENDIF", "FOR", "NEXT", "WHILE", "ENDWHILE", "RET", "PSTART")
+
+
+@LANGUAGES.register
+@dataclass(frozen=True)
+class Jbi(ControllerLanguage):
+    """Yaskawa's jobs.
+
+    Attributes:
+        pulses: pulses of each axis for a degree; None if they are not known.
+    """
+
+    pulses: tuple[float, ...] | None = None
+    name = "JBI"
+    suffixes = (".jbi",)
+    digits = (4, 6, 0)
+
+    def with_pulses(self, text: str) -> Jbi:
+        """Return the language with pulses for a degree, one number an axis.
+
+        Raises:
+            BadInputError: for other text.
+        """
+        try:
+            found = tuple(float(word) for word in text.replace(",", " ").split())
+        except ValueError:
+            found = ()
+        if not found or not np.all(np.isfinite(found)) or 0.0 in found:
+            raise BadInputError(f"pulses {text!r}; expected pulses for a degree, one number an axis, none of them 0")
+        return Jbi(found)
+
+    def joint_units(self, turns: np.ndarray) -> np.ndarray:
+        """Return a pulse of each axis [rad]."""
+        return np.deg2rad(1.0 / np.array(self.pulses or (1.0,) * len(turns)))
+
+    def refusal(self, point: Point) -> str:
+        """Return why a point in pulses is not understood."""
+        if point.kind == "joints" and self.pulses is None:
+            return "it is in pulses: give the pulses for a degree (--pulses)"
+        if point.kind == "joints" and len(self.pulses or ()) != len(point.numbers):
+            return f"{len(point.numbers)} axes, but --pulses has {len(self.pulses or ())}"
+        return ""
+
+    def read(self, sources: Sequence[Source]) -> Program:
+        """Return the program of a job."""
+        draft = Draft(sources, by_itself=True)
+        for i, source in enumerate(sources):
+            tree = source.parse(_GRAMMAR, _WORDS)
+            parts = [part for part in tree.children if hasattr(part, "data")]
+            others = [str(part.children[0]).split() for part in parts if part.data == "other"]
+            if not others or others[-1][:1] != ["END"]:
+                raise source.error("the end of the file without END: is it cut?", len(source.content))
+            self._positions(draft, i, source, parts)
+            self._motions(draft, i, parts)
+        return draft.finish()
+
+    def _positions(self, draft: Draft, i: int, source: Source, parts: Sequence[Any]) -> None:
+        """Take note of positions, each by the tags that stand before it."""
+        tags = {"TOOL": "", "USER": "", "POSTYPE": ""}
+        posture = Posture()
+        expected, seen = 0, 0
+        for part in parts:
+            if part.data == "tag":
+                name, *rest = (str(child) for child in part.children)
+                tags[name.lstrip("/")] = rest[0].strip() if rest else ""
+                if name == "///NPOS":
+                    counts = [text.strip() for text in tags["NPOS"].split(",")]
+                    expected = sum(int(text) for text in counts if text.isdigit())
+            elif part.data == "configuration":
+                posture = _posture([number_at(token) for token in part.children[1:]])
+            elif part.data == "position":
+                seen += 1
+                place, *values = part.children
+                name = str(place)
+                point = self._point(i, name, place.line, [number_at(token) for token in values], tags, posture)
+                if isinstance(point, Point):
+                    draft.declare(point)
+                elif point:
+                    draft.left.append(Left(name, i, place.line, point))
+                    draft.changed[name] = point
+        if "NPOS" in tags and seen != expected:
+            raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
+
+    def _point(
+        self, i: int, name: str, line: int, values: Sequence[Number | None], tags: dict[str, str], posture: Posture
+    ) -> Point | str:
+        """Return the point of a position, or why it is none; an empty text for one of another axis."""
+        numbers = tuple(number for number in values if number is not None)
+        kind = tags["POSTYPE"]
+        if name.startswith(("BC", "EC", "BP", "EX")):
+            return ""
+        if kind == "PULSE":
+            return Point(name, i, line, "joints", numbers)
+        if kind not in ("BASE", "ROBOT", "USER") or len(numbers) not in (6, 7):
+            return f"positions of the type {kind} are not understood"
+        if len(numbers) == 7 and numbers[6].value:
+            return "its elbow angle is not 0"
+        base = Frame(tags["USER"] or "USER") if kind == "USER" else Frame(kind, np.eye(4))
+        return Point(name, i, line, "pose", numbers[:6], posture, Frame(tags["TOOL"] or "TOOL"), base)
+
+    def _motions(self, draft: Draft, i: int, parts: Sequence[Any]) -> None:
+        """Take note of motions, and of positions that instructions change."""
+        run, arc = 0, list[str]()
+        for part in parts:
+            if part.data == "other":
+                text = str(part.children[0]).upper()
+                run += text.startswith(_JUMPS)
+                for word in text.replace(",", " ").replace("(", " ").split():
+                    if word[:1] == "P" and word.lstrip("PX").isdigit():
+                        for name in draft.declared:
+                            if name.startswith("P") and int(name[1:]) == int(word.lstrip("PX")):
+                                draft.changed[name] = f"line {part.children[0].line} may set it"
+                if text.startswith(("SFTON", "MSHIFT")):
+                    for name in draft.declared:
+                        draft.changed[name] = f"line {part.children[0].line} shifts positions"
+            if part.data != "motion":
+                continue
+            kind, place = str(part.children[0]), part.children[1]
+            name = str(place)
+            statement = Statement((), place.start_pos, place.end_pos, place.line)
+            target: str | Left = name
+            if kind == "IMOV":
+                draft.changed[name] = f"line {place.line} moves by it (IMOV)"
+                target = Left(name, i, place.line, "a relative motion")
+            arc = [*arc, name] if kind == "MOVC" else []
+            path = _PATHS.get(kind, "joint")
+            targets: tuple[str | Left, ...] = (target,)
+            if len(arc) == 1:
+                path = "line"
+            elif len(arc) == 2:
+                continue
+            elif len(arc) == 3:
+                path, targets = "circle", (arc[1], target)
+            draft.motions.append(
+                Motion(path, targets, statement, i, Frame(""), Frame(""), (place.start_pos, place.end_pos), run)
+            )
+
+
+def _posture(values: Sequence[Number | None]) -> Posture:
+    """Return what a configuration says: not flipped, lower arm, rear, and axes R, T and S beyond 180 deg."""
+    numbers = [number for number in values if number is not None]
+    if len(numbers) < 6 or any(number.value not in (0.0, 1.0) for number in numbers[:6]):
+        return Posture()
+    flags = [bool(number.value) for number in numbers]
+    turns = tuple(Turn(j, "half", int(flags[k]), numbers[k]) for k, j in ((3, 3), (4, 5), (5, 0)))
+    return Posture(front=not flags[2], up=not flags[1], down=flags[0], turns=turns)

@@ -1,0 +1,204 @@
+"""How far the real arm leaves a straight line or a circle between corrected ends, and points that keep it there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.compensate.ik_problem import IkProblem
+from pincal.compensate.iterations import newton
+from pincal.compensate.robot_frames import in_base_frame
+from pincal.model.effects import Conditions
+from pincal.programs.correct import Change, Corrector
+from pincal.programs.program import Edit, Left, Motion, PointKey, Program
+from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors
+
+# Places along a motion at which it is looked at, its ends left out.
+_LOOKS = 15
+# Parts into which a motion is divided at most.
+_MOST_PARTS = 64
+# Three points of a circle on a line [m].
+_STRAIGHT = 1e-6
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A motion along a line or a circle between corrected points, tool poses in the base of shape (3, 4).
+
+    Attributes:
+        motion: the motion.
+        ends: the corrections of its points, the start first.
+        tool: shape (4, 4), from the tip to the tool.
+    """
+
+    motion: Motion
+    ends: tuple[Change, ...]
+    tool: np.ndarray
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far the tool is from where it should be along a motion: ``size`` [m], NaN where the arm can't follow."""
+
+    motion: Motion
+    size: float
+
+
+def legs_of(program: Program, changes: Mapping[PointKey, Change]) -> list[Leg]:
+    """Return the lines and circles of which all points are corrected and the start is known."""
+    found = []
+    for (before, starts), (motion, keys) in zip(program.motions, program.motions[1:], strict=False):
+        if motion.path == "joint" or not starts or (before.source, before.run) != (motion.source, motion.run):
+            continue
+        ends = [changes.get(key) if key is not None else None for key in (starts[-1], *keys)]
+        known = tuple(end for end in ends if end is not None)
+        if len(known) == len(ends) and known[-1].point.kind == "pose":
+            found.append(Leg(motion, known, np.linalg.inv(known[-1].frames[1])))
+    return found
+
+
+class Follower:
+    """Follows lines and circles as a nominal controller does, with the real arm."""
+
+    def __init__(self, corrector: Corrector) -> None:
+        self.corrector = corrector
+        self.placed = in_base_frame(corrector.calibrated)
+
+    def deviations(self, legs: Sequence[Leg]) -> list[Deviation]:
+        """Return how far the tool is from lines and circles between points as corrected."""
+        sizes = np.array([])
+        if legs:
+            ends = [np.array([[end.q, end.commanded] for end in leg.ends]) for leg in legs]
+            sizes = self._sizes(ends, np.array([leg.tool for leg in legs]))
+        return [Deviation(leg.motion, float(size)) for leg, size in zip(legs, sizes, strict=True)]
+
+    def _sizes(self, ends: Sequence[np.ndarray], tools: np.ndarray) -> np.ndarray:
+        """Return the largest deviations [m] between ends of shape (2 or 3, 2, n), joints as meant and as commanded."""
+        tips = [self.corrector.arms.tips(end.reshape(-1, end.shape[-1])).reshape(*end.shape[:2], 3, 4) for end in ends]
+        stops = [np.array([compose(tip[:, k], np.repeat(tool[None, :3], len(tip), axis=0)) for k in (0, 1)])
+                 for tip, tool in zip(tips, tools, strict=True)]  # fmt: skip
+        q, back = np.array([end[0, 1] for end in ends]), inverse(tools[:, :3])
+        worst, follows = np.zeros(len(ends)), np.ones(len(ends), bool)
+        for look in range(1, _LOOKS + 1):
+            s = look / (_LOOKS + 1)
+            told = np.array([_between(stop[1], s) for stop in stops])
+            q, reached = self._reach(q, compose(told, back))
+            follows &= reached
+            meant, ahead = (np.array([_between(stop[0], t)[:, 3] for stop in stops]) for t in (s, s + 1e-4))
+            off = compose(self._real_tips(q), tools[:, :3])[:, :, 3] - meant
+            along = ahead - meant
+            along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+            off -= np.einsum("ni,ni->n", off, along)[:, None] * along
+            worst = np.maximum(worst, np.linalg.norm(off, axis=1))
+        return np.where(follows, worst, np.nan)
+
+    def _reach(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nominal arm's joint positions at poses of the tip, nearest to others, and which are reached."""
+        arms = self.corrector.arms
+        problem = IkProblem.of(arms.model, np.zeros(0), conditions=Conditions.at(q), wanted=tips, with_orientation=True)
+        own = q[:, arms.robot.own_joints]
+        found, reached = newton(problem, own, seed=own)
+        return arms.robot.spread(found), reached
+
+    def _real_tips(self, q: np.ndarray) -> np.ndarray:
+        conditions = self.placed.of_its_day(self.corrector.conditions(q))
+        targets = self.placed.model.predict(self.placed.model_values, conditions)
+        return compose(targets, np.repeat(inverse(self.corrector.target), len(q), axis=0))
+
+    def divided(self, leg: Leg, limit: float) -> list[np.ndarray] | str:
+        """Return the poses of the tool, shape (4, 4), to pass so that a line is kept within a limit [m], or why not.
+
+        The poses are those to be commanded, in the base of the motion.
+        """
+        start, end = leg.ends
+        parts, why = 2, f"not kept with {_MOST_PARTS} parts"
+        back = inverse(leg.tool[None, :3])
+        stop = compose(self.corrector.arms.tips(np.array([start.q, end.q])), np.repeat(leg.tool[None, :3], 2, axis=0))
+        while parts <= _MOST_PARTS:
+            q, meant = start.q[None], []
+            for k in range(1, parts):
+                q, reached = self._reach(q, compose(_between(stop, k / parts)[None], back))
+                if not reached[0]:
+                    return "the arm can't follow it"
+                meant.append(q[0])
+            commanded, reasons = self.corrector.solve(np.array(meant), self.corrector.arms.tips(np.array(meant)))
+            if any(reasons):
+                return next(reason for reason in reasons if reason)
+            pairs = np.array([[start.q, start.commanded], *zip(meant, commanded, strict=True), [end.q, end.commanded]])
+            sizes = self._sizes([pairs[k : k + 2] for k in range(parts)], np.repeat(leg.tool[None], parts, axis=0))
+            if np.all(sizes <= limit):
+                tips = self.corrector.arms.tips(commanded)
+                base = np.linalg.inv(end.frames[0])
+                return [base @ np.vstack([tip, [0.0, 0.0, 0.0, 1.0]]) @ leg.tool for tip in tips]
+            parts *= 2
+        return why
+
+    def inserted(self, program: Program, legs: Sequence[Leg], limit: float) -> tuple[list[Edit], list[Left], int]:
+        """Return statements that keep lines within a limit [m], the motions for which there are none, and how many."""
+        language, edits, left, count = self.corrector.language, list[Edit](), list[Left](), 0
+        for leg, deviation in zip(legs, self.deviations(legs), strict=True):
+            if deviation.size <= limit:
+                continue
+            motion = leg.motion
+            source = program.sources[motion.source]
+            name = f"motion of line {motion.statement.line}"
+            begin = max(source.text.rfind(end, 0, motion.statement.start) for end in "\r\n") + 1
+            indent = source.text[begin : motion.statement.start]
+            reason = ""
+            if not language.can_insert:
+                reason = f"no points are put into programs in {language.name}"
+            elif motion.path == "circle":
+                reason = "no points are put into circles"
+            elif not motion.can_insert or indent.strip(" \t"):
+                reason = "no statement can stand before it"
+            poses = reason or self.divided(leg, limit)
+            if isinstance(poses, str):
+                words = f"leaves its path by {1e3 * deviation.size:.3f} mm, and no points are inserted: {poses}"
+                left.append(Left(name, motion.source, motion.statement.line, words))
+                continue
+            end = leg.ends[-1]
+            near = end.point.values
+            ending = _line_end(source.text, begin)
+            text = ""
+            for pose in poses:
+                near = language.numbers(pose, near)
+                statement = language.statement(motion, source, values=near, posture=end.point.posture)
+                text += indent + statement + ending
+            edits.append(Edit(motion.source, begin, begin, text))
+            count += len(poses)
+        return edits, left, count
+
+
+def _line_end(text: str, at: int) -> str:
+    """Return the line end in force at a place."""
+    if at >= 2 and text[at - 2 : at] == "\r\n":
+        return "\r\n"
+    return text[at - 1] if at else "\n"
+
+
+def _between(stops: np.ndarray, s: float) -> np.ndarray:
+    """Return the pose, shape (3, 4), at a part of the way over two poses, or three on a circle, shape (2 or 3, 3, 4)."""
+    first, last = stops[0], stops[-1]
+    turn = rotation_vectors((last[:, :3] @ first[:, :3].T)[None])
+    R = exponentials(s * turn)[0] @ first[:, :3]
+    position = first[:, 3] + s * (last[:, 3] - first[:, 3])
+    if len(stops) == 3:
+        a, via, b = stops[:, :, 3]
+        position = _on_circle(a, via, b, s)
+    return np.column_stack([R, position])
+
+
+def _on_circle(a: np.ndarray, via: np.ndarray, b: np.ndarray, s: float) -> np.ndarray:
+    """Return the point at a part of the way from a over another point to b on the circle of the three."""
+    u, v = via - a, b - a
+    normal = np.cross(u, v)
+    area = float(normal @ normal)
+    if area < _STRAIGHT**4:
+        return np.asarray(a + s * v)
+    centre = a + (np.cross(normal, u) * (v @ v) + np.cross(v, normal) * (u @ u)) / (2.0 * area)
+    x = a - centre
+    y = np.cross(normal, x) / np.sqrt(area)
+    end = np.arctan2((b - centre) @ y, (b - centre) @ x) % (2.0 * np.pi)
+    return np.asarray(centre + x * np.cos(s * end) + y * np.sin(s * end))

@@ -1,0 +1,74 @@
+"""What may be recorded of a pose beside joints and readings: one entry here, and tables, models and reports know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Annotated, get_type_hints
+
+import numpy as np
+
+_IN_ORDER = "if rows are in the order of measurement, give --rows-in-order"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable that may be recorded of each pose.
+
+    Attributes:
+        quantity: what it is, see :data:`pincal.units.UNITS`.
+        unit: in which the library has it; empty for a plain number.
+        column: the column of a table that tells it: its own name, and of each joint ``name_<joint>``, unless the reader
+            makes it of other columns.
+        of_joints: whether each joint has one.
+        instead: what else tells it, in words.
+        unknown: the value of poses of which it is not known; None if there is no such value.
+        has_own_zero: whether each set-up of instrument and target has its own zero.
+        label: what it is, in words, with the joint as ``{}``; default: its name.
+        shown: unit of an axis on which it is drawn, where that is another one.
+    """
+
+    quantity: str
+    unit: str
+    column: str
+    of_joints: bool = False
+    instead: str = ""
+    unknown: float | None = None
+    has_own_zero: bool = False
+    label: str = ""
+    shown: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What is recorded of N poses; what is not is None."""
+
+    approach: Annotated[
+        np.ndarray | None,
+        Variable("number", "", "approach_<joint>", True, _IN_ORDER, unknown=0.0, label="direction of approach of {}"),
+    ] = None
+    """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
+    temperature: Annotated[np.ndarray | None, Variable("temperature", "deg C", "temperature")] = None
+    """Temperature [deg C], shape (N,)."""
+    time: Annotated[np.ndarray | None, Variable("time", "s", "time", has_own_zero=True, shown="h")] = None
+    """Time [s], shape (N,)."""
+    droop: Annotated[
+        np.ndarray | None,
+        Variable("angle", "rad", "commanded_<joint>", True, label="commanded minus read back of {}", shown="mrad"),
+    ] = None
+    """Commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n)."""
+    move: Annotated[
+        np.ndarray | None,
+        Variable("number", "rad", "time", True, _IN_ORDER, unknown=0.0, label="last move of {}", shown="deg"),
+    ] = None
+    """Last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n)."""
+
+    def recorded(self) -> dict[str, np.ndarray | None]:
+        """Return all of it by name."""
+        return {name: getattr(self, name) for name in RECORDED}
+
+
+_HINTS = get_type_hints(Recorded, include_extras=True)
+RECORDED: Mapping[str, Variable] = {each.name: _HINTS[each.name].__metadata__[0] for each in fields(Recorded)}
+RECORDABLE = {"approach": RECORDED["approach"], "payload": Variable("mass", "kg", "payload"), **RECORDED}
+"""All variables that an effect may follow beside positions of joints and moments; a payload of 0 is one, too."""

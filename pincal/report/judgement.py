@@ -1,0 +1,274 @@
+"""A calibration judged: whether the model explains the data, what it does not identify, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.result import Result
+from pincal.calibration.result_tables import ParameterRow
+from pincal.discover.run import Discovery
+from pincal.identify.reasons import Cause, Status
+from pincal.io.discovery_file import Findings
+from pincal.model.catalogue import untestable
+from pincal.notes import Note, doubts_of
+from pincal.recorded import RECORDABLE
+from pincal.report.words import effect_words
+from pincal.validate.misfit import Verdict, tells
+
+# Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
+# sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
+_OVERFITTED = 1.3
+# What is left beyond the noise is told from here on [mm]; less is shown as nothing.
+_SHOWN_MM = 5e-4
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Whether the model explains the data down to their noise, and why, in a sentence."""
+
+    judgement: Verdict
+    reason: str
+
+
+def judged(result: Result, discovery: Discovery | None = None) -> Judged:
+    """Return whether the model explains the data down to their noise, after a search for what is missing or without."""
+    verdict = result.verdict_of() if discovery is None else discovery.findings.verdict
+    if not result.converged:
+        return Judged(verdict, "The fit did not converge; do not use its numbers.")
+    if result.doubt:
+        return Judged(verdict, f"Do not use it: {result.doubt}.")
+    if discovery is not None:
+        return verdict_of_search(discovery.findings)
+    beside = result.beside
+    if verdict is Verdict.NOT_ADEQUATE and beside is not None and beside.is_misfit:
+        words = f"The residuals are {relative_to_noise(beside.ratio, beside.noise, is_misfit=True)}"
+        return Judged(verdict, f"{words}: the robot has errors that this model does not describe.")
+    if verdict is Verdict.NOT_ADEQUATE:
+        return Judged(verdict, f"{_against(result.doubts)}.")
+    if verdict is Verdict.NOT_JUDGED and result.doubts:
+        return Judged(verdict, "There are too few poses to judge whether it is complete; see the doubt stated first.")
+    if verdict is Verdict.NOT_JUDGED:
+        words = (
+            "The noise of the instrument was estimated from the residuals, so they cannot show whether the model is "
+            "complete: declare the noise (--noise), measure some poses again, or let pincal discover search for "
+            "missing effects."
+        )
+        return Judged(verdict, words)
+    assert beside is not None
+    return Judged(verdict, f"The residuals are {relative_to_noise(beside.ratio, beside.noise, is_misfit=False)}.")
+
+
+def _against(doubts: Sequence[Note]) -> str:
+    return "The doubt stated first speaks against it" if len(doubts) == 1 else "The doubts stated first speak against it"
+
+
+def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
+    """Return how large residuals are beside a noise, in words that neither the ratio as shown nor the judgement contradicts.
+
+    Example:
+        >>> relative_to_noise(1.004, "the noise", is_misfit=True)
+        'slightly larger than the noise, but in too many rows to be chance'
+        >>> relative_to_noise(1.2, "the noise", is_misfit=False), relative_to_noise(1.2, "the noise", is_misfit=True)
+        ('1.20 times the noise, which may be chance', '1.20 times the noise')
+    """
+    shown = f"{ratio:.2f} times {noise}"
+    if float(f"{ratio:.2f}") <= 1.0:
+        return f"slightly larger than {noise}, but in too many rows to be chance" if is_misfit else f"no larger than {noise}"
+    return shown if is_misfit else f"{shown}, which may be chance"
+
+
+def verdict_of_search(found: Findings) -> Judged:
+    """Return whether a search has explained the data, and if not, what is wrong."""
+    n, left, doubts = len(found.effects), found.unexplained_mm, doubts_of(found.warnings)
+    added = f"{n} effects were found and added" if n > 1 else "One effect was found and added" if n else "Nothing was added"
+    beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
+    if found.verdict is Verdict.ADEQUATE:
+        chance = f": {beyond} may be chance" if beyond else ""
+        return Judged(found.verdict, f"{added}; the remaining residuals look like noise{chance}.")
+    if found.verdict is Verdict.NOT_JUDGED:
+        why = (
+            "nothing more is detected, but the noise was estimated from the residuals, so they cannot show whether the "
+            "model is complete: declare the noise (--noise), or measure some poses again"
+        )
+        why = "there are too few poses to judge whether that is all; see the doubt stated first" if doubts else why
+        return Judged(found.verdict, f"{added}; {why}.")
+    wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
+    if beyond:
+        wrong.append(f"{beyond} remain unexplained")
+    elif not wrong and doubts:
+        wrong.append(_against(doubts).lower())
+    elif not wrong:
+        wrong.append(
+            "some residuals are larger than the declared noise, or its estimate from neighbouring poses, allows, though "
+            "not on average over all rows"
+        )
+    return Judged(found.verdict, f"{added}; {', and '.join(wrong)}.")
+
+
+def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[str]:
+    """Return what to do next after a calibration or a discovery, the most pressing first."""
+    result, steps = calibration.result, list[str]()
+    judgement = judged(result, discovery).judgement
+    if not result.converged:
+        steps.append("Check units, joint order, and rows that do not belong to this robot; pincal check helps.")
+    if result.shift:
+        steps.append("Make the rows before and after the shift two stations (column station), and calibrate again.")
+    if result.doubt:
+        return [f"First find out what is wrong: {result.doubt}."]
+    if is_few := not tells(result.degrees):
+        steps.append("Measure more poses: these are too few to distinguish a good model from a bad one.")
+    if discovery is not None:
+        steps += _after_discovery(discovery)
+    elif not is_few and judgement is not Verdict.ADEQUATE and result.converged:
+        steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")
+    if n := len(result.outliers):
+        steps.append(f"Inspect the {n} rows that were rejected as outliers: a loose target or a slipping joint?")
+    error = result.error["calibrated"]
+    if "test" not in error:
+        steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")
+    elif _held_out_rms(error) > _OVERFITTED * error["train"]["rms_mm"]:
+        steps.append("Held-out errors exceed fitted ones: measure more poses, spread over the whole range of use.")
+    if narrow := ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)):
+        steps.append(f"These joints moved through little of their range: {narrow}. Outside it the model is not validated.")
+    if judgement is not Verdict.NOT_ADEQUATE or not steps:
+        steps.append(
+            "Use it: model.json predicts poses (pincal predict), calibrated.urdf carries the geometry to other programs, "
+            "and pincal validate checks the model against new measurements in a few months."
+        )
+    return steps
+
+
+def _held_out_rms(error: Mapping[str, Mapping[str, float]]) -> float:
+    """Return the rms error of held-out rows [mm], both ways of holding them out taken together."""
+    ways = [error[way]["rms_mm"] for way in ("regions", "stretches") if way in error] or [error["test"]["rms_mm"]]
+    return float(np.sqrt(np.mean(np.square(ways))))
+
+
+def _after_discovery(discovery: Discovery) -> Iterator[str]:
+    found = discovery.findings
+    for entry in found.effects:
+        if entry.tell_apart:
+            yield f"To distinguish {effect_words(entry)} from its alternatives: {entry.tell_apart}."
+    for scatter in found.scatter:
+        yield f"Record {scatter.missing}: it may explain why {scatter.joint} scatters."
+    if found.verdict is not Verdict.ADEQUATE:
+        calibration = discovery.calibration
+        stations, tables = calibration.fit.problem.stations, [rows.train for rows in calibration.stations]
+        lost = (pair for station in stations for pair in untestable(station.model.chain, station.conditions))
+        needed = {column for effect, _ in lost for column in effect.needs}
+        absent = (column for column in needed if any(getattr(table, column) is None for table in tables))
+        if columns := ", ".join(
+            sorted({RECORDABLE[column].column if column in RECORDABLE else column for column in absent})
+        ):
+            yield f"Record {columns} with each pose, so that effects that depend on it can be tested."
+
+
+class Advice(NamedTuple):
+    """What it means that parameters are not identified for some causes, and what to measure if that matters."""
+
+    causes: tuple[Cause, ...]
+    title: str
+    text: str
+
+
+# In the order in which they are shown: those that call for action last.
+_ADVICE = (
+    Advice(
+        (Cause.ABSORBS,),
+        "Placement of instrument and target",
+        "The uncertainty shown only reflects how the placement and the robot's first or last link share an offset. "
+        "Predictions are not affected; nothing has to be measured.",
+    ),
+    Advice(
+        (Cause.BASE, Cause.TOOL, Cause.FRAMES),
+        "Absorbed by the unknown placement of instrument or target",
+        "Neither the instrument's nor the target's position is known, and moving either looks exactly like a change of "
+        "these parameters. Predictions in the instrument's frame do not depend on the choice. To separate them, measure the "
+        "robot's foot or the target's offset independently and pass it to the calibration (--tool).",
+    ),
+    Advice(
+        (Cause.PARALLEL_AXES, Cause.COMBINATION, Cause.ALIASED, Cause.HIDDEN),
+        "Parameters with the same effect",
+        "In every pose these parameters act exactly like others; only the combination moves the target, and the combination "
+        "is calibrated. No measurement of this kind can separate them, and none is needed.",
+    ),
+    Advice(
+        (Cause.MASS,),
+        "Masses missing in the robot description",
+        "Only compliance times moment deflects the arm; predictions need no more. The identified moments are listed under "
+        "Static moments. The robot's mass from its data sheet (--mass) or rows with other payloads would determine "
+        "their common factor.",
+    ),
+    Advice(
+        (Cause.NO_MOMENT,),
+        "Never loaded by gravity",
+        "No pose has a moment about this axis, so its compliance is not observable. It does not matter as long as the "
+        "mounting does not change; only a tilted mounting would reveal it.",
+    ),
+    Advice(
+        (Cause.NOT_EXCITED, Cause.NOT_OBSERVED),
+        "Not excited",
+        "No pose excites these parameters. Measure poses in which the joint moves through its whole range.",
+    ),
+    Advice(
+        (Cause.UNINFORMED, Cause.WEAK),
+        "Too little signal in these poses",
+        "The effect of these parameters is small compared with the noise. Measure with the heaviest payload, with the arm "
+        "stretched out, and with this joint through its whole range; four times as many poses halve the uncertainty.",
+    ),
+    Advice(
+        (Cause.AT_BOUND,),
+        "Stopped at a bound",
+        "The estimate exceeds what the bound allows. Check this length in the URDF and the units of the table, or raise "
+        "the bound with --length-bound.",
+    ),
+    Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
+)
+# Share of its range below which a joint hardly shows what depends on its position: with a turn as the range, a wave of one
+# period per turn is there hard to tell from a slope. A judgement, not a measurement; it only words a recommendation.
+_NARROW = 0.3
+
+
+class UnidentifiedGroup(NamedTuple):
+    """The names of parameters that are not identified for one and the same cause, with what to do about it."""
+
+    advice: Advice
+    names: tuple[str, ...]
+
+
+def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[UnidentifiedGroup, ...]:
+    """Return the parameters that are not identified, by cause, the causes that call for action last.
+
+    Example:
+        >>> from pincal.identify.reasons import Reason
+        >>> reason = Reason(Cause.NO_MOMENT, axis="z")
+        >>> row = ParameterRow("a.k_z", "rad/(N m)", 0.0, 0.0, 1e-6, Status.UNIDENTIFIABLE, reason)
+        >>> [(group.advice.title, group.names) for group in unidentified_groups([row])]
+        [('Never loaded by gravity', ('a.k_z',))]
+    """
+    open_rows = [row for row in parameters if row.status is not Status.IDENTIFIED]
+    groups = (
+        UnidentifiedGroup(advice, tuple(row.name for row in open_rows if row.reason.cause in advice.causes))
+        for advice in _ADVICE
+    )
+    return tuple(group for group in groups if group.names)
+
+
+def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
+    """Return joints that moved through little of their range, with the part of it that they did."""
+    robot, q = calibration.robot, np.vstack([rows.train.of_joints(calibration.robot).q for rows in calibration.stations])
+    found = []
+    for i, name in enumerate(robot.joint_names):
+        width = float(robot.upper[i] - robot.lower[i])
+        # Beyond a turn a joint shows nothing new.
+        if robot.joint_types[i] != "prismatic":
+            width = min(width, 2.0 * np.pi)
+        share = float(np.ptp(q[:, i])) / width if np.isfinite(width) and width > 0.0 else 1.0
+        if share < _NARROW:
+            found.append((str(name), share))
+    return tuple(found)

@@ -1,0 +1,256 @@
+"""Tables of results: built once as data, shown on a terminal, on a page, in a notebook, or handed to other programs."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import unicodedata
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Any, Literal
+
+from pincal.units import Quantity, show_plainly
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import polars as pl
+    from rich.console import Console, ConsoleOptions, RenderableType
+
+
+Cell = str | float | int | Quantity | None
+RowTone = Literal["", "good", "care", "bad", "mute"]
+
+
+class Kind(Enum):
+    """What a column holds, which decides how it is aligned and wrapped."""
+
+    TEXT = "text"
+    LABEL = "label"
+    """Short text that is never wrapped."""
+    NAME = "name"
+    """Names from files: of any length, wrapped anywhere."""
+    NUMBER = "number"
+    STATUS = "status"
+    """Short text in the colour of its row."""
+    REMARK = "remark"
+    """Long text that several rows may share: numbered footnotes on a terminal, a column elsewhere."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        name: the heading.
+        unit: of all its numbers, shown beside the heading; empty where rows differ or have none.
+        kind: decides alignment and wrapping.
+        show: turns a cell of the column into text.
+    """
+
+    name: str
+    unit: str = ""
+    kind: Kind = Kind.TEXT
+    show: Callable[[Any], str] = show_plainly
+
+    @property
+    def heading(self) -> str:
+        """The name, with the unit if there is one."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+# Columns of plain text.
+_WIDTH = 100
+# Names of joints and parameters are not broken up to this part of the width.
+_NARROWEST = 4
+_STYLES: dict[str, str] = {"": "", "good": "", "care": "yellow", "bad": "red", "mute": "dim"}
+_CLASSES = {Kind.LABEL: "nw", Kind.NAME: "name", Kind.NUMBER: "n", Kind.STATUS: "nw status", Kind.REMARK: "wide mute"}
+
+
+@dataclass(frozen=True, repr=False)
+class Table:
+    """A table of results.
+
+    Attributes:
+        title: what it shows.
+        columns: what each column holds.
+        rows: cells as data, one tuple per row, as long as ``columns``.
+        notes: remarks on the whole table, one paragraph each.
+        tones: how each row is to be taken; empty for no difference.
+
+    Example:
+        >>> from pincal.units import fixed
+        >>> print(Table("Errors", (Column("model"), Column("mean", "mm", Kind.NUMBER, fixed(3))), (("nominal", 1.25),)))
+        Errors
+        model     mean [mm]
+        -------------------
+        nominal       1.250
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+    tones: tuple[RowTone, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def without(self, *names: str) -> Table:
+        """Return the table without some columns."""
+        kept = [i for i, column in enumerate(self.columns) if column.name not in names]
+        rows = tuple(tuple(row[i] for i in kept) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
+
+    def texts(self) -> list[list[str]]:
+        """Return every cell as it is shown."""
+        return [[column.show(cell) for column, cell in zip(self.columns, row, strict=True)] for row in self.rows]
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return the rows as dictionaries by heading, quantities as numbers in SI units."""
+        return [
+            {c.heading: x.value if isinstance(x, Quantity) else x for c, x in zip(self.columns, row, strict=True)}
+            for row in self.rows
+        ]
+
+    def to_csv(self) -> str:
+        """Return the data as comma-separated values with a line of headings; quantities in SI units, full precision."""
+        written = io.StringIO()
+        writer = csv.writer(written, lineterminator="\n")
+        writer.writerow(column.heading for column in self.columns)
+        writer.writerows(["" if x is None else x for x in record.values()] for record in self.records())
+        return written.getvalue()
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the data as a pandas frame; pandas has to be installed."""
+        import pandas
+
+        return pandas.DataFrame(self.records(), columns=[column.heading for column in self.columns])
+
+    def to_polars(self) -> pl.DataFrame:
+        """Return the data as a polars frame."""
+        import polars
+
+        columns = {column.heading: [record[column.heading] for record in self.records()] for column in self.columns}
+        return polars.DataFrame(columns, strict=False)
+
+    def to_html(self, *, caption: bool = True) -> str:
+        """Return the table as an HTML element, all text in it escaped.
+
+        Args:
+            caption: whether the title stands above the table.
+        """
+        title = html.escape(one_line(self.title))
+        out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table>']
+        out += [f"<caption>{title}</caption>"] if caption else []
+        out.append(_html_row("th", "", self.columns, [column.heading for column in self.columns]))
+        for tone, texts in zip(self.tones or [""] * len(self), self.texts(), strict=True):
+            out.append(_html_row("td", tone, self.columns, texts))
+        out.append("</table></div>")
+        out += [f'<p class="mute">{html.escape(note)}</p>' for note in self.notes]
+        return "\n".join(out)
+
+    def __html__(self) -> str:
+        """Return the table for a template, which has a heading of its own for it."""
+        return self.to_html(caption=False)
+
+    def _repr_html_(self) -> str:
+        return self.to_html()
+
+    def __str__(self) -> str:
+        from rich.console import Console
+
+        console = Console(width=_WIDTH, file=io.StringIO(), force_terminal=False)
+        with console.capture() as written:
+            console.print(self)
+        return "\n".join(line.rstrip() for line in written.get().splitlines()).strip("\n")
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        """Yield the table for a terminal: lines and colours there, plain text elsewhere; remarks as footnotes."""
+        yield from _rendered(self, width=options.max_width, is_terminal=console.is_terminal)
+
+
+def one_line(text: str) -> str:
+    r"""Return text without line breaks and control characters.
+
+    Example:
+        >>> one_line("[red]a\nb")
+        '[red]a b'
+    """
+    return "".join(" " if unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") else c for c in text)
+
+
+def _html_row(tag: str, tone: str, columns: Sequence[Column], texts: Sequence[str]) -> str:
+    classes = [_CLASSES.get(column.kind, "") for column in columns]
+    if tag == "th":
+        classes = ["n" if name == "n" else "" for name in classes]
+    marks = [f' class="{name}"' if name else "" for name in classes]
+    cells = "".join(f"<{tag}{mark}>{html.escape(text)}</{tag}>" for mark, text in zip(marks, texts, strict=True))
+    return f'<tr class="{tone}">{cells}</tr>' if tone else f"<tr>{cells}</tr>"
+
+
+def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[RenderableType]:
+    from rich.box import HEAVY_HEAD, Box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    # Head and body parted by hyphens, nothing else: text that other programs can read.
+    plain = Box("    \n    \n -- \n    \n    \n -- \n    \n    \n", ascii=True)
+    drawn = RichTable(
+        title=Text("\n" + one_line(table.title)),
+        title_justify="left",
+        box=HEAVY_HEAD if is_terminal else plain,
+        show_edge=is_terminal,
+        pad_edge=is_terminal,
+    )
+    shown = [i for i, column in enumerate(table.columns) if column.kind is not Kind.REMARK]
+    texts = table.texts()
+    # Headings of many columns, such as one per joint, are broken at underscores rather than cut off, and units stand below
+    # where the cells need the space.
+    is_wide = sum(len(table.columns[i].heading) + 2 for i in shown) > width
+    is_full = sum(max(map(len, [table.columns[i].heading, *(row[i] for row in texts)])) + 3 for i in shown) > width
+    for i in shown:
+        column = table.columns[i]
+        heading = column.heading.replace("_", "_\n") if is_wide else column.heading
+        words = (len(word) for row in texts for word in row[i].split())
+        drawn.add_column(
+            Text(heading.replace(" [", "\n[") if is_full else heading),
+            justify="right" if column.kind is Kind.NUMBER else "left",
+            no_wrap=column.kind in (Kind.LABEL, Kind.NUMBER, Kind.STATUS),
+            min_width=min(max(words, default=0), width // _NARROWEST) if column.kind is Kind.NAME else None,
+            overflow="fold",
+        )
+    marks, footnotes = _footnotes(table, texts)
+    for row, mark, tone in zip(texts, marks, table.tones or [""] * len(table), strict=True):
+        cells = [Text(one_line(row[i])) for i in shown]
+        cells[-1].append(mark)
+        drawn.add_row(*cells, style=_STYLES[tone])
+    yield drawn
+    for mark, text in [*((f"{f'({i})':>5s}", t) for i, t in enumerate(footnotes, 1)), *(("", note) for note in table.notes)]:
+        yield hanging(mark, text)
+
+
+def _footnotes(table: Table, texts: list[list[str]]) -> tuple[list[str], list[str]]:
+    """Return the mark of each row, and the remarks in the order of their numbers."""
+    columns = [i for i, column in enumerate(table.columns) if column.kind is Kind.REMARK]
+    remarks = [" ".join(row[i] for i in columns if row[i]) for row in texts]
+    numbers = {remark: i for i, remark in enumerate(dict.fromkeys(filter(None, remarks)), 1)}
+    return [f" ({numbers[remark]})" if remark else "" for remark in remarks], list(numbers)
+
+
+def hanging(mark: str, text: str) -> RenderableType:
+    """Return a paragraph for a terminal whose lines stand clear of its mark."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    if not mark:
+        return Text(one_line(text))
+    grid = RichTable.grid(padding=(0, 1))
+    grid.add_column(no_wrap=True, vertical="top")
+    grid.add_column(overflow="fold")
+    grid.add_row(Text(one_line(mark)), Text(one_line(text)))
+    return grid

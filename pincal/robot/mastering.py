@@ -1,0 +1,91 @@
+"""The same arm described with other zeros and directions of its joints."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import BadInputError, PincalWarning, nearest_first
+from pincal.robot.robot import Robot
+from pincal.robot.urdf_file import parse_urdf, parse_xml
+
+
+def free_joints(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the joints that mimic none and that none mimics."""
+    bound = {name for mimic in robot.mimics for name in (mimic.joint, mimic.source)}
+    return tuple(name for name in robot.joint_names if name not in bound)
+
+
+def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turned: Collection[str] = ()) -> Robot:
+    """Return the robot of a URDF in which joints have other zeros or count the other way; the arm itself is the same.
+
+    Args:
+        robot: the arm.
+        shifts: where the joints that turn stand by the URDF when they report zero [rad], by name.
+        turned: names of the joints that report the opposite of the URDF's positions.
+
+    Raises:
+        BadInputError: for a joint that the robot does not have, or that mimics another or is mimicked.
+
+    Example:
+        >>> robot = Robot.from_urdf("ur10")
+        >>> other, q = remastered(robot, turned=["elbow_joint"]), np.full((1, 6), 0.3)
+        >>> flipped = q * [1, 1, -1, 1, 1, 1]
+        >>> bool(np.allclose(robot.forward_kinematics(q), other.forward_kinematics(flipped)))
+        True
+    """
+    given, known = shifts or {}, free_joints(robot)
+    for name in (*given, *turned):
+        if name not in known:
+            raise BadInputError(
+                f"sign or zero of the joint {name!r}; expected one of {', '.join(nearest_first([name], known))}"
+            )
+    root = parse_xml(robot.urdf, robot.source)
+    for joint in root.iterfind("joint"):
+        axis = np.array(_numbers(joint.find("axis"), "xyz", "1 0 0"))
+        if joint.get("name") in given:
+            origin = joint.find("origin") if joint.find("origin") is not None else etree.SubElement(joint, "origin")
+            turn = Rotation.from_rotvec(given[joint.get("name")] * axis / np.linalg.norm(axis))
+            now = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")) * turn
+            origin.set("rpy", _text(now.as_euler("xyz")))
+        if joint.get("name") in turned:
+            element = joint.find("axis") if joint.find("axis") is not None else etree.SubElement(joint, "axis")
+            element.set("xyz", _text(-axis))
+            if (limit := joint.find("limit")) is not None:
+                lower, upper = (np.array(_numbers(limit, end, "0")) for end in ("lower", "upper"))
+                limit.set("lower", _text(-upper))
+                limit.set("upper", _text(-lower))
+    with warnings.catch_warnings():
+        # It was warned of when the robot was read.
+        warnings.simplefilter("ignore", PincalWarning)
+        tree = parse_urdf(etree.tostring(root), source=robot.source)
+        found = Robot.from_tree(tree, tip=robot.tip, base=robot.base)
+    flipped = np.isin(robot.joint_names, list(turned))
+    # What hangs on a joint keeps its place in the URDF's frame of it.
+    frames = found.T_link_joint @ np.linalg.inv(robot.T_link_joint)
+    return replace(
+        found,
+        masses=robot.masses,
+        centres=np.einsum("nij,nj->ni", frames[:, :3, :3], robot.centres) + frames[:, :3, 3],
+        massless=robot.massless,
+        lower=np.where(flipped, -robot.upper, robot.lower),
+        upper=np.where(flipped, -robot.lower, robot.upper),
+        gravity=robot.gravity,
+        notes=robot.notes,
+        couplings=robot.couplings,
+    )
+
+
+def _numbers(element: Any, key: str, default: str) -> list[float]:
+    text = default if element is None else element.get(key, default)
+    return [float(word) for word in text.split()]
+
+
+def _text(numbers: np.ndarray) -> str:
+    return " ".join(repr(float(number)) for number in numbers)

@@ -1,0 +1,364 @@
+"""Reading a URDF with care: what is not a tree of links and joints is refused with the place and the reason."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+
+from pincal.errors import RobotFileError, nearest_first, needed, warn
+from pincal.robot.packages import neighbouring_packages
+from pincal.robot.tree import MOVING_TYPES, OPEN_LOOPS, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
+from pincal.units import LARGEST, plain_number
+
+_UNSUPPORTED_TYPES = ("planar", "floating")
+# Lengths of an axis that can be meant; others lose all digits when they are normalised.
+_AXIS_LENGTHS = (1e-6, 1e6)
+# What Pinocchio calls the world.
+_RESERVED = "universe"
+# What a file that xacro has to expand is told by.
+_NAMESPACE = "xacro"
+# Longest part of an error of xacro that is passed on: it lists every macro on the way.
+_LONGEST = 600
+
+
+def parse_xml(text: bytes, source: str) -> Any:
+    """Parse XML with entities, network and external files shut off.
+
+    Raises:
+        RobotFileError: if the text is not XML, declares entities, or its root is not ``<robot>``.
+    """
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False)
+    try:
+        root = etree.fromstring(text, parser)
+    except etree.XMLSyntaxError as error:
+        raise RobotFileError(f"{source}: not XML ({error}); expected a URDF file") from None
+    dtd = root.getroottree().docinfo.internalDTD
+    if dtd is not None and any(True for _ in dtd.iterentities()):
+        raise RobotFileError(f"{source}: declares XML entities, which are refused; expand them in the file first")
+    if root.tag != "robot":
+        raise RobotFileError(f"{source}: root element is <{root.tag}>, expected <robot>")
+    return root
+
+
+def arm_text(text: bytes, moving: Collection[str], source: str) -> str:
+    """Return the XML of an arm, in which all joints but those named are fixed where they are at zero.
+
+    It is without a declaration of its encoding, for readers that know only one.
+    """
+    root = parse_xml(text, source)
+    for joint in root.iterfind("joint"):
+        if joint.get("name") not in moving:
+            joint.set("type", "fixed")
+            for mimic in joint.findall("mimic"):
+                joint.remove(mimic)
+    return str(etree.tostring(root, encoding="unicode"))
+
+
+def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | None = None) -> UrdfTree:
+    """Read and check a URDF file, which may be written as xacro.
+
+    Args:
+        path: the file.
+        xacro_args: values of the arguments of a xacro file.
+
+    Raises:
+        RobotFileError: if the file can't be read or expanded, is not XML, or is not a tree of links with finite numbers; or
+            if arguments are given for a file that is no xacro.
+    """
+    source = os.fspath(path)
+    try:
+        text = Path(path).read_bytes()
+    except OSError as error:
+        raise RobotFileError(f"{source}: can't be read ({error.strerror}); expected a URDF file") from None
+    if _is_xacro(text):
+        text = _expand_xacro(Path(path), text, xacro_args or {})
+    elif xacro_args:
+        raise RobotFileError(f"{source}: is no xacro file, so it takes no xacro arguments; leave them out")
+    return parse_urdf(text, source=source)
+
+
+def robot_name(path: Path) -> str | None:
+    """Return the name of a file's robot without a look at the rest of it; None if the file is none of a robot."""
+    try:
+        with path.open("rb") as file:
+            _, root = next(iter(etree.iterparse(file, events=("start",), resolve_entities=False, no_network=True)))
+    except (OSError, etree.XMLSyntaxError, StopIteration):
+        return None
+    return root.get("name") if root.tag == "robot" else None
+
+
+def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
+    """Check the text of a URDF; see :func:`read_urdf`."""
+    root = parse_xml(text, source)
+    links = tuple(_attribute(link, "name", source) for link in root.iterfind("link"))
+    joints = tuple(_read_joint(element, source) for element in root.iterfind("joint"))
+    for what, names in (("link", links), ("joint", tuple(joint.name for joint in joints))):
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise RobotFileError(f"{source}: {what} {twice[0]!r} is defined more than once; rename or remove one")
+        if _RESERVED in names:
+            raise RobotFileError(f"{source}: {_RESERVED!r} names a {what}, but means the world to Pinocchio; rename it")
+    if not root.get("name"):
+        raise _fault(root, source, '<robot> has no name; expected <robot name="...">')
+    for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
+        _numbers(element, "xyz", source)
+        _numbers(element, "rpy", source)
+        if np.abs(_numbers(element, "xyz", source)).max() > LARGEST:
+            raise _fault(element, source, f"<origin xyz={element.get('xyz')!r}> is far beyond any robot; expected metres")
+    _check_masses(root, source)
+    notes = tuple(_settle_axes(root, source))
+    return UrdfTree(
+        text=etree.tostring(root) if notes else text,
+        name=root.get("name", "robot"),
+        source=source,
+        links=links,
+        joints=joints,
+        root=_find_root(links, joints, source),
+        closing=tuple(_closing_joints(root, links, source)),
+        notes=notes,
+    )
+
+
+def _settle_axes(root: Any, source: str) -> Iterator[str]:
+    """Write down the axis of joints that have one without a direction, and say so: readers take it for x, or for none."""
+    for joint in root.iterfind("joint"):
+        axis = joint.find("axis")
+        if axis is not None and axis.get("xyz") is None and joint.get("type") in MOVING_TYPES:
+            axis.set("xyz", "1 0 0")
+            where = f"joint {joint.get('name')} (line {axis.sourceline})"
+            yield f"{where} has an <axis> without xyz; it is read as 1 0 0, the default of URDF"
+
+
+def _closing_joints(root: Any, links: tuple[str, ...], source: str) -> Iterator[UrdfJoint]:
+    """Yield what is told to other programs only: joints of Gazebo between links of the tree."""
+    for element in root.iterfind("gazebo/joint"):
+        ends = [(element.findtext(role) or "").strip().split("::")[-1] for role in ("parent", "child")]
+        if all(end in links for end in ends):
+            yield UrdfJoint(element.get("name", "?"), element.get("type", ""), ends[0], ends[1], None)
+
+
+def _fault(element: Any, source: str, text: str) -> RobotFileError:
+    return RobotFileError(f"{source}:{element.sourceline}: {text}")
+
+
+def _read_joint(element: Any, source: str) -> UrdfJoint:
+    name, kind = _attribute(element, "name", source), _attribute(element, "type", source)
+    if kind not in (*MOVING_TYPES, *_UNSUPPORTED_TYPES, "fixed"):
+        expected = ", ".join((*MOVING_TYPES, "fixed"))
+        raise _fault(element, source, f"joint {name!r} has type {kind!r}; expected {expected}")
+    ends = []
+    for role in ("parent", "child"):
+        end = element.find(role)
+        if end is None or not end.get("link"):
+            raise _fault(element, source, f"joint {name!r} names no {role} link")
+        ends.append(end.get("link"))
+    axis, mimic = element.find("axis"), element.find("mimic")
+    if kind in MOVING_TYPES and axis is not None:
+        with np.errstate(over="ignore"):
+            length = float(np.linalg.norm(_numbers(axis, "xyz", source)))
+        if not _AXIS_LENGTHS[0] < length < _AXIS_LENGTHS[1]:
+            what = "a zero axis" if length == 0.0 else f"an axis of length {length:.1e}"
+            raise _fault(axis, source, f"joint {name!r} has {what}; expected a direction of length 1")
+    _check_limit(element, name, kind, source)
+    return UrdfJoint(name, kind, ends[0], ends[1], None if mimic is None else _read_mimic(mimic, name, source))
+
+
+def _read_mimic(element: Any, name: str, source: str) -> Mimic:
+    numbers = [_number(element.get(key, default)) for key, default in (("multiplier", "1"), ("offset", "0"))]
+    if not all(number is not None and np.isfinite(number) for number in numbers):
+        raise _fault(element, source, f"joint {name!r} mimics with {dict(element.items())}; expected finite numbers")
+    return Mimic(name, element.get("joint", ""), *(float(number or 0.0) for number in numbers))
+
+
+def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
+    """URDF asks for limits of revolute and prismatic joints, and readers refuse a file without."""
+    limit = element.find("limit")
+    if limit is None and kind in ("revolute", "prismatic"):
+        hint = "add <limit lower upper effort velocity>, or make it continuous"
+        raise _fault(element, source, f"joint {name!r} is {kind} and has no <limit>; {hint}")
+    for key, text in () if limit is None else limit.items():
+        if _number(text) is None:
+            raise _fault(limit, source, f"joint {name!r} has <limit {key}={text!r}>; expected a number")
+
+
+def _attribute(element: Any, key: str, source: str) -> str:
+    value = element.get(key)
+    if not value:
+        raise _fault(element, source, f"<{element.tag}> without {key!r}; expected a text")
+    return str(value)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return plain_number(text)
+    except ValueError:
+        return None
+
+
+def _numbers(element: Any, key: str, source: str) -> np.ndarray:
+    text = element.get(key)
+    if text is None:
+        return np.array([1.0, 0.0, 0.0]) if element.tag == "axis" else np.zeros(3)
+    values = np.array([_number(word) for word in text.split()], float)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise _fault(element, source, f"<{element.tag} {key}={text!r}>; expected three finite numbers")
+    return values
+
+
+def _check_masses(root: Any, source: str) -> None:
+    for element in root.iterfind("link/inertial/mass"):
+        link, text = element.getparent().getparent().get("name"), element.get("value")
+        mass = _number(text or "")
+        if mass is None or not 0.0 <= mass < np.inf:
+            raise _fault(element, source, f"link {link!r} has mass {text!r}; expected a number of kg that is not negative")
+        if element.getparent().find("inertia") is None:
+            hint = "so URDF readers drop the mass; add one, of zeros if it is not known"
+            raise _fault(element, source, f"link {link!r} has a mass but no <inertia>, {hint}")
+
+
+def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) -> str:
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                text = f"joint {joint.name!r} names the unknown link {link!r}; {known_links(link, links)}"
+                raise RobotFileError(f"{source}: {text}")
+    children = Counter(joint.child for joint in joints)
+    closed = [link for link, count in children.items() if count > 1]
+    if closed:
+        names = ", ".join(joint.name for joint in joints if joint.child == closed[0])
+        raise RobotFileError(
+            f"{source}: link {closed[0]!r} is the child of several joints ({names}), a closed loop; "
+            f"expected a tree: cut the loop at one joint. {OPEN_LOOPS}"
+        )
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1 or len(in_tree_order(roots[0], joints)) != len(joints):
+        raise RobotFileError(
+            f"{source}: the links form no single tree (roots: {', '.join(roots) or 'none, the joints run in a circle'});"
+            " expected every link to hang on one root link"
+        )
+    return roots[0]
+
+
+def _is_xacro(text: bytes) -> bool:
+    """Return whether a file has something that xacro has to expand; a declared namespace alone is none."""
+    try:
+        root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False))
+    except etree.XMLSyntaxError:
+        return False
+    return any(_NAMESPACE in (etree.QName(element).namespace or "") for element in root.iter(etree.Element))
+
+
+def _expand_xacro(path: Path, text: bytes, arguments: Mapping[str, str]) -> bytes:
+    """Return the URDF that a xacro file expands to; ``$(find NAME)`` and includes are found in the packages around it.
+
+    Args:
+        path: the file.
+        text: what it holds.
+        arguments: values of its arguments, as ``xacro FILE name:=value`` takes them.
+
+    Raises:
+        RobotFileError: if xacrodoc is not installed, or the file can't be expanded or describes no robot.
+    """
+    known = _arguments_of(text)
+    unknown = [name for name in arguments if name not in known]
+    if unknown:
+        takes = f"those that it has: {', '.join(nearest_first(unknown, known))}" if known else "it has none of its own"
+        warn(f"{path}: does not declare the xacro argument {unknown[0]!r}; {takes}")
+    # The name of the robot may use an argument before the line that gives its default.
+    literal = {name: value for name, value in known.items() if value is not None and "$" not in value}
+    dom = _expanded_by_xacro(path, literal | dict(arguments), known)
+    if not dom.getElementsByTagName("link"):
+        others = (file for file in sorted(path.parent.glob("*.xacro")) if file != path and os.access(file, os.R_OK))
+        users = [file.name for file in others if file.is_file() and os.fsencode(path.name) in file.read_bytes()]
+        use = " or ".join(users) or "the file that includes it"
+        raise RobotFileError(f"{path}: expands to no link, as it only defines macros; expected {use}")
+    return bytes(dom.toxml(encoding="utf-8"))
+
+
+def _expanded_by_xacro(path: Path, values: Mapping[str, str], known: Mapping[str, str | None]) -> Any:
+    try:
+        import xacro
+        import xacrodoc
+    except ImportError:
+        raise RobotFileError(
+            f"{path}: is a xacro file, and xacrodoc, which reads it, is not installed; "
+            "install it (pip install 'pincal[xacro]'), or expand the file with xacro first"
+        ) from None
+    xacrodoc.packages.update_package_cache(neighbouring_packages(path))
+    # Includes are relative to the file that has them; xacrodoc hands xacro the text alone, for which that is the working
+    # folder, or the file at which an earlier expansion failed.
+    xacro.init_stacks(os.fspath(path.absolute()))
+    try:
+        # Warnings of xacro are about its own history, such as the order of evaluation.
+        with contextlib.redirect_stderr(io.StringIO()):
+            document = xacrodoc.XacroDoc.from_file(path, walk_up=False, subargs=dict(values), resolve_packages=False)
+    except (Exception, SystemExit) as error:  # Expressions in the file fail in every way there is.
+        reason = " ".join(str(error).split())[:_LONGEST] or type(error).__name__
+        listed = ", ".join(f"{name}:={values[name]}" if name in values else name for name in known)
+        takes = f"; its arguments, to be set by --xacro-arg NAME:=VALUE: {listed}" if known else ""
+        raise RobotFileError(f"{path}: xacro can't expand it ({reason}){takes}") from None
+    return document.dom
+
+
+def _arguments_of(text: bytes) -> dict[str, str | None]:
+    """Return the arguments that a file declares, with their defaults."""
+    root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False))
+    declared = [element for element in root.iter("{*}arg") if _NAMESPACE in (etree.QName(element).namespace or "")]
+    return {element.get("name", ""): element.get("default") for element in declared}
+
+
+def find_file(source: str | os.PathLike[str]) -> Path:
+    """Return the path of a URDF given by path or by its name in example-robot-data.
+
+    Raises:
+        RobotFileError: for a name that is neither.
+    """
+    path = Path(source)
+    # A folder of a robot's name, such as that of its results, is no URDF.
+    if path.is_file() or path.suffix or os.sep in os.fspath(source):
+        return path
+    what, package = f"{path.name!r} is no file, and robots by name", "example-robot-data-loaders"
+    with needed("example-robot-data", what, install=package, error=RobotFileError):
+        from example_robot_data import robots_loader
+
+    loaders = robots_loader.ROBOTS
+    if path.name not in loaders:
+        raise RobotFileError(
+            f"{path.name!r} is neither a file nor a robot of example-robot-data; "
+            f"expected a path to a URDF or a name like {', '.join(nearest_first([path.name], sorted(loaders))[:12])}"
+        )
+    loader: Any = loaders[path.name]
+    if not loader.urdf_filename:
+        raise RobotFileError(f"example-robot-data has no URDF for {path.name!r}; give the path of one")
+    inside = Path(str(loader.path), str(loader.urdf_subpath), str(loader.urdf_filename))
+    folder: str = robots_loader.getModelPath(inside.as_posix())
+    return _of_this_name(path.name, Path(folder, inside), known=loaders)
+
+
+def _of_this_name(name: str, file: Path, known: Collection[str]) -> Path:
+    """Return the file of a robot, another one beside it where this one calls itself by the name of another known robot.
+
+    The table of example-robot-data mixes some up: its "ur3" is the file of a UR5.
+
+    Raises:
+        RobotFileError: if there is no other.
+    """
+    found = robot_name(file)
+    # A variant, such as "panda_collision", has the name of its robot.
+    if found is None or found not in known or name.startswith(found):
+        return file
+    told = f"example-robot-data has {file.name} under the name {name!r}, whose robot is called {found!r}"
+    other = file.with_name(file.name.replace(found, name))
+    if robot_name(other) != name:
+        near = ", ".join(nearest_first([name], sorted(one for one in known if one != name))[:12])
+        raise RobotFileError(f"{told}; expected {name!r}: give the path of its URDF, or another name, such as {near}")
+    warn(f"{told}; {other.name} beside it is read instead")
+    return other

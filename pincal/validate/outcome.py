@@ -1,0 +1,160 @@
+"""What a calibration comes to beside its parameters: noise, rows, errors, stations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NotRequired, TypedDict
+
+from msgspec import UNSET, UnsetType
+
+from pincal.identify.fit import FitStage
+from pincal.notes import Note
+from pincal.validate.lack_of_fit import LackOfFit
+
+
+class NoiseRecord(TypedDict):
+    """Standard deviation of one component of each block of readings: what the fit used, and the estimate from its residuals.
+
+    Attributes:
+        source: whether the noise was declared by the user or estimated from the residuals.
+        sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and image coordinates [px].
+        residual_sigma_m, residual_sigma_rad, residual_sigma_px: estimate from the residuals of the fitted rows, corrected
+            for degrees of freedom.
+    """
+
+    source: Literal["declared", "estimated"]
+    sigma_m: NotRequired[float]
+    residual_sigma_m: NotRequired[float]
+    sigma_rad: NotRequired[float]
+    residual_sigma_rad: NotRequired[float]
+    sigma_px: NotRequired[float]
+    residual_sigma_px: NotRequired[float]
+
+
+class RowCounts(TypedDict):
+    """Numbers of rows.
+
+    Attributes:
+        train: fitted.
+        test: held out: they never touch the fit.
+    """
+
+    train: int
+    test: int
+
+
+class Correlation(TypedDict):
+    """Two parameters whose estimates are strongly correlated.
+
+    Attributes:
+        parameters: their names.
+        correlation: correlation of their estimates, -1 to 1.
+    """
+
+    parameters: list[str]
+    correlation: float
+
+
+# Model ("nominal", "calibrated") -> part ("train", "test") -> statistic with its unit ("mean_mm", "p95_mrad") -> value.
+Errors = dict[str, dict[str, dict[str, float]]]
+
+
+class MovedParameter(TypedDict):
+    """Value at one station of a robot parameter that differs between stations [SI units].
+
+    Attributes:
+        name: of the parameter.
+        unit: its unit.
+        change: difference from the first station that determines it; for an effect of this station alone: its
+            value.
+        sigma: standard deviation of the change.
+        moved: whether it changed significantly since the previous station.
+    """
+
+    name: str
+    unit: str
+    change: float
+    sigma: float
+    moved: bool
+
+
+class StationRecord(TypedDict):
+    """One of several stations.
+
+    Attributes:
+        name: of the station.
+        kind: what was measured.
+        rows: numbers of rows.
+        moved_mm: displacement of the instrument relative to the robot since the first station, if both determine the whole
+            base frame.
+        noise: as that of the whole.
+        outliers: lines of rejected rows.
+        error: of the station's rows.
+        left_out: errors of the model of the other stations, only the station's own frames fitted to it.
+        left_out_geometric: the same of their geometric model.
+        parameters: of the robot, those that changed at any of the stations.
+        iso9283: as that of the whole, where the station measured poses more than once.
+        lack_of_fit: likewise.
+    """
+
+    name: str
+    kind: str
+    rows: RowCounts
+    moved_mm: NotRequired[float]
+    noise: NoiseRecord
+    outliers: list[int]
+    error: Errors
+    left_out: NotRequired[dict[str, float]]
+    left_out_geometric: NotRequired[dict[str, float]]
+    parameters: NotRequired[list[MovedParameter]]
+    iso9283: NotRequired[dict[str, Any]]
+    lack_of_fit: NotRequired[LackOfFit]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """All that ``result.json`` says beside the parameters.
+
+    ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file; nor is
+    ``stations`` where there is only one. Of several stations each has its own.
+
+    Attributes:
+        noise: of the readings.
+        rows: numbers of rows.
+        rank: number of parameters, or combinations of them, that the data identify.
+        condition: condition number of the identifiable part, each parameter in units of its typical size.
+        chi2_reduced: sum of squared residuals over the noise, per degree of freedom; about 1 for a complete model.
+        chi2_p_value: probability of one as large if the model is complete; null where the noise was estimated.
+        iterations: steps of the solver in all.
+        seconds: time that the fit took [s].
+        converged: whether the last step was negligible.
+        outliers: lines of the rows that were rejected.
+        correlations: pairs of parameters with strongly correlated estimates.
+        stages: the stages of the fit.
+        error: by model ("nominal": base and tool fitted alone; "calibrated") and rows ("train", "test"): statistics
+            with their units, such as ``mean_mm``, ``rms_mm``, ``p95_mm``, ``max_mm``, ``mean_mrad``.
+        warnings: further messages, doubts first; plain texts in files of version 0.1.0.
+        degrees: readings of distinct poses beyond the parameters that they determine; not in files of version 0.1.0.
+        iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
+        lack_of_fit: test of the residuals against the scatter between repeated measurements.
+        stations: results of each station.
+    """
+
+    noise: NoiseRecord
+    rows: RowCounts
+    rank: int
+    condition: float
+    chi2_reduced: float
+    chi2_p_value: float | None
+    iterations: int
+    seconds: float
+    converged: bool
+    outliers: tuple[int, ...]
+    correlations: tuple[Correlation, ...]
+    stages: tuple[FitStage, ...]
+    error: Errors
+    warnings: tuple[Note, ...]
+    degrees: float = 0.0
+    iso9283: dict[str, Any] | None = None
+    lack_of_fit: LackOfFit | None = None
+    stations: tuple[StationRecord, ...] | UnsetType = UNSET

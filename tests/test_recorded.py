@@ -1,0 +1,48 @@
+"""What may be recorded of a pose is known to all from one registry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pincal.identify.station import conditions_of
+from pincal.measure.fields import CONDITIONS
+from pincal.measure.measurements import measurements
+from pincal.model.chain import Chain
+from pincal.model.conditions import joined_conditions
+from pincal.model.model import Model
+from pincal.recorded import RECORDABLE, RECORDED
+from pincal.robot.robot import Robot
+from pincal.units import UNITS
+
+ROBOT = Robot.from_urdf("ur10")
+N = 4
+
+
+@pytest.mark.parametrize("name", RECORDABLE)
+def test_what_a_table_records_reaches_effects(name: str) -> None:
+    """A variable of the registry is a keyword of arrays, a column of tables, and what an effect finds at its poses."""
+    q, variable = np.zeros((N, ROBOT.n_joints)), RECORDABLE[name]
+    values = np.ones(q.shape if variable.of_joints else N)
+    model = Model(Chain.of(ROBOT), ())
+
+    table = measurements(ROBOT, q, position=np.zeros((N, 3)), **{name: values})
+    conditions = conditions_of(model, table, np.zeros(3))
+
+    assert (name in CONDITIONS) != variable.of_joints and variable.quantity in UNITS
+    assert np.array_equal(np.asarray(conditions.column(name), float), values)
+    assert len(np.asarray(conditions.select(slice(0, 1)).column(name))) == 1
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_set_ups_that_lack_a_variable(name: str) -> None:
+    """Joined poses have what stands for unknown, or nothing; what has a zero of its own in each set-up is dropped."""
+    q, variable = np.zeros((N, ROBOT.n_joints)), RECORDED[name]
+    bare = conditions_of(Model(Chain.of(ROBOT), ()), measurements(ROBOT, q), np.zeros(3))
+    known = replace(bare, **{name: np.ones(q.shape if variable.of_joints else N)})
+
+    some, both = (joined_conditions(parts).column(name) for parts in ((known, bare), (known, known)))
+
+    assert (both is None) == variable.has_own_zero
+    assert (some is None) == (variable.has_own_zero or variable.unknown is None)
+    assert some is None or (np.all(some[:N] == 1.0) and np.all(some[N:] == variable.unknown))
