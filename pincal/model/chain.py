@@ -1,6 +1,6 @@
 r"""The kinematic chain as a sequence of elementary transforms, each with one scalar coordinate.
 
-From the instrument's frame to the target:
+From the instrument's frame to the target, if the path between them is a serial arm from its base to its tip:
 
 .. math::
 
@@ -13,25 +13,33 @@ From the instrument's frame to the target:
 which with the bearing at the frame's origin (h = 0) is DH,s,e of the paper to the letter, between a base frame and a tool
 frame. The two reference rotations (bars) hold any orientation of instrument and tool, so that the six angles beside them
 stay small and never meet a singularity. The joint position of a prismatic joint adds to d instead of theta.
+
+A path between any two links of a tree goes up from the first to where both hang on and down to the other. On the way up the
+transforms stand inverted and in reverse order; the coordinates are the same. The first joint of a branch, which hangs on a
+link whose frame another joint continues, has Tr(x) Tr(y) before its A_i: with s_x and s_y they place its axis.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
 
-from pincal.model.kernel_inputs import BLOCK, FRAME, Layout
+from pincal.model.kernel_inputs import BLOCK, FRAME, MOUNT, Layout, Route
 from pincal.model.latest import Evaluations
 from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 
 MomentFrame = Literal["paper", "before", "after"]
 MOMENT_FRAMES: tuple[MomentFrame, ...] = ("paper", "before", "after")
 
 _JOINT_SYMBOLS = ("s_x", "s_y", "theta", "gamma_z", "h", "gamma_y", "gamma_x", "d", "a", "alpha")
+# How far the first axis of a branch lies beside the frame on the link that carries it.
+MOUNT_SYMBOLS = ("x", "y")
 # A compliance that stays with the previous link bends before the joint turns.
 _JOINT_SYMBOLS_BEFORE = ("s_x", "s_y", "h", "gamma_z", "gamma_y", "gamma_x", "theta", "d", "a", "alpha")
 _KIND = {
@@ -60,6 +68,7 @@ class Chain:
         tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups
             those of each after the other's.
         bearing_heights: shape (n,), distance of each joint's bearing along its axis from the preceding frame [m].
+        path: the links between which readings are; default: those of the robot.
         kept: what was evaluated with this chain and with those made of it.
     """
 
@@ -70,7 +79,12 @@ class Chain:
     targets: tuple[str, ...]
     tool_rotations: np.ndarray
     bearing_heights: np.ndarray
+    path: LinkPath = None  # type: ignore[assignment]
     kept: Evaluations = field(default_factory=Evaluations, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.path is None:
+            object.__setattr__(self, "path", self.robot.path)
 
     def __repr__(self) -> str:
         return f"Chain({self.robot.name!r}: {self.robot.n_joints} joints, targets {' '.join(self.targets)})"
@@ -83,6 +97,7 @@ class Chain:
         moment_frame: MomentFrame = "paper",
         gravity: np.ndarray | None = None,
         targets: tuple[str, ...] = ("tool",),
+        path: LinkPath | None = None,
     ) -> Chain:
         """Return the chain of a robot whose base and tool frames stand at the instrument and the tip.
 
@@ -93,7 +108,8 @@ class Chain:
             raise ValueError(f"moment_frame is {moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}")
         g = robot.gravity if gravity is None else np.asarray(gravity, float)
         tools = np.tile(np.eye(3), (len(targets), 1, 1))
-        return cls(robot, moment_frame, g, np.eye(3), targets, tools, _bearing_heights(robot, moment_frame))
+        heights = _bearing_heights(robot, moment_frame)
+        return cls(robot, moment_frame, g, np.eye(3), targets, tools, heights, path or robot.path)
 
     def with_moment_frame(self, moment_frame: MomentFrame) -> Chain:
         """Return the same chain whose moments are taken and bend the arm elsewhere: one object for each convention."""
@@ -113,12 +129,23 @@ class Chain:
     @property
     def size(self) -> int:
         """Number K of coordinates."""
-        return 2 * FRAME + BLOCK * self.robot.n_joints
+        return int(self._static["starts"][-1]) + FRAME
 
     @property
     def symbols(self) -> tuple[str, ...]:
         """The symbol of each coordinate, e.g. "theta"; which joint it belongs to follows from its place."""
-        return _symbols(self.moment_frame, self.robot.n_joints)
+        return _symbols(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)
+
+    @property
+    def _static(self) -> dict[str, np.ndarray]:
+        return _order(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)
+
+    @cached_property
+    def on_path(self) -> np.ndarray:
+        """Which joints are on the path, shape (n,)."""
+        found = np.zeros(self.robot.n_joints, bool)
+        found[[joint for joint, _ in self.path.steps(self.robot.parents)]] = True
+        return found
 
     @cached_property
     def _in_frames(self) -> dict[MomentFrame, Chain]:
@@ -158,8 +185,7 @@ class Chain:
 
     def joint(self, i: int, symbol: str) -> int:
         """Return the index of a coordinate of joint ``i`` (from 0)."""
-        order = _JOINT_SYMBOLS_BEFORE if self.moment_frame == "before" else _JOINT_SYMBOLS
-        return FRAME + BLOCK * i + order.index(symbol)
+        return _places(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)[i][symbol]
 
     def base(self, symbol: str) -> int:
         """Return the index of a coordinate of the base frame."""
@@ -176,16 +202,62 @@ class Chain:
     @cached_property
     def layout(self) -> Layout:
         """The chain's constant part as arrays for the compiled loops."""
-        fixed = np.array([self.robot.frames.T_base_first, self.robot.frames.T_last_tip])
+        routes = self.kept.about("routes", self.robot, self.path)
+        if self.moment_frame not in routes:
+            routes[self.moment_frame] = self._routes()
         return Layout(
-            **_order(self.moment_frame, self.robot.n_joints),
-            fixed=np.ascontiguousarray(fixed[:, :3]),
+            **self._static,
+            **routes[self.moment_frame],
             base_rotation=np.ascontiguousarray(self.base_rotation).reshape(-1, 3, 3),
             tool_rotation=np.ascontiguousarray(self.tool_rotations),
             masses=self.robot.masses,
             centres=np.ascontiguousarray(self.robot.centres),
             gravity=self.gravity,
         )
+
+    def _routes(self) -> dict[str, Any]:
+        """Return the walks over the tree and along the path, and the fixed transforms of both."""
+        starts, frames, path = self._static["starts"], self.robot.frames, self.path
+        fixed = [frames.T_base_first, *frames.T_branch_first, path.T_joint_tip]
+        before = {0: 0} | {joint: i for i, joint in enumerate(frames.branches, 1)}
+        in_tree = np.full(self.size, -1)
+        in_tree[[starts[joint] for joint in before]] = list(before.values())
+        steps, along, fixed_before = list(range(FRAME)), [1.0] * FRAME, [-1] * FRAME
+        is_there = np.array_equal(path.T_joint_start, np.eye(4))
+        pending = None if is_there else np.linalg.inv(path.T_joint_start)
+
+        def add(coordinates: range, sign: float, T: np.ndarray | None) -> None:
+            steps.extend(coordinates)
+            along.extend([sign] * len(coordinates))
+            fixed_before.extend([-1 if T is None else len(fixed), *[-1] * (len(coordinates) - 1)])
+            if T is not None:
+                fixed.append(T)
+
+        for joint, sign in path.steps(self.robot.parents):
+            T = fixed[before[joint]] if joint in before else None
+            block = range(starts[joint], starts[joint + 1])
+            if sign > 0:
+                add(block, 1.0, _product(pending, T))
+                pending = None
+            else:
+                add(block[::-1], -1.0, pending)
+                pending = None if T is None else np.linalg.inv(T)
+        add(range(self.size - FRAME, self.size), 1.0, _product(pending, path.T_joint_tip))
+        return {
+            "tree": Route(np.arange(self.size), np.ones(self.size), in_tree),
+            "path": Route(np.array(steps), np.array(along), np.array(fixed_before)),
+            "parents": np.array(self.robot.parents),
+            "fixed": np.ascontiguousarray(np.array(fixed)[:, :3]),
+            "tip": 1 + len(frames.branches),
+            "tip_joint": path.tip_joint,
+        }
+
+
+def _product(A: np.ndarray | None, B: np.ndarray | None) -> np.ndarray | None:
+    """Return the product of two transforms, shape (4, 4), None standing for none."""
+    if A is None or B is None:
+        return B if A is None else A
+    return np.asarray(A @ B)
 
 
 def _heights_on_axes(robot: Robot) -> np.ndarray:
@@ -201,25 +273,35 @@ def _bearing_heights(robot: Robot, moment_frame: MomentFrame) -> np.ndarray:
 
 
 @cache
-def _symbols(moment_frame: MomentFrame, n_joints: int) -> tuple[str, ...]:
+def _symbols(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> tuple[str, ...]:
     joint = _JOINT_SYMBOLS_BEFORE if moment_frame == "before" else _JOINT_SYMBOLS
-    return FRAME_SYMBOLS + joint * n_joints + FRAME_SYMBOLS
+    blocks = (MOUNT_SYMBOLS + joint if i in branches else joint for i in range(n_joints))
+    return FRAME_SYMBOLS + tuple(symbol for block in blocks for symbol in block) + FRAME_SYMBOLS
 
 
 @cache
-def _order(moment_frame: MomentFrame, n_joints: int) -> dict[str, np.ndarray]:
+def _places(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> list[dict[str, int]]:
+    """Return the index of each coordinate of each joint by its symbol."""
+    symbols = _symbols(moment_frame, n_joints, branches)
+    starts = _order(moment_frame, n_joints, branches)["starts"].tolist()
+    return [{symbols[k]: k for k in range(a, b)} for a, b in pairwise(starts)]
+
+
+@cache
+def _order(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> dict[str, np.ndarray]:
     """Return the part of a layout that only the order of the coordinates matters to; all chains share it."""
-    starts, symbols = FRAME + BLOCK * np.arange(n_joints), _symbols(moment_frame, n_joints)
-    fixed_before = np.full(len(symbols), -1)
-    fixed_before[[FRAME, FRAME + BLOCK * n_joints]] = 0, 1
+    symbols = _symbols(moment_frame, n_joints, branches)
+    starts = FRAME + BLOCK * np.arange(n_joints + 1) + MOUNT * np.searchsorted(sorted(branches), np.arange(n_joints + 1))
     less = np.full(len(symbols), -1)
     less[[k for k, symbol in enumerate(symbols) if symbol == "d"]] = [k for k, symbol in enumerate(symbols) if symbol == "h"]
     y, z, cut = {"paper": (1, 2, 1), "before": (1, 3, 2), "after": (5, 3, 4)}[moment_frame]
+    # A joint's own coordinates are the last of its block.
+    own = starts[1:] - BLOCK
     return {
         "kind": np.array([_KIND[symbol] for symbol in symbols]),
         "less": less,
-        "fixed_before": fixed_before,
-        "moment_y": starts + y,
-        "moment_z": starts + z,
-        "moment_cut": starts + cut,
+        "starts": starts,
+        "moment_y": own + y,
+        "moment_z": own + z,
+        "moment_cut": own + cut,
     }

@@ -6,9 +6,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Coordinates a joint, a frame (base or tool).
+# Coordinates a joint, a frame (base or tool), and how far the first axis of a branch lies beside the link that carries it.
 BLOCK = 10
 FRAME = 6
+MOUNT = 2
+
+
+class Route(NamedTuple):
+    """A walk over coordinates.
+
+    Attributes:
+        coordinate: shape (S,), the coordinates in the order in which they are passed.
+        sign: shape (S,), 1.0 where a coordinate is passed along, -1.0 where it is passed backwards.
+        fixed_before: shape (S,), index of the fixed transform that precedes a step, -1 for none.
+    """
+
+    coordinate: np.ndarray
+    sign: np.ndarray
+    fixed_before: np.ndarray
 
 
 class Layout(NamedTuple):
@@ -17,8 +32,13 @@ class Layout(NamedTuple):
     Attributes:
         kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
         less: shape (K,), an earlier coordinate whose translation coordinate k takes back, -1 for none.
-        fixed_before: shape (K,), index of the fixed transform that precedes coordinate k, -1 for none.
+        starts: shape (n + 1,), the first coordinate of each joint, and the first one behind the last joint.
+        parents: shape (n,), the joint that carries each joint, an earlier one, -1 for the base.
+        tree: the walk over the joints' coordinates, each joint's behind the link that carries it.
+        path: the walk from the instrument to the target.
         fixed: shape (F, 3, 4), the fixed transforms.
+        tip: index of the fixed transform to the tip, from the link frame of the joint that carries it.
+        tip_joint: that joint, -1 for the base.
         base_rotation: shape (set-ups, 3, 3), reference orientation of the base in each instrument's frame.
         tool_rotation: shape (tools, 3, 3), reference orientation of each tool frame.
         moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint i's moment is
@@ -30,8 +50,13 @@ class Layout(NamedTuple):
 
     kind: np.ndarray
     less: np.ndarray
-    fixed_before: np.ndarray
+    starts: np.ndarray
+    parents: np.ndarray
+    tree: Route
+    path: Route
     fixed: np.ndarray
+    tip: int
+    tip_joint: int
     base_rotation: np.ndarray
     tool_rotation: np.ndarray
     moment_y: np.ndarray

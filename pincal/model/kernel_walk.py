@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pincal.model.kernel_inputs import BLOCK, FRAME
 
 # Poses worked on together: fewer cost more in calls, more outgrow a second-level cache of 512 KiB (6R arm).
 LANES = 64
@@ -97,7 +96,7 @@ def copy_rows(values, out):
 
 
 @njit(**INNER)
-def _add(values, out):
+def add_lanes(values, out):
     """Out += values, each of one axis."""
     for i in range(LANES):
         out[i] += values[i]
@@ -167,42 +166,46 @@ def _turn(rotations, index, span, R):
 
 
 @njit(**INNER)
-def _walk(layout, first, last, arms):
-    """Move the frames (R, p) over the coordinates first .. last - 1; note each one's axis and origin in W, O."""
+def _walk(layout, route, first, last, arms):
+    """Move the frames (R, p) over the steps first .. last - 1 of a route; note each coordinate's axis and origin in W, O.
+
+    The axis of a coordinate that is passed backwards is noted the other way round.
+    """
     x, c, s, R, p, W, O = arms
-    for k in range(first, last):
-        if layout.fixed_before[k] >= 0:
-            _apply(R, p, layout.fixed[layout.fixed_before[k]])
+    for t in range(first, last):
+        k, sign = route.coordinate[t], route.sign[t]
+        if route.fixed_before[t] >= 0:
+            _apply(R, p, layout.fixed[route.fixed_before[t]])
         kind = layout.kind[k]
         axis = kind if kind < 3 else kind - 3
         j, l = (axis + 1) % 3, (axis + 2) % 3
         for r in range(3):
             for i in range(LANES):
-                W[k, r, i] = R[r, axis, i]
+                W[k, r, i] = sign * R[r, axis, i]
                 O[k, r, i] = p[r, i]
             if kind >= 3:
                 for i in range(LANES):
-                    p[r, i] += R[r, axis, i] * x[k, i]
+                    p[r, i] += W[k, r, i] * x[k, i]
                 if layout.less[k] >= 0:
                     for i in range(LANES):
-                        p[r, i] -= R[r, axis, i] * x[layout.less[k], i]
+                        p[r, i] -= W[k, r, i] * x[layout.less[k], i]
             else:
                 for i in range(LANES):
-                    a, b = R[r, j, i], R[r, l, i]
-                    R[r, j, i] = c[k, i] * a + s[k, i] * b
-                    R[r, l, i] = c[k, i] * b - s[k, i] * a
+                    a, b, sine = R[r, j, i], R[r, l, i], sign * s[k, i]
+                    R[r, j, i] = c[k, i] * a + sine * b
+                    R[r, l, i] = c[k, i] * b - sine * a
 
 
 @njit(**PART)
 def walk_arms(layout, places, span, arms):
-    """Walk the whole chain from instrument to target; reference orientations stand before the angles of base and tool."""
-    K = len(arms.x)
+    """Walk the path from instrument to target; reference orientations stand before the angles of base and tool."""
+    S = len(layout.path.coordinate)
     _identity(arms.R, arms.p)
     # One call of _walk, with one type of bounds: each is compiled into what calls it.
     for part in range(3):
-        first = 3 * part if part < 2 else K - 3
-        last = K - 3 if part == 1 else first + 3
-        _walk(layout, first, last, arms)
+        first = 3 * part if part < 2 else S - 3
+        last = S - 3 if part == 1 else first + 3
+        _walk(layout, layout.path, first, last, arms)
         if part == 0:
             _turn(layout.base_rotation, places.base, span, arms.R)
         elif part == 1:
@@ -218,15 +221,36 @@ def _add_body(R, p, mass, centre, B):
             B[r, i] += mass[i] * place
 
 
+@njit(**INNER)
+def is_branched(layout):
+    """Return whether some joint does not carry the next, or the tip is not on the last one."""
+    n = len(layout.parents)
+    for j in range(n):
+        if layout.parents[j] != j - 1:
+            return True
+    return layout.tip_joint != n - 1
+
+
+@njit(**INNER)
+def _return_to(F, j, R, p):
+    """Set the frames (R, p) to the link frames of joint j, or to the base for -1."""
+    if j < 0:
+        _identity(R, p)
+    else:
+        for r in range(3):
+            copy_rows(F[4 * j + r], R[r])
+        copy_rows(F[4 * j + 3], p)
+
+
 @njit(**PART)
 def walk_bodies(layout, payload, span, arms, loads):
-    """Walk the arm from its base and weigh what is beyond each joint: M, B and, where there is room for them, F."""
+    """Walk the tree from its base and weigh what each joint carries: M, B and, where there is room for them, F."""
     (start, m), n = span, len(layout.masses)
     R, p, M, B, F, mass = arms.R, arms.p, loads.M, loads.B, loads.F, loads.mass
-    _identity(R, p)
     for j in range(n):
-        first = FRAME + j * BLOCK
-        _walk(layout, first, first + BLOCK, arms)
+        if j == 0 or layout.parents[j] != j - 1:
+            _return_to(F, layout.parents[j], R, p)
+        _walk(layout, layout.tree, layout.starts[j], layout.starts[j + 1], arms)
         if len(F) > 0:
             for r in range(3):
                 copy_rows(R[r], F[4 * j + r])
@@ -236,13 +260,19 @@ def walk_bodies(layout, payload, span, arms, loads):
         for r in range(3):
             fill(B[j, r], 0.0)
         _add_body(R, p, mass, layout.centres[j], B[j])
-    _apply(R, p, layout.fixed[layout.fixed_before[FRAME + n * BLOCK]])
-    fill(mass, 0.0)
-    for i in range(m):
-        mass[i] = payload.mass[start + i]
-    _add(mass, M[n - 1])
-    _add_body(R, p, mass, payload.centre, B[n - 1])
-    for j in range(n - 2, -1, -1):
-        _add(M[j + 1], M[j])
-        for r in range(3):
-            _add(B[j + 1, r], B[j, r])
+    tip = layout.tip_joint
+    if tip >= 0:
+        if tip != n - 1:
+            _return_to(F, tip, R, p)
+        _apply(R, p, layout.fixed[layout.tip])
+        fill(mass, 0.0)
+        for i in range(m):
+            mass[i] = payload.mass[start + i]
+        add_lanes(mass, M[tip])
+        _add_body(R, p, mass, payload.centre, B[tip])
+    for j in range(n - 1, -1, -1):
+        parent = layout.parents[j]
+        if parent >= 0:
+            add_lanes(M[j], M[parent])
+            for r in range(3):
+                add_lanes(B[j, r], B[parent, r])

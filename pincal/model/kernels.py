@@ -10,8 +10,8 @@ h_l = w_l x D_l and g the gravity, n_l = h_l . g (paper, Eq. (3)). With u_k = g 
                   = h_k . u_l           k a rotation after it
                   = 0, M_k w_k . u_l    k a translation before, after it.
 
-The Jacobian needs only sum_l a_l d n_l / d x_k, so two running sums serve all k: of a_l h_l over the moments still ahead and
-of a_l u_l over those passed. Checked against finite differences and Pinocchio in ``tests/test_model.py``.
+The Jacobian needs only sum_l a_l d n_l / d x_k, so two sums for each joint serve all its k: of a_l h_l over the moments of
+what it carries and of a_l u_l over those of what carries it. A moment of another branch does not depend on k. Checked against finite differences and Pinocchio in ``tests/test_model.py``.
 """
 
 from __future__ import annotations
@@ -23,8 +23,6 @@ from numba import njit
 
 from pincal.compiled import announce, compiled
 from pincal.model.kernel_inputs import (
-    BLOCK,
-    FRAME,
     Compliances,
     Layout,
     MassTerms,
@@ -40,9 +38,11 @@ from pincal.model.kernel_walk import (
     PART,
     WHOLE,
     Loads,
+    add_lanes,
     copy_lanes,
     copy_rows,
     fill,
+    is_branched,
     load_coordinates,
     room,
     room_for_arms,
@@ -59,9 +59,9 @@ class _Motions(NamedTuple):
     Attributes:
         J, V: shape (R, K, lanes), by coordinates; and by what these do to the moments.
         a0, a: shape (R, 3 n, lanes), by one unit of each moment, on the undeformed arm and on the deformed one.
-        ahead, behind: shape (R, 3, lanes), the running sums of the module's docstring.
-        h, u, U: shape (3, lanes), vectors to work with.
-        S: shape (lanes,), numbers to work with.
+        ahead, behind: shape (R, 3 n, lanes), the sums of the module's docstring, for each joint.
+        h, u: shape (3, lanes), vectors to work with.
+        U, S: shape (3 n, lanes), (n, lanes), sums over what carries each joint.
     """
 
     J: np.ndarray
@@ -140,18 +140,29 @@ def _take_back(less, k, of_coordinates):
 
 @njit(**PART)
 def _through_moments(layout, arms, loads, motions):
-    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two running sums over the chain (module docstring)."""
+    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two sums for each joint (module docstring)."""
     W, O, M, B, H, A = arms.W, arms.O, loads.M, loads.B, loads.H, loads.A
-    a, ahead, behind, h, u, V = motions.a, motions.ahead, motions.behind, motions.h, motions.u, motions.V
-    rows, n = len(a), len(layout.masses)
+    a, aheads, behinds, h, u, V = motions.a, motions.ahead, motions.behind, motions.h, motions.u, motions.V
+    rows, n, parents = len(a), len(layout.masses), layout.parents
     for r in range(rows):
-        for q in range(3):
-            fill(ahead[r, q], 0.0)
-            fill(behind[r, q], 0.0)
         for l in range(3 * n):
-            _add_scaled(a[r, l], H[l], ahead[r])
+            fill(aheads[r, l], 0.0)
+        for j in range(n - 1, -1, -1):
+            ahead = aheads[r, 3 * j : 3 * j + 3]
+            for l in range(3 * j, 3 * j + 3):
+                _add_scaled(a[r, l], H[l], ahead)
+            if parents[j] >= 0:
+                for q in range(3):
+                    add_lanes(ahead[q], aheads[r, 3 * parents[j] + q])
     for j in range(n):
-        for k in range(FRAME + j * BLOCK, FRAME + (j + 1) * BLOCK):
+        ahead, behind = aheads[:, 3 * j : 3 * j + 3], behinds[:, 3 * j : 3 * j + 3]
+        for r in range(rows):
+            for q in range(3):
+                if parents[j] >= 0:
+                    copy_lanes(behinds[r, 3 * parents[j] + q], behind[r, q])
+                else:
+                    fill(behind[r, q], 0.0)
+        for k in range(layout.starts[j], layout.starts[j + 1]):
             if layout.kind[k] < 3:
                 _lever(B[j], M[j], O[k], u)
                 _cross(W[k], u, h)
@@ -213,9 +224,9 @@ def _follow_moments(layout, wanted, span, arms, loads, motions):
 
 @njit(**PART)
 def _kinematic_columns(layout, arms, J):
-    """J[:, k]: the motion of the tip (and its turning, where J has six rows) by coordinate k."""
+    """J[:, k]: the motion of the tip (and its turning, where J has six rows) by coordinate k of the path; others none."""
     W, O, p, rows = arms.W, arms.O, arms.p, len(J)
-    for k in range(J.shape[1]):
+    for k in layout.path.coordinate:
         if layout.kind[k] >= 3:
             for r in range(3):
                 copy_lanes(W[k, r], J[r, k])
@@ -259,15 +270,22 @@ def _parameter_columns(wanted, span, motions, out):
 def _mass_columns(layout, masses, span, arms, loads, motions, out):
     """Set the columns of what masses depend on: they act through the moments alone.
 
-    A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moment n_l of each
-    joint up to j; weighed with a_l these are sums over l of g x w_l, in U, and of o_l . (g x w_l), in S.
+    A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moment n_l of joint j
+    and of each that carries it; weighed with a_l these are sums over l of g x w_l, in U, and of o_l . (g x w_l), in S.
     """
-    (start, m), F, a, u, U, S = span, loads.F, motions.a, motions.u, motions.U, motions.S
+    (start, m), F, a, u = span, loads.F, motions.a, motions.u
     for r in range(len(a)):
-        for q in range(3):
-            fill(U[q], 0.0)
-        fill(S, 0.0)
         for j in range(len(layout.masses)):
+            U, S, parent = motions.U[3 * j : 3 * j + 3], motions.S[j], layout.parents[j]
+            for q in range(3):
+                if parent >= 0:
+                    copy_lanes(motions.U[3 * parent + q], U[q])
+                else:
+                    fill(U[q], 0.0)
+            if parent >= 0:
+                copy_lanes(motions.S[parent], S)
+            else:
+                fill(S, 0.0)
             o = _moment_point(layout, j, arms.O)
             for l in range(3 * j, 3 * j + 3):
                 _turned_gravity(layout.gravity, loads.A[l], u)
@@ -324,11 +342,11 @@ def evaluate(layout, values, rigid, places, payload, wanted):
     through, weighs = len(wanted.compliances.coordinate) > 0, len(wanted.masses.joint) > 0
     posed, laden = len(places.tool) > 0, len(payload.mass) > 0 and (through or rows == 0)
     arms, bare = room_for_arms(K if posed else 0), room_for_arms(K if laden else 0)
-    frames = room(4 * n if weighs else 0, 3)
+    frames = room(4 * n if weighs or is_branched(layout) else 0, 3)
     loads = Loads(room(1, n)[0], room(n, 3), frames, room(3 * n, 3), room(3 * n, 3), room(1, 1)[0, 0])
     motions = _Motions(
-        room(rows, K), np.zeros((rows, K, LANES)), room(rows, 3 * n), room(rows, 3 * n), room(rows, 3), room(rows, 3),
-        room(1, 3)[0], room(1, 3)[0], room(1, 3)[0], room(1, 1)[0, 0],
+        np.zeros((rows, K, LANES)), np.zeros((rows, K, LANES)), room(rows, 3 * n), room(rows, 3 * n), room(rows, 3 * n),
+        room(rows, 3 * n), room(1, 3)[0], room(1, 3)[0], room(1, 3 * n)[0], room(1, n)[0],
     )  # fmt: skip
     poses, columns = np.empty((3, 4, N if posed else 0)), np.zeros((wanted.n_columns, rows, N))
     moments = np.empty((1, 3 * n, N if laden and rows == 0 else 0))[0]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.model.kernel_inputs import BLOCK, FRAME, Layout
+from pincal.model.kernel_inputs import Layout
 from pincal.model.symbols import Expression, Symbol, apply
 
 
@@ -43,20 +43,23 @@ Axes = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
 def _walk(layout: Layout, x: Sequence[Expression], frame: _Frame, *, first: int, last: int) -> Axes:
-    """Move a frame over the coordinates first .. last - 1; return axis and origin of each.
+    """Move a frame over the steps first .. last - 1 of the path; return axis and origin of each coordinate.
 
     Coordinates about one axis that follow each other are one step: neither moves the axis of the other.
     """
     seen: Axes = {}
     step: Expression = 0.0
-    for k in range(first, last):
+    route = layout.path
+    for t in range(first, last):
+        k, sign = int(route.coordinate[t]), float(route.sign[t])
         kind = int(layout.kind[k])
-        if layout.fixed_before[k] >= 0:
-            fixed = layout.fixed[layout.fixed_before[k]]
+        if route.fixed_before[t] >= 0:
+            fixed = layout.fixed[route.fixed_before[t]]
             frame.apply(fixed[:, :3], fixed[:, 3])
-        seen[k] = frame.R[:, kind % 3], frame.p
-        step = step + _step(layout, x, k)
-        if k + 1 == last or layout.kind[k + 1] != kind or layout.fixed_before[k + 1] >= 0:
+        seen[k] = sign * frame.R[:, kind % 3], frame.p
+        step = step + (_step(layout, x, k) if sign > 0.0 else -1.0 * _step(layout, x, k))
+        following = t + 1
+        if following == last or layout.kind[route.coordinate[following]] != kind or route.fixed_before[following] >= 0:
             frame.step(kind, step)
             step = 0.0
     return seen
@@ -78,14 +81,17 @@ def tip_pose(
         tool_rotation: shape (3, 3), the reference orientation of the target.
         drives: the coordinates that the joint positions add to.
     """
-    K, frame = len(x), _Frame()
+    S, frame = len(layout.path.coordinate), _Frame()
     _walk(layout, x, frame, first=0, last=3)
     frame.apply(layout.base_rotation[0])
-    seen = _walk(layout, x, frame, first=3, last=K - 3)
+    seen = _walk(layout, x, frame, first=3, last=S - 3)
     frame.apply(tool_rotation)
-    _walk(layout, x, frame, first=K - 3, last=K)
+    _walk(layout, x, frame, first=S - 3, last=S)
     columns = []
     for k in drives:
+        if k not in seen:
+            columns.append(np.zeros(6, object))
+            continue
         axis, origin = seen[k]
         slides = layout.kind[k] >= 3
         columns.append(np.concatenate([axis, 0.0 * axis] if slides else [_cross(axis, frame.p - origin), axis]))
@@ -104,24 +110,37 @@ def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expressio
         payload: mass beyond the last link [kg].
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
     """
-    n, gravity, g = len(layout.masses), {}, layout.gravity.astype(object)
-    for k in range(FRAME, FRAME + n * BLOCK):
-        if layout.fixed_before[k] >= 0:
-            g = layout.fixed[layout.fixed_before[k]][:, :3].T.astype(object) @ g
-        gravity[k] = g
-        g = _turned(g, int(layout.kind[k]), x[k], back=True) if layout.kind[k] < 3 else g
-    flange = layout.fixed[layout.fixed_before[FRAME + n * BLOCK]].astype(object)
-    mass, first_moment = payload, (flange[:, :3] @ payload_centre.astype(object) + flange[:, 3]) * payload
+    n, gravity, route = len(layout.masses), {}, layout.tree
+    behind = {-1: layout.gravity.astype(object)}
+    for j in range(n):
+        g = behind[int(layout.parents[j])]
+        for k in range(layout.starts[j], layout.starts[j + 1]):
+            if route.fixed_before[k] >= 0:
+                g = layout.fixed[route.fixed_before[k]][:, :3].T.astype(object) @ g
+            gravity[k] = g
+            g = _turned(g, int(layout.kind[k]), x[k], back=True) if layout.kind[k] < 3 else g
+        behind[j] = g
+    flange = layout.fixed[layout.tip].astype(object)
+    carried: dict[int, tuple[Any, Any]] = {
+        layout.tip_joint: (payload, (flange[:, :3] @ payload_centre.astype(object) + flange[:, 3]) * payload)
+    }
     # Of the two coordinates whose axes a moment is about, the second turns about the axis of the first.
     at = np.maximum(layout.moment_y, layout.moment_z)
     moments: list[Any] = []
     for j in reversed(range(n)):
         own = float(layout.masses[j])
+        mass, first_moment = carried.pop(j, (0.0, np.zeros(3, object)))
         mass, first_moment = mass + own, first_moment + layout.centres[j].astype(object) * own
-        for k in reversed(range(FRAME + j * BLOCK, FRAME + (j + 1) * BLOCK)):
+        for k in reversed(range(layout.starts[j], layout.starts[j + 1])):
             first_moment = _turned(first_moment, int(layout.kind[k]), _step(layout, x, k), mass=mass)
             if k == at[j]:
                 moments = [*_cross(first_moment, gravity[k]), *moments]
+            if route.fixed_before[k] >= 0 and layout.parents[j] >= 0:
+                fixed = layout.fixed[route.fixed_before[k]].astype(object)
+                first_moment = fixed[:, :3] @ first_moment + fixed[:, 3] * mass
+        parent = int(layout.parents[j])
+        known = carried.get(parent, (0.0, np.zeros(3, object)))
+        carried[parent] = known[0] + mass, known[1] + first_moment
     return moments
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import BadInputError, RobotFileError, warn
+from pincal.errors import BadInputError, RobotFileError, nearest_first, warn
 from pincal.robot.dh import dh_frames
+from pincal.robot.link_path import LinkPath, above
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree
 from pincal.robot.urdf_file import arm_text
 from pincal.units import LARGEST
@@ -33,23 +35,136 @@ _SHORTEST = 0.02
 _FEWEST_ALIKE = 3
 
 
-def arm_of_tree(
-    tree: UrdfTree, *, tip: str | None, base: str | None, joints: Sequence[str] | None, mass: float | None
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class TreeRequest:
+    """Which part of a URDF is the robot.
+
+    Attributes:
+        tip: link at the end of the path; default: that of the chain of ``joints``, or of the longest moving chain.
+        start: link at its start; default: the base.
+        base: link on which the tree stands; default: where one path runs down from its start, this start; else the root.
+        joints: names of the joints on the path (the columns of a table of measurements).
+        paths: further paths, by the names of their first and last links.
+        others: names of further joints that move; default: all others are locked at their neutral position.
+    """
+
+    tip: str | None = None
+    start: str | None = None
+    base: str | None = None
+    joints: Sequence[str] | None = None
+    paths: Sequence[tuple[str, str]] = ()
+    others: Sequence[str] = ()
+
+
+def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> dict[str, Any]:
     """Return the attributes of a robot; arguments and errors are those of :meth:`pincal.robot.robot.Robot.from_urdf`."""
-    tip = tree.default_tip(joints) if tip is None else tip
-    base = _default_base(tree, tip, joints) if base is None else base
-    path = _checked_path(tree, base, tip)
+    tip = tree.default_tip(request.joints) if request.tip is None else request.tip
+    base, start = _stand(tree, tip, request)
+    ends = [(start, tip), *request.paths]
+    joints = _moving_joints(tree, base, ends, request.others)
     if mass is not None and not _LIGHTEST <= mass <= LARGEST:
         raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
-    return _attributes(tree, path, base, tip, mass=mass)
+    return _attributes(tree, joints, base, ends, mass=mass)
 
 
-def _attributes(tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str, *, mass: float | None) -> dict[str, Any]:
+def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
+    """Return the link on which the tree stands, and where the first path starts."""
+    base, start = request.base, request.start
+    if start is None:
+        default = _default_base(tree, tip, request.joints) if not request.paths else tree.root
+        return (default, default) if base is None else (base, base)
+    if base is not None:
+        return base, start
+    tree.path(tree.root, start)
+    is_above = any(joint.parent == start for joint in tree.path(tree.root, tip))
+    return (start if is_above and not request.paths and not request.others else tree.root), start
+
+
+def _moving_joints(
+    tree: UrdfTree, base: str, ends: Sequence[tuple[str, str]], others: Sequence[str]
+) -> tuple[UrdfJoint, ...]:
+    """Return the joints that move, each behind those that carry it: those of the first path's tip before branches of it.
+
+    What two ends of a path share does not move them against each other, and is locked unless it is on another path.
+    """
+    paths = [_checked_path(tree, base, *pair) for pair in ends]
+    order: dict[str, None] = dict.fromkeys(joint.name for pair in paths for way in reversed(pair) for joint in way)
+    known = {joint.name: joint for joint in tree.joints}
+    for name in others:
+        if name not in known or known[name].kind not in MOVING_TYPES:
+            raise RobotFileError(
+                f"{tree.source}: no moving joint {name!r}; its joints: {', '.join(nearest_first([name], list(known))[:12])}"
+            )
+        if base == tree.root or any(joint.parent == base for joint in tree.above(known[name].child)):
+            order.setdefault(name)
+    chosen = [known[name] for name in order if known[name].kind in MOVING_TYPES]
+    if len(chosen) > _MOST_JOINTS:
+        raise RobotFileError(
+            f"{tree.source}: {len(chosen)} moving joints; expected at most {_MOST_JOINTS}: choose other links"
+        )
+    return _in_preorder(tree, chosen)
+
+
+def _in_preorder(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[UrdfJoint, ...]:
+    """Return joints each behind the one that carries it and what that carries first, in their order otherwise."""
+    parents, names = _parents(tree, joints), [joint.name for joint in joints]
+    children: dict[int, list[int]] = {}
+    for i in range(len(names)):
+        children.setdefault(parents[i], []).append(i)
+    found, open_joints = [], children.get(-1, [])[::-1]
+    while open_joints:
+        i = open_joints.pop()
+        found.append(joints[i])
+        open_joints += children.get(i, [])[::-1]
+    return tuple(found)
+
+
+def _parents(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[int, ...]:
+    """Return which of some joints carries each, -1 for none of them."""
+    return tuple(_carrier(tree, joints, joint.parent) for joint in joints)
+
+
+def _carrier(tree: UrdfTree, joints: Sequence[UrdfJoint], link: str) -> int:
+    """Return which of some joints carries a link, -1 for none of them."""
+    place = {joint.name: i for i, joint in enumerate(joints)}
+    return next((place[joint.name] for joint in reversed(tree.above(link)) if joint.name in place), -1)
+
+
+def path_between(tree: UrdfTree, joint_names: Sequence[str], base: str, start: str, tip: str) -> LinkPath:
+    """Return the way between two links of a tree of which some joints move.
+
+    Raises:
+        RobotFileError: for an unknown link, or if a joint on the way is none of those.
+    """
+    import pinocchio as pin
+
+    known = {joint.name: joint for joint in tree.joints}
+    joints = [known[name] for name in joint_names]
+    for way in _checked_path(tree, base, start, tip):
+        if missing := [joint.name for joint in way if joint.kind in MOVING_TYPES and joint.name not in joint_names]:
+            raise RobotFileError(
+                f"{tree.source}: {missing[0]!r} between {start!r} and {tip!r} is locked in this robot; expected links "
+                f"between which only {', '.join(joint_names)} move"
+            )
+    model = arm_model(tree.text, tuple(joint_names), tree.source)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    placed = {link: data.oMf[model.getFrameId(link, pin.BODY)].homogeneous for link in (base, start, tip)}
+    frames = [data.oMi[model.getJointId(name)].homogeneous for name in joint_names]
+    carriers = [_carrier(tree, joints, link) for link in (start, tip)]
+    relative = [
+        np.linalg.inv(placed[base] if i < 0 else frames[i]) @ placed[link]
+        for i, link in zip(carriers, (start, tip), strict=True)
+    ]
+    return LinkPath(start, tip, *carriers, *relative)
+
+
+def _attributes(
+    tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, ends: Sequence[tuple[str, str]], *, mass: float | None
+) -> dict[str, Any]:
     import pinocchio as pin
 
     mimics = tree.mimics(path)
-    path = tuple(joint for joint in path if joint.kind in MOVING_TYPES)
     names = tuple(joint.name for joint in path)
     model = arm_model(tree.text, names, tree.source)
     data = model.createData()
@@ -58,15 +173,20 @@ def _attributes(tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str
     T_base_world = data.oMf[model.getFrameId(base, pin.BODY)].inverse()
     joints = np.array([(T_base_world * data.oMi[i]).homogeneous for i in ids])
     axes = np.einsum("nij,nj->ni", joints[:, :3, :3], _local_axes(model, data, ids))
-    frames = dh_frames(joints[:, :3, 3], axes, (T_base_world * data.oMf[model.getFrameId(tip, pin.BODY)]).homogeneous)
+    parents = _parents(tree, path)
+    tips = _aims(tree, path, ends)
+    T_base_tips = [(T_base_world * data.oMf[model.getFrameId(tip, pin.BODY)]).homogeneous for tip in tips]
+    frames = dh_frames(joints[:, :3, 3], axes, np.array(T_base_tips), parents)
     T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
+    way = path_between(tree, names, base, *ends[0]).on_links(T_link_joint)
+    frames = replace(frames, T_last_tip=way.T_joint_tip)
     levers = np.array([model.inertias[i].lever for i in ids])
     centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
     masses = np.array([model.inertias[i].mass for i in ids])
     unknown = (masses <= 0.0) | are_placeholders(masses.tolist()) | (mass is not None)
     if unknown.any():
-        tip_at = (frames.T_base_link[-1] @ frames.T_last_tip)[:3, 3]
-        masses, middles = guessed_masses(masses, np.vstack([joints[:, :3, 3], tip_at]), unknown, total=mass)
+        spans = _link_ends(parents, joints, np.array(T_base_tips))
+        masses, middles = guessed_masses(masses, spans, unknown, total=mass, parents=parents)
         middles = np.einsum("nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3])
         centres = np.where(unknown[:, None], middles, centres)
     places = [model.joints[i].idx_q for i in ids]
@@ -82,18 +202,33 @@ def _attributes(tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, tip: str
         "lower": limits[0],
         "upper": limits[1],
         "base": base,
-        "tip": tip,
+        "tip": way.tip,
         "frames": frames,
         "T_link_joint": T_link_joint,
         "masses": masses,
         "centres": centres,
         "massless": tuple(joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown),
         "gravity": T_base_world.rotation @ model.gravity.linear,
-        "notes": _notes(tree, names, base, tip),
+        "notes": _notes(tree, names, ends),
         "urdf": tree.text,
         "source": tree.source,
         "mimics": mimics,
+        "parents": parents,
+        "path": way,
     }
+
+
+def _aims(tree: UrdfTree, joints: Sequence[UrdfJoint], ends: Sequence[tuple[str, str]]) -> list[str]:
+    """Return the link that the frames behind each joint aim at if it carries no other: the end of a path, or its own link."""
+    aims = {_carrier(tree, joints, link): link for pair in reversed(ends) for link in pair}
+    return [aims.get(i, joint.child) for i, joint in enumerate(joints)]
+
+
+def _link_ends(parents: Sequence[int], joints: np.ndarray, aims: np.ndarray) -> np.ndarray:
+    """Return where the link behind each joint begins, and ends at the next joint or at what it aims at, shape (n, 2, 3)."""
+    following = {parent: i for i, parent in reversed(list(enumerate(parents)))}
+    ends = [joints[following[i], :3, 3] if i in following else aims[i, :3, 3] for i in range(len(joints))]
+    return np.stack([joints[:, :3, 3], np.array(ends)], axis=1)
 
 
 def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
@@ -126,14 +261,16 @@ def _with_mimics(
     return low, high
 
 
-def _notes(tree: UrdfTree, names: tuple[str, ...], base: str, tip: str) -> tuple[str, ...]:
+def _notes(tree: UrdfTree, names: tuple[str, ...], ends: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     """Return what the user should know of how the arm was read; it is also warned of."""
     locked = [joint for joint in tree.joints if joint.kind != "fixed" and joint.name not in names]
     notes = tree.notes
     if locked:
         more = f" and {len(locked) - 6} more" if len(locked) > 6 else ""
         shown = ", ".join(joint.name for joint in locked[:6]) + more
-        notes += (f"{len(locked)} joints off the path from {base} to {tip} are locked at their neutral position: {shown}",)
+        paths = " and ".join(f"from {start} to {tip}" for start, tip in ends)
+        way = "path" if len(ends) == 1 else "paths"
+        notes += (f"{len(locked)} joints off the {way} {paths} are locked at their neutral position: {shown}",)
     for note in notes:
         warn(f"{tree.source}: {note}")
     return notes
@@ -147,24 +284,21 @@ def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str
     return next((joint.parent for joint in moving if joint.name in joints), tree.root)
 
 
-def _checked_path(tree: UrdfTree, base: str, tip: str) -> tuple[UrdfJoint, ...]:
-    """Return all joints from base to tip, fixed ones too."""
-    path = tree.path(base, tip)
-    moving = [joint for joint in path if joint.kind in MOVING_TYPES]
-    for joint in path:
+def _checked_path(tree: UrdfTree, base: str, start: str, tip: str) -> tuple[tuple[UrdfJoint, ...], tuple[UrdfJoint, ...]]:
+    """Return all joints on the way between two links, fixed ones too: those passed backwards, from the base on, and those
+    passed along.
+    """
+    up, down = tree.path(base, start), tree.path(base, tip)
+    shared = len([a for a, b in zip(up, down, strict=False) if a is b])
+    for joint in (path := (*up[shared:], *down[shared:])):
         if joint.kind not in (*MOVING_TYPES, "fixed"):
-            where = f"{tree.source}: joint {joint.name!r} between {base!r} and {tip!r}"
+            where = f"{tree.source}: joint {joint.name!r} between {start!r} and {tip!r}"
             expected = "expected revolute, continuous, prismatic or fixed joints: choose another base or tip"
             raise RobotFileError(f"{where} is {joint.kind}; {expected}")
-    if not moving:
-        raise RobotFileError(f"{tree.source}: no moving joint between {base!r} and {tip!r}; choose another tip")
-    if len(moving) > _MOST_JOINTS:
-        raise RobotFileError(
-            f"{tree.source}: {len(moving)} moving joints between {base!r} and {tip!r}; expected at most {_MOST_JOINTS}: "
-            "choose another base or tip"
-        )
+    if not any(joint.kind in MOVING_TYPES for joint in path):
+        raise RobotFileError(f"{tree.source}: no moving joint between {start!r} and {tip!r}; choose another tip")
     tree.refuse_loops(path)
-    return path
+    return up[shared:], down[shared:]
 
 
 def arm_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
@@ -191,29 +325,46 @@ def are_placeholders(masses: Sequence[float]) -> bool:
 
 
 def guessed_masses(
-    masses: np.ndarray, ends: np.ndarray, unknown: np.ndarray, *, total: float | None = None
+    masses: np.ndarray,
+    ends: np.ndarray,
+    unknown: np.ndarray,
+    *,
+    total: float | None = None,
+    parents: Sequence[int] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return masses, those that are not known told by the shape of the arm, and where the shape has the centres of mass.
 
-    A link weighs in proportion to the length of arm from its joint to the tip, and has its centre between its joint and
-    the next. The scale is that of the links whose mass is known, or else of industrial arms of this length.
+    A link weighs in proportion to the length of arm beyond its joint, and has its centre between its joint and the next. The
+    scale is that of the links whose mass is known, or else of industrial arms of this length.
 
     Args:
         masses: shape (n,), as far as they are known [kg].
-        ends: shape (n + 1, 3), the joints at q = 0 and the tip, in the base frame [m].
+        ends: shape (n, 2, 3), where each link begins and ends at q = 0, in the base frame [m]; or, of a serial arm, shape
+            (n + 1, 3), its joints and the tip.
         unknown: shape (n,), which links have no mass that is known.
         total: mass of the whole robot with its base, as on a data sheet [kg].
+        parents: the joint that carries each joint, -1 for the base; default: each carries the next.
 
     Returns:
         Masses, shape (n,) [kg], and centres, shape (n, 3), in the base frame [m].
     """
-    lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
-    whole = max(float(lengths.sum()), 1e-3)
-    beyond = np.cumsum(np.maximum(lengths, _SHORTEST * whole)[::-1])[::-1]
+    spans = ends if ends.ndim == 3 else np.stack([ends[:-1], ends[1:]], axis=1)
+    parents = range(-1, len(masses) - 1) if parents is None else parents
+    lengths = np.linalg.norm(spans[:, 1] - spans[:, 0], axis=1)
+    along = lengths.copy()
+    for i, parent in enumerate(parents):
+        along[i] += along[parent] if parent >= 0 else 0.0
+    longest = above(int(np.argmax(along)), parents)
+    whole = max(float(lengths[longest].sum()), 1e-3)
+    shown = np.maximum(lengths, _SHORTEST * whole)
+    beyond = shown.copy()
+    for i, parent in reversed(list(enumerate(parents))):
+        if parent >= 0:
+            beyond[parent] += beyond[i]
     if total is not None:
         scale = max(_MOVING * total - masses[~unknown].sum(), 0.0) / beyond[unknown].sum()
     elif unknown.all():
-        scale = _PER_LENGTH * whole**_GROWTH / beyond.sum()
+        scale = _PER_LENGTH * whole**_GROWTH / np.cumsum(shown[longest][::-1]).sum()
     else:
         scale = masses[~unknown].sum() / beyond[~unknown].sum()
-    return np.where(unknown, scale * beyond, masses), 0.5 * (ends[:-1] + ends[1:])
+    return np.where(unknown, scale * beyond, masses), 0.5 * (spans[:, 0] + spans[:, 1])

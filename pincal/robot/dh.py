@@ -15,7 +15,8 @@ point, so it is not a mere convention.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,45 +32,79 @@ COAXIAL = 1e-12
 
 @dataclass(frozen=True)
 class DhFrames:
-    """Nominal frames of a serial arm.
+    """Nominal frames of an arm, or of a tree of arms.
+
+    Along the tree each joint continues the frames of the one that carries it, but for the first joint of a branch: where
+    several joints hang on a link, the first continues and the others begin anew. Each of those has a frame of its own on its
+    axis, as the first joint has.
 
     Attributes:
         T_base_first: shape (4, 4), frame S_0 in the base frame.
         parameters: shape (n, 6), columns s_x, s_y, theta, d, a, alpha [rad, m].
         T_base_link: shape (n, 4, 4), frames S_1 .. S_n in the base frame at q = 0.
-        T_last_tip: shape (4, 4), the tip in S_n.
+        T_last_tip: shape (4, 4), the tip in the link frame of the joint that carries it.
+        branches: the m joints that begin a branch, the first one left out.
+        T_branch_first: shape (m, 4, 4), the frame on the axis of each of these, in the link frame of the joint that carries
+            it, or in the base frame.
     """
 
     T_base_first: np.ndarray
     parameters: np.ndarray
     T_base_link: np.ndarray
     T_last_tip: np.ndarray
+    branches: tuple[int, ...] = ()
+    T_branch_first: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))
+
+    def before(self, i: int) -> np.ndarray:
+        """Return what stands between the link that carries joint i and the joint's own transforms, shape (4, 4)."""
+        if i in self.branches:
+            return np.asarray(self.T_branch_first[self.branches.index(i)])
+        return self.T_base_first if i == 0 else np.eye(4)
 
 
-def dh_frames(origins: np.ndarray, axes: np.ndarray, T_base_tip: np.ndarray) -> DhFrames:
-    """Lay Denavit-Hartenberg frames along a chain of joint axes at q = 0.
+def dh_frames(
+    origins: np.ndarray, axes: np.ndarray, T_base_tip: np.ndarray, parents: Sequence[int] | None = None
+) -> DhFrames:
+    """Lay Denavit-Hartenberg frames along joint axes at q = 0.
 
     Args:
         origins: shape (n, 3), a point on each axis in the base frame [m], where the URDF has its joint.
         axes: shape (n, 3), unit directions in the base frame.
-        T_base_tip: shape (4, 4), the tip at q = 0.
+        T_base_tip: shape (4, 4), the tip at q = 0; of a tree shape (n, 4, 4), what the last link of a branch aims at, for
+            each joint that carries no other.
+        parents: the joint that carries each joint, -1 for the base, earlier joints first; default: each carries the next.
 
     Returns:
-        The frames; their product with ``T_last_tip`` equals ``T_base_tip`` to rounding.
+        The frames; of a serial arm their product with ``T_last_tip`` equals ``T_base_tip`` to rounding.
     """
+    n = len(axes)
+    parents = range(-1, n - 1) if parents is None else parents
+    tips = np.broadcast_to(T_base_tip, (n, 4, 4))
+    # The first joint that a link carries continues its frames.
+    following = {parent: i for i, parent in reversed(list(enumerate(parents)))}
+    parameters, frames, branches = [], list[np.ndarray](), dict[int, np.ndarray]()
     first = _first_frame(origins[0], axes[0])
-    frame = first
-    parameters = []
-    frames = []
-    for i in range(len(axes)):
-        tilt = _tilt(frame, axes[i])
-        frame = frame @ rotation("x", tilt[0]) @ rotation("y", tilt[1])
-        step = _last_step(frame, T_base_tip) if i == len(axes) - 1 else _step(frame, origins[i + 1], axes[i + 1])
+    for i, parent in enumerate(parents):
+        if following[parent] != i:
+            start = _first_frame(origins[i], axes[i])
+            branches[i] = start if parent < 0 else np.linalg.inv(frames[parent]) @ start
+        else:
+            start = first if parent < 0 else frames[parent]
+        tilt = _tilt(start, axes[i])
+        frame = start @ rotation("x", tilt[0]) @ rotation("y", tilt[1])
+        k = following.get(i)
+        step = _last_step(frame, tips[i]) if k is None else _step(frame, origins[k], axes[k])
         parameters.append([*tilt, *step])
         theta, d, a, alpha = step
-        frame = frame @ rotation("z", theta) @ translation(a, 0, d) @ rotation("x", alpha)
-        frames.append(frame)
-    return DhFrames(first, np.array(parameters), np.array(frames), np.linalg.inv(frame) @ T_base_tip)
+        frames.append(frame @ rotation("z", theta) @ translation(a, 0, d) @ rotation("x", alpha))
+    return DhFrames(
+        first,
+        np.array(parameters),
+        np.array(frames),
+        np.linalg.inv(frames[-1]) @ tips[-1],
+        tuple(branches),
+        np.array(list(branches.values())).reshape(-1, 4, 4),
+    )
 
 
 def _first_frame(origin: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -65,7 +65,7 @@ def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turne
         # It was warned of when the robot was read.
         warnings.simplefilter("ignore", PincalWarning)
         tree = parse_urdf(etree.tostring(root), source=robot.source)
-        found = Robot.from_tree(tree, tip=robot.tip, base=robot.base)
+        found = Robot.from_tree(tree, robot.request)
     flipped = np.isin(robot.joint_names, list(turned))
     # What hangs on a joint keeps its place in the URDF's frame of it.
     frames = found.T_link_joint @ np.linalg.inv(robot.T_link_joint)

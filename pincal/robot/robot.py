@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
-from pincal.robot.arm_of_tree import arm_model, arm_of_tree
+from pincal.robot.arm_of_tree import TreeRequest, arm_model, arm_of_tree, path_between
 from pincal.robot.dh import DhFrames
+from pincal.robot.link_path import LinkPath
 from pincal.robot.tree import Coupling, Mimic, UrdfTree
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 
@@ -24,20 +25,20 @@ _LEAST_DETERMINANT = 1e-3
 
 @dataclass(frozen=True, repr=False)
 class Robot:
-    """A serial arm from a base link to a tip link; everything else of the URDF is locked in place.
+    """The joints between links of a URDF, a serial arm or a tree of arms; everything else is locked in place.
 
     Attributes:
         name: name of the robot in the URDF.
-        joint_names: the n moving joints from base to tip.
+        joint_names: the n moving joints, each behind the one that carries it; of a serial arm from base to tip.
         joint_types: "revolute" (continuous ones too) or "prismatic", one a joint.
         lower: shape (n,), joint limits [rad or m], -inf where there is none.
         upper: shape (n,), likewise, +inf.
-        base: name of the base link.
-        tip: name of the tip link.
+        base: name of the base link, on which the tree stands.
+        tip: name of the tip link, at the end of the path.
         frames: Denavit-Hartenberg frames at q = 0 in the base frame.
         T_link_joint: shape (n, 4, 4), the URDF's joint frame i in the link frame S_i; both move with joint i.
-        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with joint i+1; estimated from the shape
-            of the arm where the URDF has none.
+        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with a joint that it carries; estimated
+            from the shape of the arm where the URDF has none.
         centres: shape (n, 3), its centre of mass in the link frame S_i [m]; likewise.
         massless: names of the links of the arm without a mass in the URDF, or with a placeholder, such as one that all
             links have.
@@ -48,6 +49,8 @@ class Robot:
         mimics: the mimic joints of the arm; the joint that they follow respects their limits.
         couplings: the joints whose controller reports a combination of positions. Tables, arrays and commands hold what is
             reported, everything else of the library the positions of the URDF.
+        parents: the joint that carries each joint, -1 for the base; default: each carries the next.
+        path: the links between which a reading is if nothing else is said; default: base and tip.
     """
 
     name: str
@@ -68,9 +71,19 @@ class Robot:
     source: str
     mimics: tuple[Mimic, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    parents: tuple[int, ...] = ()
+    path: LinkPath = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        n = len(self.joint_names)
+        if not self.parents:
+            object.__setattr__(self, "parents", tuple(range(-1, n - 1)))
+        if self.path is None:
+            whole = LinkPath(self.base, self.tip, -1, n - 1, np.eye(4), self.frames.T_last_tip)
+            object.__setattr__(self, "path", whole)
 
     def __repr__(self) -> str:
-        return f"Robot({self.name!r}: {self.n_joints} joints from {self.base} to {self.tip})"
+        return f"Robot({self.name!r}: {self.n_joints} joints from {self.path.start} to {self.tip})"
 
     @classmethod
     def from_urdf(
@@ -79,22 +92,28 @@ class Robot:
         *,
         tip: str | None = None,
         base: str | None = None,
+        start: str | None = None,
+        paths: Sequence[tuple[str, str]] = (),
         joints: Sequence[str] | None = None,
+        others: Sequence[str] = (),
         xacro_args: Mapping[str, str] | None = None,
         mass: float | None = None,
     ) -> Robot:
-        """Load an arm from a URDF.
+        """Load an arm, or a tree of arms, from a URDF.
 
-        Joints off the path from base to tip are locked at their neutral position.
+        Joints off all paths are locked at their neutral position.
 
         Args:
             source: path of a URDF or xacro file, the name of a robot of example-robot-data ("ur10"), or the URDF's text as
                 bytes.
             tip: link at the end of the arm; default: the end of the chain of ``joints``, or of the longest moving chain
                 without its gripper.
-            base: link at its start; default: the root of the URDF, or the parent of the first of ``joints`` where other
-                moving joints stand before it.
+            base: link on which the robot stands; default: the root of the URDF, or the parent of the first of ``joints``
+                where other moving joints stand before it.
+            start: link from which readings are seen, such as that of a camera; default: the base.
+            paths: further pairs of links between which readings are, by name.
             joints: names of the joints that the arm consists of (the columns of a table of measurements).
+            others: names of further joints that move and so change what the joints of the paths bear.
             xacro_args: values of the arguments of a xacro file, such as ``{"ur_type": "ur5e"}``.
             mass: of the whole robot with its base, as on its data sheet [kg]; masses of the links are then guessed from the
                 shape of the arm, and found by a calibration, whatever the URDF says. Default: those of the URDF; where it
@@ -110,20 +129,33 @@ class Robot:
             ('shoulder_pan_joint', 'shoulder_lift_joint')
         """
         tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(find_file(source), xacro_args=xacro_args)
-        return cls.from_tree(tree, tip=tip, base=base, joints=joints, mass=mass)
+        wanted = TreeRequest(tip, start, base, joints, tuple(paths), tuple(others))
+        return cls.from_tree(tree, wanted, mass=mass)
 
     @classmethod
-    def from_tree(
-        cls,
-        tree: UrdfTree,
-        *,
-        tip: str | None = None,
-        base: str | None = None,
-        joints: Sequence[str] | None = None,
-        mass: float | None = None,
-    ) -> Robot:
-        """Take an arm from a URDF that has been read; see :meth:`from_urdf`."""
-        return cls(**arm_of_tree(tree, tip=tip, base=base, joints=joints, mass=mass))
+    def from_tree(cls, tree: UrdfTree, wanted: TreeRequest, *, mass: float | None = None) -> Robot:
+        """Take a robot from a URDF that has been read; see :meth:`from_urdf`."""
+        return cls(**arm_of_tree(tree, wanted, mass=mass))
+
+    @property
+    def request(self) -> TreeRequest:
+        """Which part of its URDF it is."""
+        return TreeRequest(self.tip, self.path.start, self.base, others=self.joint_names)
+
+    def between(self, start: str, tip: str) -> LinkPath:
+        """Return the way between two links of the robot.
+
+        Args:
+            start: the link from which a reading is seen.
+            tip: the link that it is about.
+
+        Raises:
+            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
+        """
+        if (start, tip) == (self.path.start, self.path.tip):
+            return self.path
+        tree = parse_urdf(self.urdf, source=self.source)
+        return path_between(tree, self.joint_names, self.base, start, tip).on_links(self.T_link_joint)
 
     @property
     def n_joints(self) -> int:
@@ -212,25 +244,33 @@ class Robot:
         """Names of the joints that move the links without a mass that is known."""
         if not self.massless:
             return ()
-        path = parse_urdf(self.urdf).path(self.base, self.tip)
-        return tuple(joint.name for joint in path if joint.child in self.massless and joint.name in self.joint_names)
+        joints = parse_urdf(self.urdf).joints
+        moves = {joint.name for joint in joints if joint.child in self.massless}
+        return tuple(name for name in self.joint_names if name in moves)
 
     @property
     def reach(self) -> float:
-        """Length of the arm stretched out [m]: an upper bound on the distance from S_0 to the tip."""
+        """Length of its path stretched out [m]: an upper bound on the distance from S_0 to the tip."""
         s = self.frames.parameters
         farthest = np.maximum(np.abs(self.lower), np.abs(self.upper))
         travel = [far for far, kind in zip(farthest, self.joint_types, strict=True) if kind == "prismatic" and far < np.inf]
         return float(np.hypot(s[:, 3], s[:, 4]).sum() + np.linalg.norm(self.frames.T_last_tip[:3, 3]) + sum(travel))
 
-    def forward_kinematics(self, q: np.ndarray) -> np.ndarray:
-        """Return the nominal tip in the base frame by Pinocchio, shape (N, 4, 4), for ``q`` [rad or m], shape (N, n)."""
+    def forward_kinematics(self, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
+        """Return the nominal tip by Pinocchio, shape (N, 4, 4), in the frame of the link where its path starts.
+
+        Args:
+            q: shape (N, n) [rad or m].
+            path: the links; default: those of the robot.
+        """
         import pinocchio as pin
+
+        path = path or self.path
 
         model = self.pinocchio_model()
         data = model.createData()
-        frame = model.getFrameId(self.tip, pin.BODY)
-        base = model.getFrameId(self.base, pin.BODY)
+        frame = model.getFrameId(path.tip, pin.BODY)
+        base = model.getFrameId(path.start, pin.BODY)
         out = np.empty((len(q), 4, 4))
         for i, row in enumerate(np.asarray(q, float)):
             pin.framesForwardKinematics(model, data, self.configuration(model, row))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from pincal.errors import BadInputError, RobotFileError, nearest_first
 
@@ -121,19 +122,26 @@ class UrdfTree:
         for role, link in (("base", base), ("tip", tip)):
             if link not in self.links:
                 raise RobotFileError(f"{self.source}: unknown {role} link {link!r}; {known_links(link, self.links)}")
-        by_child = {joint.child: joint for joint in self.joints}
+        joints = self.above(tip)
+        links = [joint.parent for joint in joints]
+        if base != tip and base not in links:
+            raise RobotFileError(
+                f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base link on the way from "
+                f"the root {self.root!r} to the tip: choose one of {', '.join(reversed(links))}"
+            )
+        return joints[links.index(base) :] if base != tip else ()
+
+    def above(self, link: str) -> tuple[UrdfJoint, ...]:
+        """Return the joints from the root to a link."""
         joints: list[UrdfJoint] = []
-        link = tip
-        while link != base:
-            joint = by_child.get(link)
-            if joint is None:
-                raise RobotFileError(
-                    f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base link on the way from "
-                    f"the root {self.root!r} to the tip: choose one of {', '.join([j.parent for j in joints])}"
-                )
+        while (joint := self._by_child.get(link)) is not None:
             joints.append(joint)
             link = joint.parent
         return tuple(reversed(joints))
+
+    @cached_property
+    def _by_child(self) -> dict[str, UrdfJoint]:
+        return {joint.child: joint for joint in self.joints}
 
     def default_tip(self, joint_names: Iterable[str] | None = None) -> str:
         """Return the link at the end of the arm.

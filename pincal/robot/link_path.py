@@ -1,0 +1,54 @@
+"""The way from one link of a tree to another: against the joints up to where both hang on, and along them down again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class LinkPath:
+    """Two links, and where they are on the joints that carry them.
+
+    Attributes:
+        start: name of the link from which a reading is seen.
+        tip: name of the link that it is about.
+        start_joint, tip_joint: the joints that carry them; -1 for the base.
+        T_joint_start, T_joint_tip: shape (4, 4), the links in the link frames of these joints, or in the base frame.
+    """
+
+    start: str
+    tip: str
+    start_joint: int
+    tip_joint: int
+    T_joint_start: np.ndarray
+    T_joint_tip: np.ndarray
+
+    def on_links(self, T_link_joint: np.ndarray) -> LinkPath:
+        """Return the path with links placed in link frames instead of the URDF's joint frames, (n, 4, 4) in these."""
+        placed = [
+            T if i < 0 else T_link_joint[i] @ T
+            for i, T in ((self.start_joint, self.T_joint_start), (self.tip_joint, self.T_joint_tip))
+        ]
+        return replace(self, T_joint_start=placed[0], T_joint_tip=placed[1])
+
+    def steps(self, parents: Sequence[int]) -> list[tuple[int, int]]:
+        """Return the joints on the way, each with 1 where it is passed along and -1 where it is passed backwards.
+
+        Args:
+            parents: the joint that carries each joint, -1 for the base.
+        """
+        up, down = above(self.start_joint, parents), above(self.tip_joint, parents)
+        shared = len(set(up) & set(down))
+        return [(joint, -1) for joint in reversed(up[shared:])] + [(joint, 1) for joint in down[shared:]]
+
+
+def above(joint: int, parents: Sequence[int]) -> list[int]:
+    """Return the joints from the base to one, itself among them; none for -1."""
+    found = []
+    while joint >= 0:
+        found.append(joint)
+        joint = parents[joint]
+    return found[::-1]
