@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.model.chain import Chain
-from pincal.model.kernel_inputs import BLOCK, FRAME
 from pincal.model.model import Model
 from pincal.robot.se3 import rotation, translation
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.ndarray | None = None) -> pin.Model:
-    """Return the arm with one Pinocchio joint a coordinate (60 for a 6R arm), from its base to its tip.
+    """Return the robot with one Pinocchio joint a coordinate (60 for a 6R arm), from its base on.
 
     Its configuration vector is the joints' part of :meth:`Model.coordinates` (joint positions included in theta or d), with
     d - h in place of d.
@@ -29,7 +28,7 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
 
     Returns:
-        The model, its gravity that of the chain, with an operational frame "tip".
+        The model, its gravity that of the chain, with operational frames "start" and "tip" at the ends of the path.
     """
     import pinocchio as pin
 
@@ -38,19 +37,20 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
     model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))
     # By the kinds of coordinates, see pincal.model.kernel_inputs.Layout.
     kinds = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
-    placement = pin.SE3(chain.robot.frames.T_base_first)
-    parent = 0
+    layout, path, last = chain.layout, chain.path, {-1: 0}
     for i, name in enumerate(chain.robot.joint_names):
-        for k in range(FRAME + i * BLOCK, FRAME + (i + 1) * BLOCK):
-            joint = kinds[chain.layout.kind[k]]()
-            parent = model.addJoint(parent, joint, placement, f"{name}.{chain.symbols[k]}")
+        placement, parent = pin.SE3(chain.robot.frames.before(i)), last[chain.robot.parents[i]]
+        for k in range(layout.starts[i], layout.starts[i + 1]):
+            parent = model.addJoint(parent, kinds[layout.kind[k]](), placement, f"{name}.{chain.symbols[k]}")
             placement = pin.SE3.Identity()
+        last[i] = parent
         model.appendBodyToJoint(parent, _body(chain.robot.masses[i], chain.robot.centres[i]), pin.SE3.Identity())
-    tip = pin.SE3(chain.robot.frames.T_last_tip)
-    model.addFrame(pin.Frame("tip", parent, 0, tip, pin.OP_FRAME))
-    if payload > 0.0:
+    tip = pin.SE3(path.T_joint_tip)
+    model.addFrame(pin.Frame("start", last[path.start_joint], 0, pin.SE3(path.T_joint_start), pin.OP_FRAME))
+    model.addFrame(pin.Frame("tip", last[path.tip_joint], 0, tip, pin.OP_FRAME))
+    if payload > 0.0 and path.tip_joint >= 0:
         centre = np.zeros(3) if payload_centre is None else np.asarray(payload_centre, float)
-        model.appendBodyToJoint(parent, _body(payload, centre), tip)
+        model.appendBodyToJoint(last[path.tip_joint], _body(payload, centre), tip)
     return model
 
 
@@ -71,8 +71,8 @@ def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.n
         values: shape (P,), its parameters.
 
     Returns:
-        Shape (n, 4, 4): joint frame i at q = 0 in joint frame i-1 (the first: in the base frame); and shape (4, 4): the
-        tip in the last joint frame.
+        Shape (n, 4, 4): joint frame i at q = 0 in the joint frame that carries it, or in the base frame; and shape (4, 4):
+        the tip in the joint frame that carries it.
     """
     placed, tip, _ = _placements(model.chain, model.rigid_coordinates(values), joint_mounts(model.chain))
     return placed, tip
@@ -85,26 +85,27 @@ def joint_mounts(chain: Chain) -> np.ndarray:
 
 
 def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return relative placements of the joints, the tip in the last, and the turning frames in the base."""
-    n = chain.robot.n_joints
+    """Return relative placements of the joints, the tip in its joint frame, and the turning frames in the base."""
+    robot, n = chain.robot, chain.robot.n_joints
     placed, turning = np.empty((n, 4, 4)), np.empty((n, 4, 4))
-    before, step = np.eye(4), chain.robot.frames.T_base_first
-    for i in range(n):
-        at = {symbol: coordinates[chain.joint(i, symbol)] for symbol in ("s_x", "s_y", "theta", "d", "a", "alpha")}
-        axis = step @ rotation("x", at["s_x"]) @ rotation("y", at["s_y"]) @ rotation("z", at["theta"])
+    # What stands behind each joint's frame before what it carries, and these frames in the base.
+    steps, frames = {-1: np.eye(4)}, {-1: np.eye(4)}
+    for i, parent in enumerate(robot.parents):
+        at = {symbol: coordinates[k] for symbol, k in chain.joint_coordinates(i).items()}
+        axis = steps[parent] @ robot.frames.before(i) @ translation(at.get("x", 0.0), at.get("y", 0.0), 0.0)
+        axis = axis @ rotation("x", at["s_x"]) @ rotation("y", at["s_y"]) @ rotation("z", at["theta"])
         placed[i] = axis @ mounts[i]
-        before = before @ axis
-        turning[i] = before
-        step = translation(at["a"], 0.0, at["d"]) @ rotation("x", at["alpha"])
-        before, step = turning[i] @ mounts[i], np.linalg.inv(mounts[i]) @ step
-    return placed, step @ chain.robot.frames.T_last_tip, turning
+        turning[i] = frames[parent] @ axis
+        frames[i] = turning[i] @ mounts[i]
+        steps[i] = np.linalg.inv(mounts[i]) @ translation(at["a"], 0.0, at["d"]) @ rotation("x", at["alpha"])
+    return placed, steps[chain.path.tip_joint] @ chain.path.T_joint_tip, turning
 
 
 def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:
     """Return the robot's ``pin.Model`` with the calibrated joint and tip frames.
 
-    It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`; frame ``robot.tip`` is the calibrated
-    tip. Elastic effects are not in it: a ``pin.Model`` has no place for what changes with the load.
+    It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`; the frame of the path's tip is the
+    calibrated tip. Elastic effects are not in it: a ``pin.Model`` has no place for what changes with the load.
 
     Args:
         model: the calibrated model.
@@ -120,6 +121,6 @@ def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:
     base = data.oMf[out.getFrameId(robot.base, pin.BODY)].copy()
     for i, name in enumerate(robot.joint_names):
         joint = out.getJointId(name)
-        out.jointPlacements[joint] = (base if i == 0 else pin.SE3.Identity()) * pin.SE3(placed[i])
-    out.frames[out.getFrameId(robot.tip, pin.BODY)].placement = pin.SE3(tip)
+        out.jointPlacements[joint] = (base if robot.parents[i] < 0 else pin.SE3.Identity()) * pin.SE3(placed[i])
+    out.frames[out.getFrameId(model.chain.path.tip, pin.BODY)].placement = pin.SE3(tip)
     return out

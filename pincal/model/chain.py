@@ -185,7 +185,11 @@ class Chain:
 
     def joint(self, i: int, symbol: str) -> int:
         """Return the index of a coordinate of joint ``i`` (from 0)."""
-        return _places(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)[i][symbol]
+        return self.joint_coordinates(i)[symbol]
+
+    def joint_coordinates(self, i: int) -> dict[str, int]:
+        """Return the index of each coordinate of joint ``i`` (from 0) by its symbol."""
+        return _places(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)[i]
 
     def base(self, symbol: str) -> int:
         """Return the index of a coordinate of the base frame."""

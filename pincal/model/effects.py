@@ -11,7 +11,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from pincal.model.chain import Chain
+from pincal.model.chain import MOUNT_SYMBOLS, Chain
 from pincal.model.compliances import BearingElasticity, Compliance, JointElasticity
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family, Locus, Term
@@ -37,15 +37,17 @@ __all__ = [
 # up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
+_LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
 
 
 class _Geometry(Effect):
     """Constants that are added to coordinates of every joint."""
 
     family: ClassVar[Family] = Family.GEOMETRY
-    # Coordinates of a joint that turns, and of one that slides.
+    # Coordinates of a joint that turns, of one that slides, and further ones of a joint that begins a branch.
     turning: ClassVar[tuple[str, ...]]
     sliding: ClassVar[tuple[str, ...]]
+    branching: ClassVar[tuple[str, ...]] = ()
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -53,10 +55,10 @@ class _Geometry(Effect):
         return tuple(
             Parameter(
                 name=f"{chain.robot.joint_names[i]}.{symbol}",
-                unit="m" if symbol in "da" else "rad",
+                unit="m" if symbol in _LENGTHS else "rad",
                 effect=self.name,
                 nominal=float(chain.nominal[chain.joint(i, symbol)]),
-                size=LENGTH_SIZE if symbol in "da" else ANGLE_SIZE,
+                size=LENGTH_SIZE if symbol in _LENGTHS else ANGLE_SIZE,
             )
             for i, symbol in self._places(chain)
         )
@@ -68,7 +70,9 @@ class _Geometry(Effect):
 
     def _places(self, chain: Chain) -> Iterator[tuple[int, str]]:
         for i, kind in enumerate(chain.robot.joint_types):
-            yield from ((i, symbol) for symbol in (self.sliding if kind == "prismatic" else self.turning))
+            symbols = self.sliding if kind == "prismatic" else self.turning
+            mount = self.branching if i in chain.robot.frames.branches else ()
+            yield from ((i, symbol) for symbol in (*mount, *symbols))
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,8 @@ class JointOffset(_Geometry):
 class LinkGeometry(_Geometry):
     """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1)).
 
-    A prismatic joint has theta in place of d, which is its joint offset.
+    A prismatic joint has theta in place of d, which is its joint offset. The first joint of a branch has x and y besides:
+    where its axis lies on the link that carries it.
 
     Distinguished by:
         poses over the whole range of every joint. For parallel axes only the sum of the link offsets is observable; offset
@@ -109,6 +114,7 @@ class LinkGeometry(_Geometry):
     locus: ClassVar[Locus] = Locus(acts_on="link")
     turning: ClassVar[tuple[str, ...]] = ("d", "a", "alpha")
     sliding: ClassVar[tuple[str, ...]] = ("theta", "a", "alpha")
+    branching: ClassVar[tuple[str, ...]] = MOUNT_SYMBOLS
 
 
 @dataclass(frozen=True)

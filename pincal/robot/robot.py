@@ -12,7 +12,7 @@ import numpy as np
 from pincal.errors import BadInputError, nearest_first
 from pincal.robot.arm_of_tree import TreeRequest, arm_model, arm_of_tree, path_between
 from pincal.robot.dh import DhFrames
-from pincal.robot.link_path import LinkPath
+from pincal.robot.link_path import LinkPath, above
 from pincal.robot.tree import Coupling, Mimic, UrdfTree
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 
@@ -161,6 +161,15 @@ class Robot:
     def n_joints(self) -> int:
         """Number of moving joints."""
         return len(self.joint_names)
+
+    def next_joint(self, i: int) -> int | None:
+        """Return the joint at the end of link i (from 0); None if it carries none, or several."""
+        carried = [k for k, parent in enumerate(self.parents) if parent == i]
+        return carried[0] if len(carried) == 1 else None
+
+    def carries(self, i: int, k: int) -> bool:
+        """Return whether joint i carries joint k, directly or not."""
+        return i in above(self.parents[k], self.parents)
 
     @property
     def own_joints(self) -> np.ndarray:

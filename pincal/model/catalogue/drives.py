@@ -117,9 +117,13 @@ class JointCoupling(DriveEffect):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint, from every other."""
+        """Yield it on every joint, from every other of the same arm."""
+        robot, joints = situation.chain.robot, list(enumerate(situation.joints))
         yield from (
-            Candidate(cls(joint, source)) for joint in situation.joints for source in situation.joints if source != joint
+            Candidate(cls(joint, source))
+            for i, joint in joints
+            for k, source in joints
+            if robot.carries(i, k) or robot.carries(k, i)
         )
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:

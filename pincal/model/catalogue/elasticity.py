@@ -103,8 +103,8 @@ class NonlinearElasticity(LoadedDrive):
 class BaseElasticity(Discoverable):
     """Foundation that tilts under the arm: rx = k_x m_x, ry = k_y m_y, in base axes about the base's origin.
 
-    m is the moment of the arm about the base's origin: joint 1's moment, in base axes, and where joint 1 stands beside the
-    origin (seen along gravity) the arm's weight times that distance.
+    m is the moment of all arms about the base's origin: joint 1's moment, in base axes, and where joint 1 stands beside the
+    origin (seen along gravity) the arm's weight times that distance. An instrument on the robot does not see it.
 
     Distinguished by:
         a target on the base or on the floor next to it. Without one, the bearing of joint 1 is nearly equivalent, except
@@ -132,15 +132,20 @@ class BaseElasticity(Discoverable):
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add joint 1's moments in base axes to rx and ry."""
         assert moments is not None
-        first = chain.robot.frames.T_base_first
-        axes = first[:3, :3] @ moment_axes(chain, conditions, 0)
-        # Moment of the whole weight, as if it hung at joint 1, about the base's origin, per kg.
-        beside = np.cross(first[:3, 3], chain.gravity)
-        mass = chain.robot.masses.sum() + conditions.payload
+        robot = chain.robot
         terms: tuple[Term, ...] = ()
-        for p, symbol in enumerate(("rx", "ry")):
-            terms += moment_terms(p, chain.base(symbol), 0, axis=axes[:, p], moments=moments)
-            terms += (Term(p, chain.base(symbol), beside[p] * mass),) if beside[p] else ()
+        if chain.path.start != robot.base:
+            return terms
+        for i in (i for i, parent in enumerate(robot.parents) if parent < 0):
+            first = robot.frames.before(i)
+            axes = first[:3, :3] @ moment_axes(chain, conditions, i)
+            # Moment of the whole weight, as if it hung at joint i, about the base's origin, per kg.
+            beside = np.cross(first[:3, 3], chain.gravity)
+            carried = [k for k in range(robot.n_joints) if k == i or robot.carries(i, k)]
+            mass = robot.masses[carried].sum() + conditions.payload * float(chain.path.tip_joint in carried)
+            for p, symbol in enumerate(("rx", "ry")):
+                terms += moment_terms(p, chain.base(symbol), i, axis=axes[:, p], moments=moments)
+                terms += (Term(p, chain.base(symbol), beside[p] * mass),) if beside[p] else ()
         return terms
 
 

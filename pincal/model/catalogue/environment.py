@@ -153,9 +153,14 @@ def lengths_that_grow(chain: Chain, joint: str | None) -> dict[int, float]:
 
 
 def _lengths(chain: Chain) -> dict[int, float]:
-    """Return the nominal d and a of every joint by coordinate [m]."""
+    """Return the nominal lengths of the links by coordinate [m]: d and a of every joint, and where branches begin."""
     places = [chain.joint(i, symbol) for i in range(chain.robot.n_joints) for symbol in "da"]
-    return {k: float(chain.nominal[k]) for k in places}
+    lengths = {k: float(chain.nominal[k]) for k in places}
+    for i, T in zip(chain.robot.frames.branches, chain.robot.frames.T_branch_first, strict=True):
+        for symbol, way in zip(("x", "y", "d"), T[:3, :3].T @ T[:3, 3], strict=True):
+            k = chain.joint(i, symbol)
+            lengths[k] = lengths.get(k, 0.0) + float(way)
+    return lengths
 
 
 def _whole(chain: Chain) -> dict[int, float]:
@@ -167,7 +172,7 @@ def _whole(chain: Chain) -> dict[int, float]:
 
 def _flange(chain: Chain) -> dict[int, float]:
     """Return the way from the last link's frame to the tip, in the axes of the tip, by coordinate [m]."""
-    T = chain.robot.frames.T_last_tip
+    T = chain.path.T_joint_tip
     return {chain.tool(symbol): float(way) for symbol, way in zip("xyz", T[:3, :3].T @ T[:3, 3], strict=True)}
 
 
@@ -178,6 +183,7 @@ def _link(chain: Chain, i: int) -> dict[int, float]:
     """
     d, a = chain.joint(i, "d"), chain.joint(i, "a")
     way = {d: float(chain.nominal[d]) - chain.height_on_axis(i), a: float(chain.nominal[a])}
-    if i + 1 == chain.robot.n_joints:
+    if i == chain.path.tip_joint:
         return way | _flange(chain)
-    return way | {chain.joint(i + 1, "d"): chain.height_on_axis(i + 1)}
+    following = chain.robot.next_joint(i)
+    return way if following is None else way | {chain.joint(following, "d"): chain.height_on_axis(following)}

@@ -15,6 +15,7 @@ from pincal.model.conditions import Conditions, PoseSet, nominal_moments
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
 from pincal.model.effect_bases import joint_index, moment_axes, parameters_of
 from pincal.parameters import Parameter
+from pincal.robot.link_path import above
 
 # Sine of the twist between two axes from which a shift along the first moves the second across the link.
 _TWISTED = 0.5
@@ -44,7 +45,7 @@ class LinkBending(Discoverable):
         Euler and Bernoulli's beam; in robots Judd and Knasinski (1990), Lightcap et al. (2008).
 
     Attributes:
-        joint: the joint that moves the link; not the last.
+        joint: the joint that moves the link; one that carries one other joint.
     """
 
     joint: str
@@ -59,14 +60,15 @@ class LinkBending(Discoverable):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every link but the last."""
-        yield from (Candidate(cls(joint)) for joint in situation.joints[:-1])
+        """Yield it on every link from one joint to the next."""
+        robot = situation.chain.robot
+        yield from (Candidate(cls(joint)) for i, joint in enumerate(situation.joints) if robot.next_joint(i) is not None)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Flexibility b = 1 / (E I) [1/(N m^2)].
 
         Raises:
-            BadInputError: if no joint follows.
+            BadInputError: if no joint follows, or several do.
         """
         self._index(chain)
         return parameters_of(self, self.joint, ("bend",), unit="1/(N m^2)", size=BENDING_SIZE)
@@ -74,52 +76,57 @@ class LinkBending(Discoverable):
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Turn and move the far end of the link."""
         i = self._index(chain)
-        span = _link_span(chain, i)
+        k = chain.robot.next_joint(i)
+        assert k is not None
+        span = _link_span(chain, i, k)
         length = float(np.linalg.norm(span))
         if length < _SHORT:
             return ()
         u = span / length
-        force, moment = (load - np.outer(load @ u, u) for load in _loads_at_end(chain, conditions, i))
+        force, moment = (load - np.outer(load @ u, u) for load in _loads_at_end(chain, conditions, k))
         turn = length * moment + length**2 / 2.0 * np.cross(u, force)
         shift = length**2 / 2.0 * np.cross(moment, u) + length**3 / 3.0 * force
-        return _end_terms(chain, i, shift=shift, turn=turn)
+        return _end_terms(chain, i, k, shift=shift, turn=turn)
 
     def _index(self, chain: Chain) -> int:
         i = joint_index(chain, self.joint)
-        if i + 1 == chain.robot.n_joints:
-            others = ", ".join(chain.robot.joint_names[:-1])
-            raise BadInputError(f"{self.name} of {self.joint}: no joint follows its link; expected one of {others}")
+        robot = chain.robot
+        if robot.next_joint(i) is None:
+            others = ", ".join(name for k, name in enumerate(robot.joint_names) if robot.next_joint(k) is not None)
+            count = "several joints follow" if i in robot.parents else "no joint follows"
+            raise BadInputError(f"{self.name} of {self.joint}: {count} its link; expected one of {others}")
         return i
 
 
-def _link_span(chain: Chain, i: int) -> np.ndarray:
-    """Return the way from joint i to the next, as the URDF places them, in the axes at the end of link i [m]."""
+def _link_span(chain: Chain, i: int, k: int) -> np.ndarray:
+    """Return the way from joint i to the next, k, as the URDF places them, in the axes at the end of link i [m]."""
     d, a, alpha = (float(chain.nominal[chain.joint(i, symbol)]) for symbol in ("d", "a", "alpha"))
     along = d - chain.height_on_axis(i)
-    return np.array([a, along * np.sin(alpha), along * np.cos(alpha) + chain.height_on_axis(i + 1)])
+    return np.array([a, along * np.sin(alpha), along * np.cos(alpha) + chain.height_on_axis(k)])
 
 
-def _loads_at_end(chain: Chain, conditions: Conditions, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return force and moment of all beyond link i, about where the URDF places joint i + 1, each of shape (N, 3).
+def _loads_at_end(chain: Chain, conditions: Conditions, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return force and moment of all that joint k carries, about where the URDF places it, each of shape (N, 3).
 
-    On the nominal arm, in the axes at the end of link i [N, N m].
+    On the nominal arm, in the axes at the end of the link before it [N, N m].
     """
-    force = (chain.robot.masses[i + 1 :].sum() + conditions.payload)[:, None] * _gravity_before(chain, conditions, i + 1)
-    own = nominal_moments(chain, conditions)[:, 3 * (i + 1) : 3 * (i + 2)]
-    moment = np.einsum("nab,nb->na", moment_axes(chain, conditions, i + 1), own)
-    above = chain.height_on_axis(i + 1) - chain.bearing_heights[i + 1]
-    return force, moment - np.cross([0.0, 0.0, above], force)
+    robot = chain.robot
+    carried = [j for j in range(robot.n_joints) if j == k or robot.carries(k, j)]
+    mass = robot.masses[carried].sum() + conditions.payload * float(chain.path.tip_joint in carried)
+    force = mass[:, None] * _gravity_before(chain, conditions, k)
+    own = nominal_moments(chain, conditions)[:, 3 * k : 3 * (k + 1)]
+    moment = np.einsum("nab,nb->na", moment_axes(chain, conditions, k), own)
+    height = chain.height_on_axis(k) - chain.bearing_heights[k]
+    return force, moment - np.cross([0.0, 0.0, height], force)
 
 
-def _gravity_before(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
-    """Return the acceleration of gravity on the nominal arm in the axes before joint i, shape (N, 3) [m/s^2].
-
-    They are those at the end of the link that carries the joint; with ``i`` the number of joints, those of the tip's link.
-    """
-    g = np.broadcast_to(chain.robot.frames.T_base_first[:3, :3].T @ chain.gravity, (len(conditions), 3))
-    for j in range(i):
+def _gravity_before(chain: Chain, conditions: Conditions, k: int) -> np.ndarray:
+    """Return the acceleration of gravity on the nominal arm at the end of the link that carries joint k, (N, 3) [m/s^2]."""
+    robot, g = chain.robot, np.broadcast_to(chain.gravity, (len(conditions), 3))
+    for j in above(robot.parents[k], robot.parents):
+        g = g @ robot.frames.before(j)[:3, :3]
         angles = {symbol: chain.nominal[chain.joint(j, symbol)] for symbol in ("s_x", "s_y", "theta", "alpha")}
-        turned = angles["theta"] + (conditions.q[:, j] if chain.robot.joint_types[j] != "prismatic" else 0.0)
+        turned = angles["theta"] + (conditions.q[:, j] if robot.joint_types[j] != "prismatic" else 0.0)
         for axis, angle in ((0, angles["s_x"]), (1, angles["s_y"]), (2, turned), (0, angles["alpha"])):
             g = _turned_back(g, axis, angle)
     return g
@@ -134,34 +141,37 @@ def _turned_back(vectors: np.ndarray, axis: int, angle: float | np.ndarray) -> n
     return out
 
 
-def _end_terms(chain: Chain, i: int, *, shift: np.ndarray, turn: np.ndarray | None = None) -> tuple[Term, ...]:
-    """Return the terms of one parameter that moves and turns the far end of link i, where the URDF has joint i + 1.
+def _end_terms(
+    chain: Chain, i: int, following: int, *, shift: np.ndarray, turn: np.ndarray | None = None
+) -> tuple[Term, ...]:
+    """Return the terms of one parameter that moves and turns the far end of link i, where the URDF has the joint behind it.
 
     The chain turns the end about the foot of the common normal, and moves it along the axes of both joints and along the
     normal. Across parallel axes it has no shift: there the link turns about its joint, and its end back again.
 
     Args:
         chain: the chain.
-        i: the joint that moves the link; not the last.
+        i: the joint that moves the link.
+        following: the joint at its end.
         shift: shape (N, 3), in the axes at the end of the link [m].
         turn: shape (N, 3), likewise [rad]; default: none.
     """
     if turn is not None:
-        shift = shift - np.cross(turn, [0.0, 0.0, chain.height_on_axis(i + 1)])
+        shift = shift - np.cross(turn, [0.0, 0.0, chain.height_on_axis(following)])
     alpha, a = (float(chain.nominal[chain.joint(i, symbol)]) for symbol in ("alpha", "a"))
     sine, cosine = np.sin(alpha), np.cos(alpha)
     x, y, z = shift.T
     bases = {("a", i): x}
     if abs(sine) > _TWISTED or (abs(a) <= _SHORT and abs(sine) > _HARDLY_TWISTED):
         bases[("d", i)] = y / sine
-        bases[("d", i + 1)] = z - y * cosine / sine
+        bases[("d", following)] = z - y * cosine / sine
     elif abs(a) > _SHORT:
         back = y / (a * cosine)
         bases[("theta", i)] = back
-        bases[("d", i + 1)] = z + y * sine / cosine
+        bases[("d", following)] = z + y * sine / cosine
         turn = (0.0 if turn is None else turn) - back[:, None] * np.array([0.0, sine, cosine])
     else:
-        bases[("d", i + 1)] = z
+        bases[("d", following)] = z
     if turn is not None:
-        bases |= {("s_x", i + 1): turn[:, 0], ("s_y", i + 1): turn[:, 1], ("theta", i + 1): turn[:, 2]}
+        bases |= {("s_x", following): turn[:, 0], ("s_y", following): turn[:, 1], ("theta", following): turn[:, 2]}
     return tuple(Term(0, chain.joint(j, symbol), np.ascontiguousarray(basis)) for (symbol, j), basis in bases.items())
