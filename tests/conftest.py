@@ -3,6 +3,7 @@
 import ast
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pytest
 
+# Imported for the effects, which it registers.
+import pincal.model.catalogue  # noqa: F401
 from pincal import plugins
 from pincal.builtin import kuka_urdf_path
+from pincal.measure.registry import SENSORS
+from pincal.model.effect_registry import EFFECTS
 from pincal.robot.robot import Robot
 
 # Data that is not part of the project stands next to it.
@@ -28,9 +33,17 @@ def kuka() -> Robot:
 
 
 @pytest.fixture(autouse=True)
-def forget_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no test's workers look for the plugins of another, whose files may be gone."""
+def forget_plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let no test meet the effects and sensors of another's plugins, and no worker look for these: files may be gone."""
     monkeypatch.setattr(plugins, "_loaded", dict(plugins._loaded))
+    known, imported = [(registry, set(registry.known())) for registry in (EFFECTS, SENSORS)], set(sys.modules)
+    yield
+    for registry, names in known:
+        for name in registry._classes.keys() - names:
+            module = registry._classes.pop(name).__module__
+            if module not in imported:
+                # Loaded again, it has to register its classes again.
+                sys.modules.pop(module, None)
 
 
 @pytest.fixture

@@ -33,10 +33,9 @@ PAGE = (Path(__file__).parents[1] / "docs" / "architecture.md").read_text(encodi
 
 @pytest.fixture
 def recipe(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """Return the code block of a recipe as a module of its own; what it registered is forgotten again."""
+    """Return the code block of a recipe as a module of its own."""
     block = re.search(rf"<!-- recipe: {request.param} -->\n```python\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None
-    before = dict(EFFECTS._classes), dict(SENSORS._classes)
     name = f"recipe_{request.param}"
     (tmp_path / f"{name}.py").write_text(block[1])
     if request.param in ("effect", "sensor"):
@@ -44,9 +43,6 @@ def recipe(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     else:
         monkeypatch.syspath_prepend(tmp_path)
         yield import_module(name)
-    for registry, classes in zip((EFFECTS, SENSORS), before, strict=True):
-        registry._classes.clear()
-        registry._classes.update(classes)
     sys.modules.pop(name, None)
 
 
