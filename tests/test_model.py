@@ -23,10 +23,11 @@ from pincal.model.augmented import augmented_model, joint_placements, pinocchio_
 from pincal.model.catalogue.bearing_features import ObliqueBearing
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, JointOffset, LinkGeometry, ToolFrame
-from pincal.model.kernel_inputs import BLOCK, FRAME
+from pincal.model.kernel_inputs import BLOCK, FRAME, MOUNT
 from pincal.model.model import Model
 from pincal.model.sizes import largest_bases, largest_basis
 from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.link_path import above
 from pincal.robot.robot import Robot
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -37,12 +38,18 @@ G = 9.81
 # A base that is not level, so that no moment vanishes by luck [m/s^2].
 TILTED = np.array([2.0, -3.0, -9.0])
 TARGETS = ("A", "B", "C")
+# Joints off a path that change what those of the path bear.
+OTHERS = ("torso_lift_joint", "arm_right_1_joint")
 
 ARMS: dict[str, Callable[[], Robot]] = {
     "kuka": lambda: Robot.from_urdf(kuka_urdf_path()),
     "ur10": lambda: Robot.from_urdf("ur10"),
     "panda": lambda: Robot.from_urdf("panda"),
     "tiago": lambda: Robot.from_urdf("tiago", tip="arm_tool_link"),
+    "hand to hand": lambda: Robot.from_urdf("baxter", start="left_gripper", tip="right_gripper"),
+    "head to hand": lambda: Robot.from_urdf(
+        "tiago_pro", start="head_front_camera_link", tip="gripper_left_base_link", others=OTHERS
+    ),
 }
 EFFECTS: dict[str, tuple[Effect, ...]] = {
     **{effect.name: (effect,) for effect in ELASTIC},
@@ -58,7 +65,7 @@ SOME_JOINTS = catalogue.JointElasticity, catalogue.BearingElasticity
 
 @pytest.fixture(scope="module", params=ARMS)
 def robot(request: pytest.FixtureRequest) -> Robot:
-    """Return each of the arms: industrial, parallel axes, seven joints, a sliding torso."""
+    """Return each of the robots: industrial, parallel axes, seven joints, a sliding torso; paths up a tree and down."""
     return ARMS[request.param]()
 
 
@@ -303,7 +310,7 @@ class Augmented:
         self.chain = chain
         self.model = augmented_model(chain, payload=payload, payload_centre=centre)
         self.data = self.model.createData()
-        self.tip = self.model.getFrameId("tip")
+        self.start, self.tip = self.model.getFrameId("start"), self.model.getFrameId("tip")
 
     def joints(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the joints' part of a row of coordinates, the way back from the bearing in d."""
@@ -313,14 +320,23 @@ class Augmented:
         return x[FRAME:-FRAME]
 
     def pose(self, coordinates: np.ndarray) -> np.ndarray:
-        """Return the tip in the base frame, shape (3, 4)."""
+        """Return the tip in the frame where the path starts, shape (3, 4)."""
         pin.framesForwardKinematics(self.model, self.data, self.joints(coordinates))
-        return np.asarray(self.data.oMf[self.tip].homogeneous[:3])
+        return np.asarray((self.data.oMf[self.start].inverse() * self.data.oMf[self.tip]).homogeneous[:3])
 
     def jacobian(self, coordinates: np.ndarray) -> np.ndarray:
-        """Return the motion and turning of the tip by all coordinates of the joints, in the base's axes."""
+        """Return the motion and turning of the tip by all coordinates of the joints, seen from where the path starts."""
         x = self.joints(coordinates)
-        return np.asarray(pin.computeFrameJacobian(self.model, self.data, x, self.tip, pin.LOCAL_WORLD_ALIGNED))
+        start, tip = (
+            np.array(pin.computeFrameJacobian(self.model, self.data, x, frame, pin.LOCAL_WORLD_ALIGNED))
+            for frame in (self.start, self.tip)
+        )
+        pin.framesForwardKinematics(self.model, self.data, x)
+        away = self.data.oMf[self.tip].translation - self.data.oMf[self.start].translation
+        tip[:3] -= start[:3] + np.cross(start[3:].T, away).T
+        tip[3:] -= start[3:]
+        R = self.data.oMf[self.start].rotation.T
+        return np.vstack([R @ tip[:3], R @ tip[3:]])
 
     def moments(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the static moment about (or force along) each coordinate: minus the generalised gravity."""
@@ -355,7 +371,7 @@ def test_augmented_model_has_the_same_tip(
     values, augmented = values_of(model, conditions, rng), build(chain)
     coordinates = model.coordinates(values, conditions)
 
-    assert augmented.model.nq == BLOCK * robot.n_joints
+    assert augmented.model.nq == chain.size - 2 * FRAME == BLOCK * robot.n_joints + MOUNT * len(robot.frames.branches)
     np.testing.assert_allclose(
         model.predict(values, conditions), [augmented.pose(x) for x in coordinates], rtol=0.0, atol=EXACT
     )
@@ -476,10 +492,12 @@ def summed_moments(chain: Chain, x: np.ndarray, mass: float, centre: np.ndarray)
     "before" and "paper" express them in the frame before q, "after" in the one after q and the drive's own wind-up; the
     paper takes them about the frame's origin, the others about the bearing.
     """
-    robot, T = chain.robot, chain.robot.frames.T_base_first
+    robot, links = chain.robot, {-1: np.eye(4)}
     origins, axes, places = [], [], []
     for i in range(robot.n_joints):
-        at = {symbol: x[chain.joint(i, symbol)] for symbol in chain.symbols[FRAME : FRAME + BLOCK]}
+        at = {symbol: x[k] for symbol, k in chain.joint_coordinates(i).items()}
+        T = links[robot.parents[i]] @ robot.frames.before(i)
+        T = T @ np.block([[np.eye(3), np.array([[at.get("x", 0.0)], [at.get("y", 0.0)], [0.0]])], [np.eye(4)[3:]]])
         T = T @ turn("x", at["s_x"]) @ turn("y", at["s_y"])
         before, origin = T[:3, :3], T[:3, 3]
         bend = shift(0.0, at["h"]) @ turn("y", at["gamma_y"]) @ turn("x", at["gamma_x"]) @ shift(0.0, -at["h"])
@@ -493,12 +511,15 @@ def summed_moments(chain: Chain, x: np.ndarray, mass: float, centre: np.ndarray)
         T = T if chain.moment_frame == "before" else T @ bend
         T = T @ shift(at["a"], at["d"]) @ turn("x", at["alpha"])
         places.append(T[:3, :3] @ robot.centres[i] + T[:3, 3])
-    T = T @ robot.frames.T_last_tip
+        links[i] = T
+    T = links[chain.path.tip_joint] @ chain.path.T_joint_tip
     masses = [*robot.masses, mass]
     places.append(T[:3, :3] @ centre + T[:3, 3])
     out = np.zeros((robot.n_joints, 3))
     for i in range(robot.n_joints):
-        total = sum(np.cross(places[b] - origins[i], masses[b] * chain.gravity) for b in range(i, robot.n_joints + 1))
+        carried = [b for b in range(robot.n_joints) if i in above(b, robot.parents)]
+        carried += [robot.n_joints] if i in above(chain.path.tip_joint, robot.parents) else []
+        total = sum(np.cross(places[b] - origins[i], masses[b] * chain.gravity) for b in carried)
         out[i] = axes[i].T @ total
     return out
 
@@ -523,15 +544,16 @@ def test_moments_are_sums_over_the_bodies_beyond(robot: Robot, moment_frame: Mom
 @pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
 def test_a_bearing_sits_where_the_urdf_has_the_joint(robot: Robot, moment_frame: MomentFrame) -> None:
     """Its height on the axis leads from the frame's origin to the joint; the paper has it at the origin."""
-    chain, T = bare_chain(robot, moment_frame), robot.frames.T_base_first
+    chain, links = bare_chain(robot, moment_frame), {-1: np.eye(4)}
     for i, T_base_link in enumerate(robot.frames.T_base_link):
+        T = links[robot.parents[i]] @ robot.frames.before(i)
         joint = (T_base_link @ robot.T_link_joint[i])[:3, 3]
         away = joint - T[:3, 3] - chain.bearing_heights[i] * T[:3, 2]
         if moment_frame == "paper":
             assert chain.bearing_heights[i] == 0.0
         else:
             np.testing.assert_allclose(away, 0.0, atol=2e-6)
-        T = T_base_link
+        links[i] = T_base_link
 
 
 @pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)

@@ -17,6 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pincal.errors import BadInputError, PincalWarning, RobotFileError
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.model import Model
 from pincal.robot.robot import Robot
 from pincal.robot.urdf_file import find_file, robot_name
 
@@ -583,10 +586,16 @@ def test_a_tip_that_nothing_moves_is_refused() -> None:
         Robot.from_urdf("ur10", tip="base_link")
 
 
-def test_a_mimic_joint_on_the_path_is_refused() -> None:
-    """A joint that follows another has no reading of its own."""
-    with pytest.raises(RobotFileError, match="'grip_copy' between 'base' and 'finger_2' mimics 'grip'"):
-        Robot.from_urdf(gripper_arm(), base="base", tip="finger_2")
+def test_a_joint_moves_with_the_one_of_another_branch_that_it_mimics() -> None:
+    """That one is a joint of the robot, too, though it is not on the path."""
+    robot = Robot.from_urdf(gripper_arm(), base="base", tip="finger_2")
+    q = robot.spread(np.random.default_rng(1).uniform(-0.02, 0.02, (5, len(robot.own_joints))))
+
+    assert robot.joint_names[-2:] == ("grip_copy", "grip") and robot.parents[-1] == robot.parents[-2]
+    np.testing.assert_allclose(np.abs(q[:, -2]), np.abs(q[:, -1]))
+    np.testing.assert_allclose(
+        Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q)), robot.forward_kinematics(q)[:, :3], atol=1e-12
+    )
 
 
 def test_a_floating_joint_on_the_path_is_refused() -> None:

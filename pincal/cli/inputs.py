@@ -25,6 +25,7 @@ from pincal.model.chain import Chain
 from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
+from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
 from pincal.robot.urdf_file import find_file, read_urdf
@@ -110,10 +111,10 @@ def _described(source: InputOptions) -> Robot:
     """Return the arm as its URDF has it."""
     tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
     if source.tip is not None:
-        return Robot.from_tree(tree, tip=source.tip, base=source.base, mass=source.mass)
+        return Robot.from_tree(tree, TreeRequest(source.tip, base=source.base), mass=source.mass)
     known = {joint.name for joint in tree.joints}
     joints = joint_columns(source.data[0], known, source.table.options)
-    return Robot.from_tree(tree, base=source.base, joints=joints or None, mass=source.mass)
+    return Robot.from_tree(tree, TreeRequest(base=source.base, joints=joints or None), mass=source.mass)
 
 
 def load_tables(robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None) -> dict[str, Measurements]:

@@ -68,7 +68,7 @@ class Chain:
         tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups
             those of each after the other's.
         bearing_heights: shape (n,), distance of each joint's bearing along its axis from the preceding frame [m].
-        path: the links between which readings are; default: those of the robot.
+        ends: the links between which readings are; default: those of the robot.
         kept: what was evaluated with this chain and with those made of it.
     """
 
@@ -79,12 +79,8 @@ class Chain:
     targets: tuple[str, ...]
     tool_rotations: np.ndarray
     bearing_heights: np.ndarray
-    path: LinkPath = None  # type: ignore[assignment]
+    ends: LinkPath | None = None
     kept: Evaluations = field(default_factory=Evaluations, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.path is None:
-            object.__setattr__(self, "path", self.robot.path)
 
     def __repr__(self) -> str:
         return f"Chain({self.robot.name!r}: {self.robot.n_joints} joints, targets {' '.join(self.targets)})"
@@ -109,7 +105,7 @@ class Chain:
         g = robot.gravity if gravity is None else np.asarray(gravity, float)
         tools = np.tile(np.eye(3), (len(targets), 1, 1))
         heights = _bearing_heights(robot, moment_frame)
-        return cls(robot, moment_frame, g, np.eye(3), targets, tools, heights, path or robot.path)
+        return cls(robot, moment_frame, g, np.eye(3), targets, tools, heights, path)
 
     def with_moment_frame(self, moment_frame: MomentFrame) -> Chain:
         """Return the same chain whose moments are taken and bend the arm elsewhere: one object for each convention."""
@@ -127,6 +123,11 @@ class Chain:
         return replace(self, base_rotation=np.array(base_rotation), tool_rotations=np.array(tool_rotations))
 
     @property
+    def path(self) -> LinkPath:
+        """The links between which readings are, and where they are on the joints that carry them."""
+        return self.robot.path if self.ends is None else self.ends
+
+    @property
     def size(self) -> int:
         """Number K of coordinates."""
         return int(self._static["starts"][-1]) + FRAME
@@ -137,7 +138,7 @@ class Chain:
         return _symbols(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)
 
     @property
-    def _static(self) -> dict[str, np.ndarray]:
+    def _static(self) -> dict[str, Any]:
         return _order(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)
 
     @cached_property
@@ -292,7 +293,7 @@ def _places(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...])
 
 
 @cache
-def _order(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> dict[str, np.ndarray]:
+def _order(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> dict[str, Any]:
     """Return the part of a layout that only the order of the coordinates matters to; all chains share it."""
     symbols = _symbols(moment_frame, n_joints, branches)
     starts = FRAME + BLOCK * np.arange(n_joints + 1) + MOUNT * np.searchsorted(sorted(branches), np.arange(n_joints + 1))

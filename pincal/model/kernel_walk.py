@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-
 # Poses worked on together: fewer cost more in calls, more outgrow a second-level cache of 512 KiB (6R arm).
 LANES = 64
 

@@ -11,7 +11,8 @@ h_l = w_l x D_l and g the gravity, n_l = h_l . g (paper, Eq. (3)). With u_k = g 
                   = 0, M_k w_k . u_l    k a translation before, after it.
 
 The Jacobian needs only sum_l a_l d n_l / d x_k, so two sums for each joint serve all its k: of a_l h_l over the moments of
-what it carries and of a_l u_l over those of what carries it. A moment of another branch does not depend on k. Checked against finite differences and Pinocchio in ``tests/test_model.py``.
+what it carries and of a_l u_l over those of what carries it. A moment of another branch does not depend on k. Checked
+against finite differences and Pinocchio in ``tests/test_model.py``.
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 _NO_LIMIT = 1e3
 # Mass of a robot [kg] below which grams were not meant, but nothing at all.
 _LIGHTEST = 1e-3
-# No serial arm has more joints that move; memory and time grow with their cube.
-_MOST_JOINTS = 50
+# No robot has more joints that move; memory and time grow with their cube.
+_MOST_JOINTS = 150
 # Mass of what moves of an industrial arm, over the length of its links along the joints to the power below [kg/m^2.5]; from
 # data sheets of arms from 0.6 m to 3.2 m. Of cobots it is a fifth. It is only where a search starts.
 _PER_LENGTH, _GROWTH = 36.0, 2.5
@@ -97,6 +97,11 @@ def _moving_joints(
             )
         if base == tree.root or any(joint.parent == base for joint in tree.above(known[name].child)):
             order.setdefault(name)
+    for name in list(order):
+        # A joint moves as the one that it mimics, which may be of another branch.
+        while (mimic := known[name].mimic) is not None and mimic.source in known and mimic.source not in order:
+            name = mimic.source
+            order[name] = None
     chosen = [known[name] for name in order if known[name].kind in MOVING_TYPES]
     if len(chosen) > _MOST_JOINTS:
         raise RobotFileError(
@@ -214,12 +219,12 @@ def _attributes(
         "source": tree.source,
         "mimics": mimics,
         "parents": parents,
-        "path": way,
+        "ends": way,
     }
 
 
 def _aims(tree: UrdfTree, joints: Sequence[UrdfJoint], ends: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the link that the frames behind each joint aim at if it carries no other: the end of a path, or its own link."""
+    """Return the link that the frames behind each joint aim at if it carries no other: the end of a path, or its own."""
     aims = {_carrier(tree, joints, link): link for pair in reversed(ends) for link in pair}
     return [aims.get(i, joint.child) for i, joint in enumerate(joints)]
 
@@ -285,9 +290,7 @@ def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str
 
 
 def _checked_path(tree: UrdfTree, base: str, start: str, tip: str) -> tuple[tuple[UrdfJoint, ...], tuple[UrdfJoint, ...]]:
-    """Return all joints on the way between two links, fixed ones too: those passed backwards, from the base on, and those
-    passed along.
-    """
+    """Return all joints on the way between two links, fixed ones too: those passed backwards, and those passed along."""
     up, down = tree.path(base, start), tree.path(base, tip)
     shared = len([a for a, b in zip(up, down, strict=False) if a is b])
     for joint in (path := (*up[shared:], *down[shared:])):

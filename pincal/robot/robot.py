@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +51,7 @@ class Robot:
         couplings: the joints whose controller reports a combination of positions. Tables, arrays and commands hold what is
             reported, everything else of the library the positions of the URDF.
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
-        path: the links between which a reading is if nothing else is said; default: base and tip.
+        ends: the links between which a reading is if nothing else is said; default: base and tip.
     """
 
     name: str
@@ -72,15 +73,17 @@ class Robot:
     mimics: tuple[Mimic, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     parents: tuple[int, ...] = ()
-    path: LinkPath = None  # type: ignore[assignment]
+    ends: LinkPath | None = None
 
     def __post_init__(self) -> None:
-        n = len(self.joint_names)
         if not self.parents:
-            object.__setattr__(self, "parents", tuple(range(-1, n - 1)))
-        if self.path is None:
-            whole = LinkPath(self.base, self.tip, -1, n - 1, np.eye(4), self.frames.T_last_tip)
-            object.__setattr__(self, "path", whole)
+            object.__setattr__(self, "parents", tuple(range(-1, len(self.joint_names) - 1)))
+
+    @cached_property
+    def path(self) -> LinkPath:
+        """The way between the links between which a reading is if nothing else is said."""
+        whole = LinkPath(self.base, self.tip, -1, self.n_joints - 1, np.eye(4), self.frames.T_last_tip)
+        return whole if self.ends is None else self.ends
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}: {self.n_joints} joints from {self.path.start} to {self.tip})"
