@@ -156,7 +156,7 @@ def path_between(tree: UrdfTree, joint_names: Sequence[str], base: str, start: s
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     placed = {link: data.oMf[model.getFrameId(link, pin.BODY)].homogeneous for link in (base, start, tip)}
     frames = [data.oMi[model.getJointId(name)].homogeneous for name in joint_names]
-    carriers = [_carrier(tree, joints, link) for link in (start, tip)]
+    carriers = _carrier(tree, joints, start), _carrier(tree, joints, tip)
     relative = [
         np.linalg.inv(placed[base] if i < 0 else frames[i]) @ placed[link]
         for i, link in zip(carriers, (start, tip), strict=True)

@@ -12,12 +12,13 @@ from pincal.robot.se3 import rotation, translation
 
 @dataclass(frozen=True)
 class Kinematics:
-    """The nominal arm: S_i = S_{i-1} before_i J(q_i) after_i, with S_0 = first in the base frame.
+    """The nominal arm: S_i = S_p before_i J(q_i) after_i, with p the joint that carries joint i and S_0 = first in the base.
 
     Attributes:
         first: shape (4, 4).
         before, after: shape (n, 4, 4).
         types: "revolute" or "prismatic", one per joint.
+        parents: the joint that carries each joint, -1 for the base.
 
     Example:
         >>> robot, q = Robot.from_urdf("ur10"), np.full((1, 6), 0.3)
@@ -30,14 +31,17 @@ class Kinematics:
     before: np.ndarray
     after: np.ndarray
     types: tuple[str, ...]
+    parents: tuple[int, ...]
 
     @classmethod
     def of(cls, robot: Robot) -> Kinematics:
         """Return the kinematics of a robot."""
-        rows = robot.frames.parameters
+        rows, frames = robot.frames.parameters, robot.frames
         before = [rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta) for s_x, s_y, theta, *_ in rows]
+        for i, T in zip(frames.branches, frames.T_branch_first, strict=True):
+            before[i] = T @ before[i]
         after = [translation(a, 0.0, d) @ rotation("x", alpha) for *_, d, a, alpha in rows]
-        return cls(robot.frames.T_base_first, np.array(before), np.array(after), robot.joint_types)
+        return cls(frames.T_base_first, np.array(before), np.array(after), robot.joint_types, robot.parents)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
         """Return the frames of all bodies in the base frame at joint positions [rad or m], shape (N, n).
@@ -47,10 +51,9 @@ class Kinematics:
         """
         frames = np.empty((len(q), len(self.types) + 1, 4, 4))
         frames[:, 0] = np.eye(4)
-        last = np.broadcast_to(self.first, (len(q), 4, 4))
-        for i, kind in enumerate(self.types):
-            last = last @ (self.before[i] @ _moves(q[:, i], kind) @ self.after[i])
-            frames[:, i + 1] = last
+        for i, (kind, parent) in enumerate(zip(self.types, self.parents, strict=True)):
+            start = self.first if i == 0 else frames[:, parent + 1]
+            frames[:, i + 1] = start @ (self.before[i] @ _moves(q[:, i], kind) @ self.after[i])
         return frames
 
 
@@ -68,6 +71,7 @@ def _moves(q: np.ndarray, kind: str) -> np.ndarray:
 
 def joint_axis(robot: Robot, i: int) -> np.ndarray:
     """Return the direction of joint i's axis (from 0) in the base frame at q = 0, shape (3,)."""
-    before = robot.frames.T_base_first if i == 0 else robot.frames.T_base_link[i - 1]
+    parent = robot.parents[i]
+    before = (robot.frames.T_base_link[parent] if parent >= 0 else np.eye(4)) @ robot.frames.before(i)
     s_x, s_y = robot.frames.parameters[i, :2]
     return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])
