@@ -28,6 +28,9 @@ class Rule:
 
 FINITE = Rule("a finite number", np.isfinite)
 POSITIVE = Rule(f"a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & (value >= SMALLEST))
+NOT_NEGATIVE = Rule(
+    f"0 or a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & ((value == 0.0) | (value >= SMALLEST))
+)
 SIGN = Rule("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
 
 
@@ -68,6 +71,7 @@ _RECORDED = {name: variable.quantity for name, variable in RECORDABLE.items() if
 CONDITIONS = {"point": POINT} | {
     name: Field(name, (name,), quantity) for name, quantity in ({"target": "name"} | _RECORDED | {"station": "name"}).items()
 }
+CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
 """What a table can say of a pose beside the readings."""
 
 SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)

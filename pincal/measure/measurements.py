@@ -53,6 +53,10 @@ class Measurements(Recorded):
     """Payload [kg], shape (N,)."""
     station: np.ndarray | None = None
     """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
+    from_link: np.ndarray | None = None
+    """Name of the link from which each row's reading is seen, shape (N,); default: the robot's base."""
+    to_link: np.ndarray | None = None
+    """Name of the link that each row's reading is about, shape (N,); default: the robot's tip."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
     readings_per_row: np.ndarray | None = None
@@ -61,6 +65,8 @@ class Measurements(Recorded):
     """The units that the header gave, by column; what is not in it was taken as SI."""
     approach_from: str = ""
     """Where ``approach`` comes from, in words, as far as it is known."""
+    setup: str = ""
+    """Name of the set-up whose instrument it shares with rows between other links; empty if it is one of its own."""
 
     def __post_init__(self) -> None:
         for name, array in self._present().items():
@@ -247,8 +253,9 @@ def validated(
     check_fields(given, source=source)
     sensor = sensor_class(given)
     arrays.setdefault("target", np.broadcast_to(np.array("tool" if sensor is None else sensor.default_target), count))
+    read = {} if sensor is None else {field.name: field for field in sensor.fields}
     for name, array in arrays.items():
-        _check_values(name, array, fields.get(name), arrays["rows"], source=source)
+        _check_values(name, array, read.get(name, fields.get(name)), arrays["rows"], source=source)
     for name in given:
         if fields[name].is_unit:
             arrays[name] = arrays[name] / np.linalg.norm(arrays[name], axis=1, keepdims=True)

@@ -34,6 +34,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         fewest: the readings of one unknown point from which on some are left over to judge the robot by.
         judges_new_points: whether a point that the calibration did not have is judged by the mean of its own rows, of which
             it then needs two.
+        in_link_frame: whether points are places on the link from which the path starts, whose frame is the base then.
         points: the named points.
         index: shape (N,), each row's point.
     """
@@ -41,6 +42,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     thing: ClassVar[str]
     fewest: ClassVar[int]
     judges_new_points: ClassVar[bool] = False
+    in_link_frame: ClassVar[bool] = False
 
     points: NamedPoints
     index: np.ndarray
@@ -66,7 +68,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @final
     def base_symbols(self) -> tuple[str, ...]:
         """All if any point is known in a frame of its own; else the robot's base is that frame."""
-        return FRAME_SYMBOLS if self.points.known.any() else ()
+        return FRAME_SYMBOLS if self.points.known.any() and not self.in_link_frame else ()
 
     @property
     @final
@@ -96,7 +98,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         """Yield what the kind of reading, and the points that are known, leave open."""
         known = int(self.points.known.sum())
         yield from self.unobservable_with(known)
-        if known and self.points.are_in_line:
+        if known and self.points.are_in_line and not self.in_link_frame:
             some = "fewer than three of the named points are known" if known < 3 else "the known points stand in a line"
             yield f"{some}, so a rotation of the base about them is undetermined: give one more, off their line"
 
@@ -161,7 +163,8 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         """
         points = self.points
         seen = points.known & np.isin(np.arange(len(places)), self.index)
-        base = transform(*align(places[seen], points.given[seen])) if seen.any() else np.eye(4)
+        is_fixed = self.in_link_frame or not seen.any()
+        base = np.eye(4) if is_fixed else transform(*align(places[seen], points.given[seen]))
         moved = places @ base[:3, :3].T + base[:3, 3]
         own = moved[~points.known].ravel()
         return Extrinsics(base, tools, own if rest is None else np.concatenate([own, rest]))

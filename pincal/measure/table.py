@@ -21,11 +21,14 @@ from pincal.measure.fields import CONDITIONS, TABLE_ENDINGS, Schema, TableOption
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
 from pincal.measure.reader import joint_columns, read_columns, read_table, typed_errors
 from pincal.measure.registry import expected_columns, known_fields
+from pincal.measure.sensor import Divided
 from pincal.robot.tree import Mimic
 
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
 __all__ += ["read_measurements", "row_parts", "write_table"]
 
+# The ends of the path that a row's reading is about.
+LINK_ENDS = ("from", "to")
 # Rows that are worked on at once where not all fit into memory: some hundred MB with all that a fit makes of them.
 MOST_ROWS = 200_000
 
@@ -134,7 +137,8 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray],
 def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measurements]:
     """Return the rows of each station, in the order in which stations appear.
 
-    A table is a station unless it has a column ``station``; rows of one name may then come from several tables.
+    A table is a station unless it has a column ``station``; rows of one name may then come from several tables. Rows between
+    other links are a station of their own, named by the set-up and these links.
 
     Args:
         tables: tables with the names that they have as stations if they have no such column.
@@ -148,6 +152,7 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
         >>> {name: len(rows) for name, rows in stations_of([("days", days), ("later", days.select([0]))]).items()}
         {'mo': 3, 'tu': 1}
     """
+    tables = [pair for name, table in tables for pair in _by_links(name, table)]
     whole: dict[str, Measurements] = {}
     parts: dict[str, list[Measurements]] = {}
     for name, table in tables:
@@ -162,6 +167,29 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
     for name in whole.keys() & {name for name, found in parts.items() if found}:
         raise _same_name(name, whole[name], parts[name][0])
     return {name: whole[name] if name in whole else _joined(name, found) for name, found in parts.items()}
+
+
+def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
+    """Yield a table, or its rows between each two links, with the names that these have as stations."""
+    sensor = table.sensor
+    parts = list(sensor.parts(table)) if sensor is not None and issubclass(sensor, Divided) else [("", table)]
+    found: list[tuple[list[str], Measurements]] = []
+    for kind, part in parts:
+        columns = [of for end in LINK_ENDS if (of := getattr(part, f"{end}_link")) is not None]
+        links, inverse = np.unique(np.array(columns).reshape(len(columns), -1), axis=1, return_inverse=True)
+        # In the order in which they appear.
+        for k in dict.fromkeys(inverse.tolist() if columns else [0]):
+            found.append(([*links[:, k], kind], part.select(inverse == k) if columns else part))
+    for own, rows in found:
+        # What all have in common needs no mention.
+        marks = [
+            mark
+            for mark, others in zip(own, zip(*(each for each, _ in found), strict=True), strict=True)
+            if len(set(others)) > 1
+        ]
+        ending = "".join(f":{mark}" for mark in marks)
+        station = None if rows.station is None else np.array([f"{each}{ending}" for each in rows.station.tolist()])
+        yield f"{name}{ending}", replace(rows, station=station, setup=name if ending else rows.setup)
 
 
 def _rows_of(table: Measurements, station: str) -> Measurements:
