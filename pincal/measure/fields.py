@@ -123,6 +123,7 @@ class Schema:
             position commanded or read back beside it.
         joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
         mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
+        resting: joints that may be absent, with the positions where they rest then [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
         options: what the user says of it.
     """
@@ -131,14 +132,20 @@ class Schema:
     joint_names: tuple[str, ...] = ()
     joint_types: tuple[str, ...] = ()
     mimics: tuple[Mimic, ...] = ()
+    resting: Mapping[str, float] = field(default_factory=dict)
     may_lack_joints: bool = False
     options: TableOptions = field(default_factory=TableOptions)
 
     @property
     def own_joints(self) -> tuple[str, ...]:
-        """The joints that follow none, whose columns are needed."""
+        """The joints that follow none."""
         driven = {mimic.joint for mimic in self.mimics}
         return tuple(name for name in self.joint_names if name not in driven)
+
+    @property
+    def needed_joints(self) -> tuple[str, ...]:
+        """The joints whose columns are needed."""
+        return tuple(name for name in self.own_joints if name not in self.resting)
 
     def quantities(self, *, source: str) -> dict[str, str]:
         """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""

@@ -135,6 +135,11 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
         values = {name: value for name, value in values.items() if name not in header.orientation.columns}
         values |= zip(rotations(schema.fields).columns, found.T, strict=True)
     joints = header.joints
+    resting = [name for name in schema.resting if name in joints and name not in values]
+    values |= {name: np.full(len(rows), schema.resting[name]) for name in resting}
+    if resting:
+        at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
+        warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows, which rest: {at}")
     for mimic in schema.mimics:
         if mimic.joint in joints and mimic.joint not in values:
             values[mimic.joint] = mimic.multiplier * values[mimic.source] + mimic.offset
@@ -262,7 +267,7 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
         labels = unignored(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
         labels = with_joints(labels, schema, quantities, source=path.name)
         columns, unknown = matched(labels, told, {}, source=path.name)
-        check_joints([name for name in schema.own_joints if name not in columns], unknown, log)
+        check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
         values, _ = read_cells(log, tuple(columns.values()))
     mine = unignored(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
     found, _ = matched(mine, quantities, {}, source=source)

@@ -40,6 +40,7 @@ def read_measurements(
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
     mimics: Sequence[Mimic] = (),
+    resting: Mapping[str, float] | None = None,
     part: range | None = None,
     **options: Any,
 ) -> Measurements:
@@ -53,6 +54,7 @@ def read_measurements(
             point, payload, temperature, time, station, approach).
         joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
         mimics: the mimic joints, which may have no column (``robot.mimics``).
+        resting: joints that may have no column, with the positions where they rest then [rad or m].
         part: rows of a Parquet file to read, the first being 0, as :func:`row_parts` yields them; default: all.
         options: how the table is to be read: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as
             in :class:`pincal.measure.fields.TableOptions`.
@@ -73,6 +75,7 @@ def read_measurements(
         joint_names=names,
         joint_types=tuple(joint_types or ()),
         mimics=tuple(mimics),
+        resting=dict(resting or {}),
         options=replace(said, ignore=("*", *said.ignore)) if only_joints else said,
     )
     cells = read_table(path, schema, part=part)
