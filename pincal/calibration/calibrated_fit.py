@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -58,15 +58,13 @@ class Fit(identified.ModelFit, Calibrated):
         """Effects present in the rows but not in the model, for a diagnosis."""
         return unmodelled_by(self)
 
-    @cached_property
-    def _predictors(self) -> Mapping[str, CalibratedModel]:
-        """The stations as far as they predict."""
-        return {name: CalibratedModel.of(self, station=name) for name in self.names}
+    def _robot(self, provenance: dict[str, Any] | None = None) -> CalibratedRobot:
+        return CalibratedRobot.of(self, provenance, left_by=partial(getattr, self, "left"))
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the stations."""
-        return tuple(station.name for station in self.problem.stations)
+    @cached_property
+    def models(self) -> Mapping[str, CalibratedModel]:
+        """The calibrated model of each station by its name; of a single one, which needs none, under ""."""
+        return self._robot().stations
 
     def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
         """Write ``model.json``, with all stations if there are several; see :func:`pincal.load_model`.
@@ -78,7 +76,7 @@ class Fit(identified.ModelFit, Calibrated):
         Raises:
             OutputError: if the place can't be written to, or a number is not finite.
         """
-        CalibratedRobot.of(self, provenance, left=self.left).save(path)
+        self._robot(provenance).save(path)
 
     def information(self) -> RobotInformation:
         """Return the information of the rows on the robot, with base, targets and instrument eliminated: some kilobytes."""
@@ -87,7 +85,7 @@ class Fit(identified.ModelFit, Calibrated):
     def to_stations(self) -> CalibratedRobot:
         """Return the robot with its stations; a fit has them itself: this is for one release."""
         warnings.warn("fit.to_stations() is the fit itself: fit.models, fit.at(NAME)", DeprecationWarning, stacklevel=2)
-        return CalibratedRobot.of(self, left=self.left)
+        return self._robot()
 
     @cached_property
     def log_likelihood(self) -> float:
@@ -139,7 +137,7 @@ class Fit(identified.ModelFit, Calibrated):
         state = "converged" if self.solution.converged else "did not converge"
         rank = self.solution.posterior.identifiable_rank
         return (
-            f"{self.robot_predictor().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
+            f"{super().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
             f"identifiable rank {rank} of {int(self.solution.free.sum())}; noise {'; '.join(self._noise())}"
         )
 

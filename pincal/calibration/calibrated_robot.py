@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_at
-from pincal.calibration.model_file import (
-    STATIONS_VERSION,
-    CovarianceEntry,
-    MeasuredEntry,
-    ModelFile,
-    StationEntry,
-    StationsFile,
-    read_model,
-    write_model_file,
-)
+from pincal.calibration.model_file import MeasuredEntry, ModelFile, StationsFile, read_model, write_model_file
 from pincal.calibration.result_tables import estimate_table
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import ModelFileError
 from pincal.identify.fit import ModelFit
-from pincal.io.entries import ChainEntry, ParameterEntry, RobotEntry
 from pincal.model.model import Model
 from pincal.parameters import Estimate, estimate_of
 from pincal.result_table import Table
@@ -48,33 +38,32 @@ class CalibratedRobot(Calibrated):
 
     @classmethod
     def of(
-        cls, fit: ModelFit, provenance: dict[str, Any] | None = None, *, left: Unmodelled | None = None
+        cls,
+        fit: ModelFit,
+        provenance: dict[str, Any] | None = None,
+        *,
+        left_by: Callable[[], Unmodelled | None] | None = None,
     ) -> CalibratedRobot:
         """Return what a fit found.
 
         Args:
             fit: the fit.
             provenance: its origin, in JSON types.
-            left: effects that it left.
+            left_by: returns the effects that it left.
         """
         names = [station.name for station in fit.problem.stations]
         models = {name: CalibratedModel.of(fit, provenance, station=name) for name in names}
-        models[names[0]] = models[names[0]].knowing(left)
+        models[names[0]] = replace(models[names[0]], left_by=left_by)
         prior = np.array([parameter.size for parameter in fit.problem.parameters])
         return cls(models, replace(fit.estimate, prior=prior), fit.nominal.values, dict(provenance or {}))
 
     def __repr__(self) -> str:
-        return f"CalibratedRobot({self.robot_predictor().model.chain.robot.name!r}: stations {' '.join(self.names)})"
+        return f"CalibratedRobot({self.robot_model().model.chain.robot.name!r}: stations {' '.join(self.names)})"
 
     @property
-    def _predictors(self) -> Mapping[str, CalibratedModel]:
-        """The stations, with what they left."""
+    def models(self) -> Mapping[str, CalibratedModel]:
+        """The stations."""
         return self.stations
-
-    @property
-    def left(self) -> Unmodelled | None:
-        """Effects that the rows showed and the model does not have; the first station keeps them."""
-        return next(iter(self.stations.values())).left
 
     @property
     def parameters(self) -> Table:
@@ -89,30 +78,7 @@ class CalibratedRobot(Calibrated):
         """
         if len(self.stations) == 1:
             return self.at().save(path)
-        write_model_file(path, self._file)
-
-    def _file(self) -> StationsFile:
-        stations = (
-            StationEntry.of_station(
-                found,
-                name=name,
-                chain=ChainEntry.like(found.model.chain),
-                effects=found.model.effects,
-                equilibrium=found.model.equilibrium,
-            )
-            for name, found in self.stations.items()
-        )
-        return StationsFile(
-            format_version=STATIONS_VERSION,
-            provenance=self.provenance,
-            robot=RobotEntry.of_robot(self.robot_predictor().model.chain.robot),
-            parameters=tuple(map(ParameterEntry.of_parameter, self.estimate.parameters)),
-            values=self.estimate.values,
-            nominal_values=self.nominal_values,
-            fitted=tuple(map(bool, self.estimate.free)),
-            covariance=CovarianceEntry.of_covariance(self.estimate.covariance),
-            stations=tuple(stations),
-        )
+        write_model_file(path, lambda: StationsFile.of_stations(self.stations, self.estimate, self.nominal_values))
 
 
 def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
@@ -125,7 +91,7 @@ def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
     if isinstance(file, ModelFile):
         estimate = estimate_of([entry.parameter() for entry in file.parameters], file.values, file.covariance)
         known, origin = file.nominal_values, file.provenance
-        only = model_of_entry(file, file.model.model(), estimate, nominal_values=known, provenance=origin)
+        only = _read(file, file.model.model(), estimate, nominal_values=known, provenance=origin)
         nominal = np.full(len(only.values), np.nan) if known is None else known
         return CalibratedRobot({"": only}, estimate, nominal, origin)
     parameters = tuple(entry.parameter() for entry in file.parameters)
@@ -136,7 +102,7 @@ def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
         model = file.model(k)
         local, places = estimate_at(estimate, entry.name, model)
         nominal = file.nominal_values[places]
-        models[entry.name] = model_of_entry(entry, model, local, nominal_values=nominal, provenance=file.provenance)
+        models[entry.name] = _read(entry, model, local, nominal_values=nominal, provenance=file.provenance)
     return CalibratedRobot(models, estimate, file.nominal_values, file.provenance)
 
 
@@ -161,10 +127,10 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     return found.at()
 
 
-def model_of_entry(
+def _read(
     entry: MeasuredEntry, model: Model, estimate: Estimate, *, nominal_values: np.ndarray | None, provenance: dict[str, Any]
 ) -> CalibratedModel:
     """Return the calibrated model of a station of a file; the others as they stand in :class:`CalibratedModel`."""
     measured = {name: getattr(entry, name) for name in MeasuredEntry.__struct_fields__ if name != "sensor_module"}
     found = measured | {"setup": entry.setup.setup(), "nominal_values": nominal_values, "provenance": provenance}
-    return CalibratedModel(model=model, estimate=estimate, **found)
+    return CalibratedModel(model=model, estimate=estimate, left_by=found.pop("left"), **found)

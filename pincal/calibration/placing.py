@@ -133,7 +133,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
-    known = calibrated.robot_predictor()
+    known = calibrated.robot_model()
     setup = _setup_over(known.setup, measurements)
     check_placeable(measurements, setup)
     measurements, as_recorded = with_means(measurements, known.model, known.covered.days), measurements

@@ -48,7 +48,7 @@ class StationModel:
         nominal_values: shape (P,), the values with only base and tool fitted; None where nobody knows them.
         rows: fingerprints of the training rows; empty where nobody knows them.
         is_noise_declared: whether the noise was declared, not estimated.
-        left: effects that the rows showed and the model does not have; None where there were none, or nobody looked.
+        left_by: :attr:`left`, or what returns it: to look for it takes as long as a fit.
     """
 
     model: Model
@@ -62,7 +62,12 @@ class StationModel:
     nominal_values: np.ndarray | None = None
     rows: str = ""
     is_noise_declared: bool = False
-    left: Unmodelled | None = None
+    left_by: Unmodelled | Callable[[], Unmodelled | None] | None = None
+
+    @property
+    def left(self) -> Unmodelled | None:
+        """Effects that the rows showed and the model does not have; None where there were none, or nobody looked."""
+        return self.left_by() if callable(self.left_by) else self.left_by
 
     @property
     def values(self) -> np.ndarray:

@@ -127,7 +127,7 @@ class ChangeHypotheses:
         whole[np.ix_(found.places, found.places)] = found.covariance
         station = self.station.with_model(model.with_effects([*model.effects, *(effect for effect, _ in added)]))
         estimate = estimate_of(station.parameters, found.values[places], whole[np.ix_(places, places)])
-        return replace(self.robot, model=station.model, estimate=estimate, left=None)
+        return replace(self.robot, model=station.model, estimate=estimate, left_by=None)
 
     def _refitted(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Refitted:
         """Return the most probable values: those that changed anywhere, those known, shape (K,), by a root of covariance.
