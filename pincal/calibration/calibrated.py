@@ -18,8 +18,8 @@ from pincal.calibration.model_file import ModelFile, write_model_file
 from pincal.calibration.result_tables import estimate_table
 from pincal.calibration.station_model import StationModel
 from pincal.errors import BadInputError
-from pincal.identify.fingerprints import fingerprints, together
 from pincal.identify.fit import ModelFit
+from pincal.identify.station import fingerprints, together
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.model.augmented import pinocchio_model
 from pincal.model.effects import Conditions
@@ -153,13 +153,14 @@ class Calibrated(ABC):
         varied over the calibration's rows.
         """
         found = self.at()
-        unknown, conditions, n = found.unknown_motion(conditions), found.of_its_day(conditions), found.model.n_parameters
+        lacking, conditions, n = found.unrecorded(conditions), found.of_its_day(conditions), found.model.n_parameters
         out = np.empty((len(conditions), 3))
         for start in range(0, len(conditions), _PIECE):
             rows = slice(start, start + _PIECE)
             _, J = found.model.linearise(found.model_values, conditions.select(rows))
             out[rows] = np.einsum("nip,nip->ni", J @ found.covariance[:n, :n], J)
-        return np.asarray(np.sqrt(np.maximum(out, 0.0) + unknown))
+        unknown = [found.varied_by(effect, conditions) ** 2 for effect in lacking]
+        return np.asarray(np.sqrt(np.maximum(out, 0.0) + sum(unknown)))
 
     @property
     def covariance(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from pincal.calibration.covered import Covered
 from pincal.calibration.station_model import StationModel
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
-from pincal.identify.fingerprints import are_fingerprints
+from pincal.identify.station import are_fingerprints
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, Vector, packed_covariance, packed_matrix, shaped
 from pincal.io.entries import (
     ChainEntry,
