@@ -15,8 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel
-    from pincal.calibration.calibrated_fit import Fit, calibrate, calibrate_parts
-    from pincal.calibration.calibrated_robot import CalibratedRobot, load_model, load_stations, save_model
+    from pincal.calibration.calibrated_robot import (
+        CalibratedRobot,
+        Fit,
+        calibrate,
+        calibrate_parts,
+        load_model,
+        load_stations,
+        save_model,
+    )
     from pincal.calibration.calibration import Calibration, run_calibration
     from pincal.calibration.information import RobotInformation, load_information
     from pincal.calibration.placing import Placed, place_station
@@ -34,7 +41,7 @@ if TYPE_CHECKING:
     from pincal.export import export_model
     from pincal.identify.explain import explain
     from pincal.identify.options import Options, StationOptions
-    from pincal.identify.repeat import bootstrap, bootstrap_stations, cross_validate, monte_carlo
+    from pincal.identify.split import bootstrap, bootstrap_stations, cross_validate, monte_carlo
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.measure.lens import Lens
     from pincal.measure.measurements import Measurements, measurements, measurements_from_arrays
@@ -57,8 +64,15 @@ if TYPE_CHECKING:
 # Names are imported when they are first used: Pinocchio, Numba and SciPy take longer to load than most commands to run.
 _HOMES = {
     "pincal.calibration.calibrated": ("CalibratedModel",),
-    "pincal.calibration.calibrated_fit": ("Fit", "calibrate", "calibrate_parts"),
-    "pincal.calibration.calibrated_robot": ("CalibratedRobot", "load_model", "load_stations", "save_model"),
+    "pincal.calibration.calibrated_robot": (
+        "CalibratedRobot",
+        "Fit",
+        "calibrate",
+        "calibrate_parts",
+        "load_model",
+        "load_stations",
+        "save_model",
+    ),
     "pincal.calibration.information": ("RobotInformation", "load_information"),
     "pincal.calibration.placing": ("Placed", "place_station"),
     "pincal.calibration.calibration": ("Calibration", "run_calibration"),
@@ -79,7 +93,7 @@ _HOMES = {
     "pincal.export": ("export_model",),
     "pincal.identify.explain": ("explain",),
     "pincal.identify.options": ("Options", "StationOptions"),
-    "pincal.identify.repeat": ("bootstrap", "bootstrap_stations", "cross_validate", "monte_carlo"),
+    "pincal.identify.split": ("bootstrap", "bootstrap_stations", "cross_validate", "monte_carlo"),
     "pincal.io.urdf_export": ("calibrated_urdf",),
     "pincal.measure.lens": ("Lens",),
     "pincal.measure.measurements": ("Measurements", "measurements", "measurements_from_arrays"),

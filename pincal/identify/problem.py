@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.batch import Batch, Work, runs
-from pincal.identify.earlier import Belief, Beliefs, Earlier
+from pincal.identify.earlier import Beliefs, Earlier
+from pincal.identify.normal import Batch, Work, runs
 from pincal.identify.station import Station
 from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import Block
@@ -112,13 +112,14 @@ class Problem:
         if self.earlier is not None:
             known = self.earlier.known_zero(np.array([name not in self._index for name in self.earlier.names], bool))
             places = np.array([self._index[name] for name in known.names], int)
-            terms.append(Belief(places, known.mean, known.information, known.sigma))
+            terms.append(replace(known, places=places))
             is_remembered[places] = True
         for effect in self.effects:
             if (information := effect.smoothness()) is not None:
                 places = self.places_at(effect)
                 if np.all(self.is_shared[places] & ~is_remembered[places]):
-                    terms.append(Belief(places, np.zeros(len(places)), information))
+                    names = tuple(self.parameters[place].name for place in places)
+                    terms.append(Earlier(names, np.zeros(len(places)), information, None, places))
         return Beliefs(tuple(terms), is_remembered)
 
     @cached_property
@@ -158,15 +159,9 @@ class Problem:
 
     def readings(self, robust: np.ndarray) -> np.ndarray:
         """Return how many readings of each block count by robust weights of all rows, shape (blocks,)."""
-        counts, (station, size) = robust > 0.0, self._of_blocks
-        return np.asarray(np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size)
-
-    @cached_property
-    def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of each block of readings its station, by number, and its components, shape (blocks,)."""
-        pairs = [(k, block.size) for k, station in enumerate(self.stations) for block in station.sensor.blocks]
-        station, size = np.array(pairs).T
-        return station, size
+        counts = [np.count_nonzero(robust[rows]) for rows in self.rows]
+        pairs = zip(counts, self.stations, strict=True)
+        return np.concatenate([count * station.block_sizes for count, station in pairs])
 
     @cached_property
     def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
@@ -202,12 +197,7 @@ class Problem:
         return {name: value for name, value in vars(self).items() if name != "_spans"}
 
     def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
-        """Return the same readings with other effects beside base and tool.
-
-        Args:
-            effects: what may deviate.
-            moment_frame: where moments are taken and bend the arm; default: as it is.
-        """
+        """Return the same readings with other effects beside base and tool."""
         stations = []
         for station in self.stations:
             frames = [effect for effect in station.model.effects if isinstance(effect, BaseFrame | ToolFrame)]

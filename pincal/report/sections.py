@@ -20,7 +20,7 @@ from pincal.calibration.result_tables import (
     shown_parameters,
     station_table,
 )
-from pincal.identify.found_masses import FoundMoments, found_moments
+from pincal.identify.choices import FoundMoments, found_moments
 from pincal.report.blocks import (
     PageBlock,
     Section,
