@@ -85,6 +85,11 @@ class Parameter:
         return self.name.removeprefix(f"{self.station}/") if self.station else self.name
 
 
+def is_on_link(element: str) -> bool:
+    """Return whether an element is a point of a link, ``LINK:NAME``."""
+    return ":" in element
+
+
 def split_name(name: str) -> tuple[str, str]:
     """Return element and symbol of a parameter's name; the element is empty if it has none.
 

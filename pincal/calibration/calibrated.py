@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -222,7 +222,10 @@ class CalibratedModel(StationModel, Calibrated):
         name = fit.station.name if station is None else station
         k = [found.name for found in fit.problem.stations].index(name)
         at, options = fit.problem.stations[k], fit.options.at(name)
-        estimate, places = estimate_at(fit.estimate, name, at.model)
+        own = tuple(fit.problem.parameters[i].name for i in fit.problem.places[k])
+        # A file of stations that share nothing but the robot needs no list of names.
+        table_names = own if at.shares_setup else ()
+        estimate, places = estimate_at(fit.estimate, name, at.model, own)
         return cls(
             model=at.model,
             estimate=replace(estimate, prior=np.array([parameter.size for parameter in estimate.parameters])),
@@ -235,6 +238,7 @@ class CalibratedModel(StationModel, Calibrated):
             nominal_values=fit.nominal.values[places],
             rows=fingerprints(at),
             is_noise_declared=options.sigma is not None,
+            table_names=table_names,
         )
 
     def __repr__(self) -> str:
@@ -272,11 +276,21 @@ class CalibratedModel(StationModel, Calibrated):
         )
 
 
-def estimate_at(estimate: Estimate, station: str, model: Model) -> tuple[Estimate, np.ndarray]:
-    """Return the estimate of one station's parameters by their names within it, and their places among all, shape (P,)."""
-    of_sensor = [p.name for p in estimate.parameters if p.station == station]
-    of_model = [f"{station}/{n}" if f"{station}/{n}" in estimate.names else n for n in model.names]
-    names = [*of_model, *(n for n in of_sensor if n not in of_model)]
+def estimate_at(
+    estimate: Estimate, station: str, model: Model, names: Sequence[str] = ()
+) -> tuple[Estimate, np.ndarray]:
+    """Return the estimate of one station's parameters by their names within it, and their places among all, shape (P,).
+
+    Args:
+        estimate: of all parameters.
+        station: name of the station.
+        model: its model.
+        names: of its parameters among all; default: those of the robot, and ``STATION/NAME``.
+    """
+    if not names:
+        of_sensor = [p.name for p in estimate.parameters if p.station == station]
+        of_model = [f"{station}/{n}" if f"{station}/{n}" in estimate.names else n for n in model.names]
+        names = [*of_model, *(n for n in of_sensor if n not in of_model)]
     found = estimate.take(names)
     local = tuple(replace(p, name=p.local_name, station="") for p in found.parameters)
     return replace(found, parameters=local), estimate.places(names)

@@ -108,7 +108,7 @@ def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
     models = {}
     for k, entry in enumerate(file.stations):
         model = file.model(k)
-        local, places = estimate_at(estimate, entry.name, model)
+        local, places = estimate_at(estimate, entry.name, model, entry.table_names)
         nominal = file.nominal_values[places]
         models[entry.name] = _read(entry, model, local, nominal_values=nominal, provenance=file.provenance)
     return CalibratedRobot(models, estimate, file.nominal_values, file.provenance)

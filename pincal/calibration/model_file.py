@@ -164,12 +164,14 @@ class StationEntry(MeasuredEntry, frozen=True, kw_only=True):
         chain: reference frames of base and targets.
         effects: the effects of this station's model.
         equilibrium: whether moments are those of the deflected arm.
+        table_names: names of its parameters in the table, where it shares some besides the robot's with other stations.
     """
 
     name: str
     chain: ChainEntry
     effects: Effects
     equilibrium: bool
+    table_names: tuple[str, ...] = ()
 
 
 class StationsFile(Record, frozen=True, kw_only=True):
@@ -207,7 +209,7 @@ class StationsFile(Record, frozen=True, kw_only=True):
             StationEntry.measured(
                 of,
                 name=name,
-                chain=ChainEntry.like(of.model.chain),
+                chain=ChainEntry.of_chain(of.model.chain),
                 effects=of.model.effects,
                 equilibrium=of.model.equilibrium,
             )
@@ -239,7 +241,9 @@ class StationsFile(Record, frozen=True, kw_only=True):
         for k, station in enumerate(self.stations):
             shaped(f".stations[{k}].covered.q", station.covered.q, ArrayShape(len(self.robot.joint_names), 2), {})
             names = self.model(k).names
-            missing = [name for name in names if name not in known and f"{station.name}/{name}" not in known]
+            here = dict(zip(names, station.table_names, strict=False))
+            missing = [name for name in names if not known & {name, f"{station.name}/{name}", here.get(name, name)}]
+            missing += [name for name in station.table_names if name not in known]
             if missing:
                 raise Fault(f"do not hold {missing[0]!r}", f"all those of station {station.name!r}", key=".parameters")
 

@@ -41,6 +41,7 @@ class StationModel:
         nominal_values: shape (P,), the values with only base and tool fitted; None where nobody knows them.
         rows: fingerprints of the training rows; empty where nobody knows them.
         is_noise_declared: whether the noise was declared, not estimated.
+        table_names: names of its parameters among those of all stations, where it shares some besides the robot's.
         left_by: :attr:`left`, or what returns it: to look for it takes as long as a fit.
     """
 
@@ -55,6 +56,7 @@ class StationModel:
     nominal_values: np.ndarray | None = None
     rows: str = ""
     is_noise_declared: bool = False
+    table_names: tuple[str, ...] = ()
     left_by: Unmodelled | Callable[[], Unmodelled | None] | None = None
 
     @property

@@ -130,8 +130,9 @@ class Jacobian:
                 A.add_gram(r, G[some.start], g[some.start])
             else:
                 found = A._grams_at_once(r, np.diff(ends[some.start : some.stop + 1]))
-                G[some] += found[0]
-                g[some] += found[1]
+                rows, columns = block(at := span(A.places), at)
+                G[some][:, rows, columns] += found[0]
+                g[some][:, at] += found[1]
 
     def _at_once(self, counts: np.ndarray) -> Iterator[slice]:
         """Yield parts that follow each other whose products are taken at once, given how many poses each has."""

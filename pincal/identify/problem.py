@@ -66,26 +66,24 @@ class Problem:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All P parameters; those of one of several stations have its name before their own."""
+        """All P parameters; those of one of several stations have its name before their own, or that of their set-up."""
         first = self.stations[0]
         if len(self.stations) == 1:
             return first.parameters
         # Of all stations the robot's parameters are the same, in the same order.
-        own = (p.at(station.name) for station in self.stations for p in compress(station.parameters, station.is_own))
-        return (*compress(first.parameters, ~first.is_own), *own)
+        own = (p.at(s.owner(p)) for s in self.stations for p in compress(s.parameters, s.is_own))
+        return (*compress(first.parameters, ~first.is_own), *{p.name: p for p in own}.values())
 
     @cached_property
     def places(self) -> tuple[np.ndarray, ...]:
         """For each station, where its parameters stand in the table."""
         if len(self.stations) == 1:
             return (np.arange(len(self.stations[0].parameters)),)
-        end = int(np.count_nonzero(~self.stations[0].is_own))
         places = []
         for station in self.stations:
             own = station.is_own
             local = np.cumsum(~own) - 1
-            local[own] = end + np.arange(np.count_nonzero(own))
-            end += int(np.count_nonzero(own))
+            local[own] = [self._index[p.at(station.owner(p)).name] for p in compress(station.parameters, own)]
             places.append(local)
         return tuple(places)
 
@@ -97,9 +95,10 @@ class Problem:
     @cached_property
     def is_shared(self) -> np.ndarray:
         """Which parameters are left when those of single stations among several are eliminated, shape (P,)."""
-        found = np.ones(len(self.parameters), bool)
-        for station, places in zip(self.stations, self.places, strict=True):
-            found[places] = ~station.is_own | (len(self.stations) == 1)
+        if len(self.stations) == 1:
+            return np.ones(len(self.parameters), bool)
+        found = np.bincount(np.concatenate(self.places), minlength=len(self.parameters)) > 1
+        found[: int(np.count_nonzero(~self.stations[0].is_own))] = True
         return found
 
     @cached_property

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from pincal.measure.setup import Setup
 from pincal.model.conditions import part_of
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.parameters import Parameter
+from pincal.parameters import Parameter, is_on_link
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
 PIECE = 4096
@@ -48,6 +49,7 @@ class Station:
         position: shape (N,), where each row stands in the order of measurement, in rows; None where there is none.
         serial: how the noise is correlated along that order; default: it is not.
         trusted: shape (N,), rows that are not to be taken for outliers; default: none.
+        setup: name of the set-up whose instrument it shares with stations between other links; "" if it is its own.
     """
 
     model: Model
@@ -59,6 +61,21 @@ class Station:
     position: np.ndarray | None = None
     serial: Serial | None = None
     trusted: np.ndarray | None = None
+    setup: str = ""
+
+    @property
+    def shares_setup(self) -> bool:
+        """Whether other stations may have parameters of its own, too."""
+        return bool(self.setup) or any(is_on_link(p.element) for p in compress(self.parameters, self.is_own))
+
+    def owner(self, parameter: Parameter) -> str:
+        """Return the name under which one of several stations has a parameter of its own, "" for a part of the robot.
+
+        A place on a link belongs to the robot, a target to the station, and all else to the instrument.
+        """
+        if is_on_link(parameter.element):
+            return ""
+        return self.name if parameter.element in self.model.chain.targets else self.setup or self.name
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
@@ -174,7 +191,10 @@ class Station:
             yield piece, part.sensor.residuals(poses, own), jacobian
 
     def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
-        """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices."""
+        """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices.
+
+        Joints off the path that have changed what those on it bear have no columns: these are a millionth of their own.
+        """
         # Nothing of a piece is held here while it is worked on.
         for piece in self._pieces():
             yield piece, *self._shared(self._part(piece), piece, values, free)
@@ -183,10 +203,12 @@ class Station:
         """Return residuals and Jacobian of a piece of the rows."""
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
+        model_free = model_free & part.model.is_felt
         poses, motion, shared = part.model.linearise_shared(
             of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
         )
         apart = free.copy()
+        self.split(apart)[0][:] = model_free
         for group in shared:
             for parameters, _ in group.families:
                 apart[parameters] = False
@@ -252,7 +274,8 @@ def station_of(
     sensor, whitening = sensor_of(measurements, setup), None
     if instrument is not None:
         whitening = instrument.whitening(seen_by(measurements), sum(block.size for block in sensor.blocks))
-    return Station(model, conditions, sensor, weights, name, whitening, position=_positions(measurements))
+    position = _positions(measurements)
+    return Station(model, conditions, sensor, weights, name, whitening, position=position, setup=measurements.setup)
 
 
 def _positions(measurements: Measurements) -> np.ndarray:

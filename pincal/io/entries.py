@@ -35,6 +35,7 @@ from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 from pincal.robot.dh import DhFrames
+from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling, Mimic
 
@@ -51,6 +52,44 @@ class FramesEntry(Record, frozen=True, kw_only=True):
     parameters: Annotated[Matrix, ArrayShape("joints", 6)]
     T_base_link: Transforms
     T_last_tip: Transform
+    branches: Annotated[tuple[int, ...], ArrayShape("branches")] = ()
+    T_branch_first: Annotated[np.ndarray | None, ArrayShape("branches", 4, 4)] = None
+
+    @classmethod
+    def of_frames(cls, frames: DhFrames) -> FramesEntry:
+        """Return the entry of frames."""
+        return cls.like(frames, T_branch_first=frames.T_branch_first if frames.branches else None)
+
+    def frames(self) -> DhFrames:
+        """Return the frames."""
+        found = msgspec.structs.asdict(self)
+        return DhFrames(**found | ({} if self.branches else {"T_branch_first": np.zeros((0, 4, 4))}))
+
+
+class PathEntry(Record, frozen=True, kw_only=True):
+    """The links between which readings are, see :class:`pincal.robot.link_path.LinkPath`."""
+
+    start: str
+    tip: str
+    start_joint: int
+    tip_joint: int
+    T_joint_start: Transform
+    T_joint_tip: Transform
+
+    @classmethod
+    def of_path(cls, path: LinkPath | None) -> PathEntry | None:
+        """Return the entry of a path."""
+        return None if path is None else cls.like(path)
+
+    def path(self, n_joints: int, key: str) -> LinkPath:
+        """Return the path of a robot of so many joints.
+
+        Raises:
+            Fault: below ``key``, for a joint that it does not have.
+        """
+        if not all(-1 <= joint < n_joints for joint in (self.start_joint, self.tip_joint)):
+            raise Fault("names no joints", f"numbers from -1 to {n_joints - 1}", key=key)
+        return LinkPath(**msgspec.structs.asdict(self))
 
 
 class RobotEntry(Record, frozen=True, kw_only=True):
@@ -78,11 +117,14 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     urdf: str | None = None
     mimics: tuple[Mimic, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    parents: tuple[int, ...] = ()
+    ends: PathEntry | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.joint_names:
             raise Fault("has no entries", "at least one joint", key=".joint_names")
+        self._check_tree()
         driven = {mimic.joint for mimic in self.mimics}
         for k, mimic in enumerate(self.mimics):
             if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
@@ -96,6 +138,18 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         except UnicodeEncodeError as error:
             raise Fault(f"is no text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
 
+    def _check_tree(self) -> None:
+        """Refuse joints that are not carried by the base or an earlier joint, and branches that are not there."""
+        n, branches = len(self.joint_names), self.frames.branches
+        parents = self.parents or tuple(range(-1, n - 1))
+        if len(parents) != n or any(not -1 <= parent < i for i, parent in enumerate(parents)):
+            raise Fault("are no tree of the joints", "for each joint an earlier one, or -1 for the base", key=".parents")
+        following = dict(zip(reversed(parents), reversed(range(n)), strict=True))
+        if list(branches) != [i for i, parent in enumerate(parents) if following[parent] != i]:
+            raise Fault("do not fit the tree", "the joints that are not the first on their link", key=".frames.branches")
+        if (self.frames.T_branch_first is None) != (not branches):
+            raise Fault("do not fit the branches", "a transform for each branch", key=".frames.T_branch_first")
+
     def urdf_bytes(self) -> bytes:
         """Return the URDF as it was read; bytes that are no UTF-8 are in the file as escapes."""
         return (self.urdf or "").encode("utf-8", "surrogateescape")
@@ -104,12 +158,15 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     def of_robot(cls, robot: Robot) -> RobotEntry:
         """Return the entry of a robot."""
         urdf = robot.urdf.decode("utf-8", "surrogateescape")
-        return cls.like(robot, frames=FramesEntry.like(robot.frames), urdf=urdf)
+        parents = () if robot.is_serial else robot.parents
+        ends = PathEntry.of_path(robot.ends)
+        return cls.like(robot, frames=FramesEntry.of_frames(robot.frames), urdf=urdf, parents=parents, ends=ends)
 
     def robot(self) -> Robot:
         """Return the robot."""
-        frames = DhFrames(**msgspec.structs.asdict(self.frames))
-        return Robot(**msgspec.structs.asdict(self) | {"frames": frames, "urdf": self.urdf_bytes()})
+        ends = None if self.ends is None else self.ends.path(len(self.joint_names), ".ends")
+        made = {"frames": self.frames.frames(), "urdf": self.urdf_bytes(), "ends": ends}
+        return Robot(**msgspec.structs.asdict(self) | made)
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):
@@ -124,6 +181,12 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     targets: Annotated[tuple[str, ...], ArrayShape("targets")]
     tool_rotations: Rotations
     bearing_heights: Annotated[Numbers, ArrayShape("joints")] | None = None
+    ends: PathEntry | None = None
+
+    @classmethod
+    def of_chain(cls, chain: Chain) -> ChainEntry:
+        """Return the entry of a chain."""
+        return cls.like(chain, ends=PathEntry.of_path(chain.ends))
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
@@ -145,7 +208,7 @@ class ModelEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_model(cls, model: Model) -> ModelEntry:
         """Return the entry of a model."""
-        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.like(model.chain))
+        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.of_chain(model.chain))
 
     def model(self) -> Model:
         """Return the model."""
@@ -159,6 +222,7 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
         Fault: below ``key``, if an effect is of a joint or symbol that the robot does not have.
     """
     given, n = msgspec.structs.asdict(chain), robot.n_joints
+    given["ends"] = None if chain.ends is None else chain.ends.path(n, f"{key}.chain.ends")
     if chain.bearing_heights is None:
         given["bearing_heights"] = np.zeros(n)
     elif len(chain.bearing_heights) != n:

@@ -27,6 +27,8 @@ from pincal.robot.tree import Mimic
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
 __all__ += ["read_measurements", "row_parts", "write_table"]
 
+# What a set-up is called that has no name.
+_UNNAMED = "setup"
 # The ends of the path that a row's reading is about.
 LINK_ENDS = ("from", "to")
 # Rows that are worked on at once where not all fit into memory: some hundred MB with all that a fit makes of them.
@@ -179,10 +181,12 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
     found: list[tuple[list[str], Measurements]] = []
     for kind, part in parts:
         columns = [of for end in LINK_ENDS if (of := getattr(part, f"{end}_link")) is not None]
-        links, inverse = np.unique(np.array(columns).reshape(len(columns), -1), axis=1, return_inverse=True)
+        if not columns:
+            found.append(([kind], part))
+            continue
+        links, inverse = np.unique(np.array(columns), axis=1, return_inverse=True)
         # In the order in which they appear.
-        for k in dict.fromkeys(inverse.tolist() if columns else [0]):
-            found.append(([*links[:, k], kind], part.select(inverse == k) if columns else part))
+        found += [([*links[:, k], kind], part.select(inverse == k)) for k in dict.fromkeys(inverse.tolist())]
     for own, rows in found:
         # What all have in common needs no mention.
         marks = [
@@ -190,9 +194,9 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
             for mark, others in zip(own, zip(*(each for each, _ in found), strict=True), strict=True)
             if len(set(others)) > 1
         ]
-        ending = "".join(f":{mark}" for mark in marks)
+        ending = "".join(f":{mark}" for mark in marks).removeprefix("" if name else ":")
         station = None if rows.station is None else np.array([f"{each}{ending}" for each in rows.station.tolist()])
-        yield f"{name}{ending}", replace(rows, station=station, setup=name if ending else rows.setup)
+        yield f"{name}{ending}", replace(rows, station=station, setup=(name or _UNNAMED) if ending else rows.setup)
 
 
 def _rows_of(table: Measurements, station: str) -> Measurements:

@@ -55,6 +55,12 @@ class Conditions(Recorded):
         n = len(q)
         return cls(q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float))
 
+    @classmethod
+    def of_everything(cls, n_joints: int) -> Conditions:
+        """Return the conditions of one pose with all that may be recorded, all of it zero."""
+        recorded = {name: np.zeros((1, n_joints) if of.of_joints else 1) for name, of in RECORDED.items()}
+        return replace(cls.at(np.zeros((1, n_joints))), **recorded, sighted=np.ones((1, 3)))
+
     def __len__(self) -> int:
         return len(self.q)
 

@@ -27,6 +27,7 @@ from pincal.model.evaluated import (
 from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
+from pincal.robot.link_path import above
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
 # arm needs more, and the Jacobian as many sweeps again.
@@ -113,6 +114,24 @@ class Model:
             [e.scope == "station" for e, of in zip(self.effects, self.spans, strict=True) for _ in range(of.start, of.stop)],
             bool,
         )
+
+    @cached_property
+    def is_felt(self) -> np.ndarray:
+        """Which parameters move the tip other than by what joints off the path do to the loads of those on it, (P,)."""
+        if self.chain.on_path.all():
+            return np.ones(self.n_parameters, bool)
+        robot, chain = self.chain.robot, self.chain
+        moves = np.zeros(chain.size, bool)
+        moves[chain.layout.path.coordinate] = True
+        found = np.zeros(self.n_parameters, bool)
+        state = Evaluation.at(self, np.zeros(self.n_parameters), Conditions.of_everything(robot.n_joints))
+        for p, term in state.terms:
+            found[p] |= moves[term.coordinate]
+        for curve in state.curves:
+            found[curve.parameters] |= moves[curve.coordinate]
+        for body in self.bodies:
+            found[body.parameter] |= any(chain.on_path[i] for i in above(body.joint, robot.parents))
+        return found
 
     @cached_property
     def names(self) -> tuple[str, ...]:

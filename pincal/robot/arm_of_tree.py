@@ -219,7 +219,7 @@ def _attributes(
         "source": tree.source,
         "mimics": mimics,
         "parents": parents,
-        "ends": way,
+        "ends": None if way.is_whole(len(path)) and way.start == base else way,
     }
 
 

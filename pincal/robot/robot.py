@@ -165,6 +165,11 @@ class Robot:
         """Number of moving joints."""
         return len(self.joint_names)
 
+    @property
+    def is_serial(self) -> bool:
+        """Whether each joint carries the next."""
+        return self.parents == tuple(range(-1, self.n_joints - 1))
+
     def next_joint(self, i: int) -> int | None:
         """Return the joint at the end of link i (from 0); None if it carries none, or several."""
         carried = [k for k, parent in enumerate(self.parents) if parent == i]
