@@ -22,6 +22,7 @@ from pincal.measure.sensor import Sensor
 from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
 from pincal.measure.sensors.fixed_camera import FixedCameraSensor
+from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
 from pincal.measure.sensors.pose import PoseSensor
 from pincal.measure.sensors.position import PositionSensor
@@ -69,17 +70,17 @@ def ahead(poses: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nj->ni", poses[:, :, :3], AHEAD[: len(poses)]) + poses[:, :, 3]
 
 
-def held(poses: np.ndarray) -> Sensor:
+def held(poses: np.ndarray, sensor: type[ContactSensor] = ContactSensor) -> Sensor:
     """Return contacts whose sockets are wherever the tool point is: one known, the others to be found."""
     places = dict.fromkeys(NAMES) | {"p0": tuple(poses[0, :, 3])}
-    return ContactSensor(NamedPoints(places), np.arange(len(poses)))
+    return sensor(NamedPoints(places), np.arange(len(poses)))
 
 
-def anchored(poses: np.ndarray) -> Sensor:
+def anchored(poses: np.ndarray, sensor: type[AnchoredDistanceSensor] = AnchoredDistanceSensor) -> Sensor:
     """Return distances in turn from a known anchor and from one to be found."""
     index = np.arange(len(poses)) % 2
     points = NamedPoints({"a": tuple(FAR[0]), "b": None})
-    return AnchoredDistanceSensor(points, index, np.linalg.norm(poses[:, :, 3] - FAR[index], axis=1))
+    return sensor(points, index, np.linalg.norm(poses[:, :, 3] - FAR[index], axis=1))
 
 
 def cases() -> list[Case]:
@@ -91,6 +92,8 @@ def cases() -> list[Case]:
         Case("distance", lambda poses: DistanceSensor(np.linalg.norm(poses[:, :, 3], axis=1))),
         Case("socket", lambda _: held(SEEN), places[1:].ravel()),
         Case("distance", anchored, FAR[1]),
+        Case("contact", lambda _: held(SEEN, LinkContactSensor), places[1:].ravel()),
+        Case("contact distance", lambda poses: anchored(poses, LinkDistanceSensor), FAR[1]),
         Case(
             "camera_point",
             lambda _: CameraPointSensor(NamedPoints(dict.fromkeys(NAMES)), np.arange(N), AHEAD.copy()),

@@ -276,9 +276,7 @@ class CalibratedModel(StationModel, Calibrated):
         )
 
 
-def estimate_at(
-    estimate: Estimate, station: str, model: Model, names: Sequence[str] = ()
-) -> tuple[Estimate, np.ndarray]:
+def estimate_at(estimate: Estimate, station: str, model: Model, names: Sequence[str] = ()) -> tuple[Estimate, np.ndarray]:
     """Return the estimate of one station's parameters by their names within it, and their places among all, shape (P,).
 
     Args:

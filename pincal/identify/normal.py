@@ -158,7 +158,14 @@ def _is_plain(station: Station) -> bool:
     """Return whether a station's sensor is nothing but its rows, and its model the same however base and tool are turned."""
     sensor, chain = station.sensor, station.model.chain
     is_rows = {f.name for f in fields(sensor)} == set(sensor.per_row)  # type: ignore[arg-type]
-    if station.serial is not None or not is_rows or station.shares_setup or sensor.parameters or isinstance(sensor, Grouped) or not len(station):
+    if (
+        station.serial is not None
+        or not is_rows
+        or station.shares_setup
+        or sensor.parameters
+        or isinstance(sensor, Grouped)
+        or not len(station)
+    ):
         return False
     nowhere = chain.with_references(np.full((3, 3), np.nan), np.full_like(chain.tool_rotations, np.nan))
     row, moments = station.conditions.select(slice(0, 1)), np.zeros((1, 3 * chain.robot.n_joints))

@@ -13,6 +13,7 @@ import pincal.model.catalogue  # noqa: F401
 from pincal.errors import nearest_first
 from pincal.io.arrays import (
     ArrayShape,
+    BranchTransforms,
     LimitNumbers,
     Matrix,
     Numbers,
@@ -53,7 +54,7 @@ class FramesEntry(Record, frozen=True, kw_only=True):
     T_base_link: Transforms
     T_last_tip: Transform
     branches: Annotated[tuple[int, ...], ArrayShape("branches")] = ()
-    T_branch_first: Annotated[np.ndarray | None, ArrayShape("branches", 4, 4)] = None
+    T_branch_first: Annotated[BranchTransforms | None, ArrayShape("branches", 4, 4)] = None
 
     @classmethod
     def of_frames(cls, frames: DhFrames) -> FramesEntry:
