@@ -20,13 +20,13 @@ from pincal.measure.measurements import measurements_from_arrays, sensor_of
 from pincal.measure.registry import SENSORS
 from pincal.measure.sensor import Sensor
 from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
-from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
+from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor, PointDistances
 from pincal.measure.sensors.fixed_camera import FixedCameraSensor
 from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
 from pincal.measure.sensors.pose import PoseSensor
 from pincal.measure.sensors.position import PositionSensor
-from pincal.measure.sensors.socket import ContactSensor
+from pincal.measure.sensors.socket import Coincidences, ContactSensor
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.plugins import load_plugin
@@ -70,13 +70,13 @@ def ahead(poses: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nj->ni", poses[:, :, :3], AHEAD[: len(poses)]) + poses[:, :, 3]
 
 
-def held(poses: np.ndarray, sensor: type[ContactSensor] = ContactSensor) -> Sensor:
+def held(poses: np.ndarray, sensor: type[Coincidences] = ContactSensor) -> Sensor:
     """Return contacts whose sockets are wherever the tool point is: one known, the others to be found."""
     places = dict.fromkeys(NAMES) | {"p0": tuple(poses[0, :, 3])}
     return sensor(NamedPoints(places), np.arange(len(poses)))
 
 
-def anchored(poses: np.ndarray, sensor: type[AnchoredDistanceSensor] = AnchoredDistanceSensor) -> Sensor:
+def anchored(poses: np.ndarray, sensor: type[PointDistances] = AnchoredDistanceSensor) -> Sensor:
     """Return distances in turn from a known anchor and from one to be found."""
     index = np.arange(len(poses)) % 2
     points = NamedPoints({"a": tuple(FAR[0]), "b": None})

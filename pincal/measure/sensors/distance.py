@@ -133,23 +133,14 @@ class DistanceSensor(Distances, Foreseeable):
 
 
 @dataclass(frozen=True)
-class AnchoredDistanceSensor(Distances, PointSensor):
-    """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
+class PointDistances(Distances, PointSensor):
+    """1D: distances, shape (N,) [m], each from a named point to the target."""
 
-    fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
     per_row: ClassVar[tuple[str, ...]] = ("index", "distance")
-    names_points: ClassVar[str | None] = "anchor"
-    thing: ClassVar[str] = "an anchor"
     fewest: ClassVar[int] = 4
     needs_all_rows: ClassVar[bool] = False
     impossible: ClassVar[None] = None
     other_parameters: ClassVar[tuple[Parameter, ...]] = ()
-
-    @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the distances of a table."""
-        points = setup.named()
-        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
 
     def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the lines from anchor to target."""
@@ -170,6 +161,21 @@ class AnchoredDistanceSensor(Distances, PointSensor):
             anchors = np.array([np.zeros(3) if start is None else -start.base[:3, 3] for start in chosen])
             tools = np.mean([start.tools for start in chosen if start is not None], axis=0)
             yield self.start_with_points(anchors, tools)
+
+
+@dataclass(frozen=True)
+class AnchoredDistanceSensor(PointDistances):
+    """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
+
+    fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
+    names_points: ClassVar[str | None] = "anchor"
+    thing: ClassVar[str] = "an anchor"
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        """Return the distances of a table."""
+        points = setup.named()
+        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
 
     def unobservable_with(self, known: int) -> Iterator[str]:
         """Yield the place of the base where no anchor is known, and what one anchor alone leaves open."""

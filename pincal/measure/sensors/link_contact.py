@@ -17,8 +17,8 @@ from pincal.errors import MeasurementError
 from pincal.measure.fields import NOT_NEGATIVE, Field, TableRows
 from pincal.measure.point_sensor import index_of
 from pincal.measure.sensor import Divided
-from pincal.measure.sensors.distance import AnchoredDistanceSensor
-from pincal.measure.sensors.socket import ContactSensor
+from pincal.measure.sensors.distance import PointDistances
+from pincal.measure.sensors.socket import Coincidences
 from pincal.measure.setup import Setup
 
 FIRST, SECOND = (Field(name, (name,), "name") for name in ("first", "second"))
@@ -57,7 +57,7 @@ def between_links(table: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class LinkDistanceSensor(AnchoredDistanceSensor, Divided):
+class LinkDistanceSensor(PointDistances, Divided):
     """1D: known distances, shape (N,) [m], between points of two links, such as the centres of balls that touch."""
 
     kind: ClassVar[str] = "contact distance"
@@ -66,6 +66,12 @@ class LinkDistanceSensor(AnchoredDistanceSensor, Divided):
     thing: ClassVar[str] = "a point of a link"
     deviation_end: ClassVar[str] = "the point that it touches"
     in_link_frame: ClassVar[bool] = True
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        """Return the distances of a table."""
+        points = setup.named()
+        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
 
     @classmethod
     def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
@@ -86,7 +92,7 @@ class LinkDistanceSensor(AnchoredDistanceSensor, Divided):
 
 
 @dataclass(frozen=True)
-class LinkContactSensor(ContactSensor, Divided):
+class LinkContactSensor(Coincidences, Divided):
     """3D: coincidence of points of two links, such as a ball of one hand in a socket of the other."""
 
     kind: ClassVar[str] = "contact"
@@ -94,7 +100,6 @@ class LinkContactSensor(ContactSensor, Divided):
     names_points: ClassVar[str | None] = "first"
     thing: ClassVar[str] = "a point of a link"
     deviation_end: ClassVar[str] = "the point that it meets"
-    judges_new_points: ClassVar[bool] = False
     in_link_frame: ClassVar[bool] = True
 
     @classmethod
