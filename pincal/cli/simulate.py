@@ -21,10 +21,9 @@ from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
-    from pincal.simulate.campaign import Campaign
     from pincal.simulate.effect import HiddenEffect
     from pincal.simulate.machine import TrueMachine
-    from pincal.simulate.setup import SensorSetup
+    from pincal.simulate.setup import Campaign, SensorSetup
 
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
@@ -118,9 +117,8 @@ def _weights(robot: Robot, machine: TrueMachine) -> dict[str, Any]:
 
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
     from pincal.cli.inputs import load_table
-    from pincal.simulate.campaign import Campaign
-    from pincal.simulate.request import Repetition, Stream, poses_of_table, repeat_poses
-    from pincal.simulate.sensors import draw_setup
+    from pincal.simulate.request import Repetition, Stream, draw_setup, poses_of_table, repeat_poses
+    from pincal.simulate.setup import Campaign
 
     given = arguments.campaign
     conditions: dict[str, np.ndarray] = {}
@@ -227,8 +225,7 @@ def _write_json(path: Path, *, contents: dict[str, Any]) -> None:
 
 def effect_help() -> str:
     """Return the effects with their keys and units as lines of help."""
-    from pincal.simulate.effect import Scope
-    from pincal.simulate.hidden import HIDDEN_EFFECTS
+    from pincal.simulate.effect import HIDDEN_EFFECTS, Scope
 
     lines = []
     for name, kind in HIDDEN_EFFECTS.items():
@@ -256,7 +253,7 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
         ('axis_wobble', {'joint': 'j2', 'size': 0.0001, 'order': 1, 'frame': 'after'})
     """
     from pincal.model.catalogue.candidates import effect_parts
-    from pincal.simulate.hidden import HIDDEN_EFFECTS
+    from pincal.simulate.effect import HIDDEN_EFFECTS
 
     name, pairs = effect_parts(text)
     if name not in HIDDEN_EFFECTS:

@@ -29,7 +29,7 @@ from pincal.cli.common import (
 from pincal.errors import BadInputError
 
 if TYPE_CHECKING:
-    from pincal.simulate.sensors import SetupOptions
+    from pincal.simulate.request import SetupOptions
 
 
 _BESIDE, _CAMERAS = ("position", "pose", "distance"), ("camera_point", "camera_pixel")
@@ -273,7 +273,7 @@ class SimulateArguments:
         Raises:
             UsageError: If the noise is not in the sensor's unit.
         """
-        from pincal.simulate.sensors import SetupOptions
+        from pincal.simulate.request import SetupOptions
 
         given = {field.name: getattr(self.sensor, field.name, None) for field in fields(SetupOptions)}
         wanted = SetupOptions(
