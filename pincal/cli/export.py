@@ -71,7 +71,7 @@ class ExportArguments:
 def export(arguments: ExportArguments) -> Exit:
     """Write the calibrated robot in other formats."""
     from pincal.calibration.calibrated_robot import load_stations
-    from pincal.cli.placement import find_place, print_doubt
+    from pincal.cli.inputs import find_place, print_doubt
     from pincal.export import FORMATS, export_model
 
     # In the order of --help, whatever the order in which formats were registered. A plugin's format has no option here: it

@@ -18,7 +18,7 @@ from pincal.discover.run import Discovery
 from pincal.io.discovery_file import Findings
 from pincal.report.blocks import arranged, picture
 from pincal.report.plots import found, row_figures, style
-from pincal.report.row_errors import RowErrors
+from pincal.report.subject import RowErrors
 from pincal.report.words import effect_words
 from pincal.validate.misfit import SURE
 from pincal.validate.outcome import MovedParameter, StationRecord
