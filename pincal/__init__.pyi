@@ -74,6 +74,6 @@ from pincal.parameters import Parameter as Parameter
 from pincal.plugins import load_plugin as load_plugin
 from pincal.robot.robot import Robot as Robot
 from pincal.validate.misfit import Verdict as Verdict
-from pincal.viewer.in_meshcat import draw_field as draw_field
+from pincal.viewer.page import draw_field as draw_field
 
 __version__: str

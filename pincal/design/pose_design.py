@@ -27,9 +27,10 @@ from pincal.design.exchange import order_by_load
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import DesignRequest, pose_columns
 from pincal.design.study import CurvePoint, Quality, Study, total
-from pincal.errors import BadInputError, PincalWarning, warn
+from pincal.errors import BadInputError, warn
 from pincal.identify.options import Options
 from pincal.identify.quadratic import NULL
+from pincal.measure.admit import noted
 from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
@@ -223,8 +224,7 @@ def design_poses(
 
 def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
     begun = time.perf_counter()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with noted() as notes:
         study = Study.of(reach, options=options, request=request)
         needed = None if request.accuracy is None else study.smallest(request.accuracy)
         n = request.poses or needed or 1
@@ -256,7 +256,7 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
         rank=study.rank(n),
         path_length=ordered,
         path_length_unordered=unordered,
-        notes=(*reach.robot.notes, *reach.bodies.notes, *notes_on_masses(reach.robot, options.effects), *_messages(caught)),
+        notes=(*reach.robot.notes, *reach.bodies.notes, *notes_on_masses(reach.robot, options.effects), *notes),
         seconds=time.perf_counter() - begun,
     )
 
@@ -281,7 +281,3 @@ def _indices(
         observability(study.design_model, directions, X - prior, n + study.n_measured) for X in (H, *at_random)
     )
     return found, {name: float(np.median([i[name] for i in random])) for name in random[0]}
-
-
-def _messages(caught: list[warnings.WarningMessage]) -> tuple[str, ...]:
-    return tuple(str(w.message) for w in caught if issubclass(w.category, PincalWarning))

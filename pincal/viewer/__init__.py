@@ -25,8 +25,8 @@ from pincal.viewer.field import FieldPoses as FieldPoses
 from pincal.viewer.field import Fields as Fields
 from pincal.viewer.field import Layer as Layer
 from pincal.viewer.field import deviation_fields as deviation_fields
-from pincal.viewer.in_meshcat import draw_field as draw_field
 from pincal.viewer.page import LiveView as LiveView
+from pincal.viewer.page import draw_field as draw_field
 from pincal.viewer.page import page as page
 from pincal.viewer.page import show as show
 from pincal.viewer.page import write_html as write_html
