@@ -17,7 +17,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import save_model
 from pincal.calibration.covered import Covered
 from pincal.cli import main
-from pincal.cli.view import view
+from pincal.cli.export import view
 from pincal.errors import BadInputError, OutputError
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import write_table
