@@ -14,9 +14,9 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.whitening import Serial, whitened_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
-from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
 from pincal.model.conditions import part_of

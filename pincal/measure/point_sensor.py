@@ -13,7 +13,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, few
 from pincal.measure.extrinsics import RANK, Extrinsics
 from pincal.measure.fields import TableRows
 from pincal.measure.sensor import Constraints, Excluded, Grouped, OwnParameters, Sensor
@@ -55,7 +55,6 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @final
     def row_groups(self) -> np.ndarray:
-        """The point of each row."""
         return self.index
 
     @property
@@ -73,7 +72,6 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @final
     def own_words(self) -> str:
-        """The points that are not known."""
         return "" if self.points.known.all() else "the unknown points"
 
     @final
@@ -181,8 +179,7 @@ def poor_groups(names: np.ndarray, fewest: int, known: Collection[str] = ()) -> 
     """Return rows of things with too few of them, shape (N,), and their names; known things need none."""
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     poor = (count < fewest) & np.array([str(name) not in known for name in found], bool)
-    listed = ", ".join(str(name) for name in found[poor][:_LISTED]) + (" ..." if poor.sum() > _LISTED else "")
-    return poor[inverse], listed
+    return poor[inverse], few(found[poor], _LISTED)
 
 
 def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
@@ -213,7 +210,7 @@ def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False)
         row = int(np.flatnonzero(names == new[0])[0])
         raise MeasurementError(
             f"{table.source}, line {table.rows[row]}: point {new[0]!r} was not among those of the "
-            f"calibration; expected {', '.join(points.names[:8])}{' ...' if len(points.names) > 8 else ''}"
+            f"calibration; expected {few(points.names, _LISTED)}"
         )
     index = np.array([place[str(name)] if str(name) in place else -1 - new.index(str(name)) for name in found], int)
     return index[inverse]

@@ -11,13 +11,11 @@ from collections.abc import Collection, Mapping
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS, SIGMA, Field
 from pincal.measure.sensor import Block, Foreseeable, Sensor
-from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
+from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
-from pincal.measure.sensors.fixed_camera import FixedCameraSensor
 from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
-from pincal.measure.sensors.pose import PoseSensor
-from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.sensors.pose import PoseSensor, PositionSensor
 from pincal.measure.sensors.socket import ContactSensor
 from pincal.plugins import Registry
 

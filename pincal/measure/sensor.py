@@ -259,7 +259,6 @@ class Additive(Sensor):
 
     @final
     def shifted(self, change: np.ndarray) -> Self:
-        """Return readings that differ by ``change``, shape (m, N)."""
         name = self.fields[0].name
         shifted: dict[str, Any] = {name: getattr(self, name) + (change[0] if len(change) == 1 else change.T)}
         return replace(self, **shifted)  # type: ignore[type-var]

@@ -47,11 +47,9 @@ class Coincidences(PointSensor):
         return bool(np.any(self.index < 0))
 
     def shifted(self, change: np.ndarray) -> Self:
-        """Return contacts whose point sits off its socket by ``change``, shape (3, N) [m]."""
         return replace(self, shift=change.T if self.shift is None else change.T + self.shift)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return socket minus tool point, shape (3, N) [m]."""
         places = self.points.positions(own)
         place = places[np.maximum(self.index, 0)].T if len(places) else np.zeros((3, len(self)))
         place = self._about_means(poses[:, :, 3].T, place)
@@ -67,7 +65,6 @@ class Coincidences(PointSensor):
         return np.concatenate([motion, self.by_points(by_place)])
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the residual: a socket holds the tool point in all directions."""
         return residuals.T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -116,7 +113,6 @@ class ContactSensor(Coincidences, Foreseeable):
         return cls(NamedPoints({f"socket_{k + 1}": None for k in range(len(places))}), index, points - places[index])
 
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield the place of the base, and the scale."""
         if not known:
             yield "contacts determine only the relative geometry of the arm, not the pose of its base"
         if known < 2 and not self.points.distances:
