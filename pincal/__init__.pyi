@@ -1,8 +1,8 @@
 from pincal.calibration.calibrated import CalibratedModel as CalibratedModel
+from pincal.calibration.calibrated_robot import CalibratedRobot as CalibratedRobot
 from pincal.calibration.calibrated_robot import Fit as Fit
 from pincal.calibration.calibrated_robot import calibrate as calibrate
 from pincal.calibration.calibrated_robot import calibrate_parts as calibrate_parts
-from pincal.calibration.calibrated_robot import CalibratedRobot as CalibratedRobot
 from pincal.calibration.calibrated_robot import load_model as load_model
 from pincal.calibration.calibrated_robot import load_stations as load_stations
 from pincal.calibration.calibrated_robot import save_model as save_model

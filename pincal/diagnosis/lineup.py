@@ -141,10 +141,12 @@ def _bent_links(model: Model) -> Iterator[PossibleChange]:
         for effect in geometry
         for term in effect.terms(chain, nothing, None)
     ]
-    for i, joint in enumerate(chain.robot.joint_names[:-1]):
+    for i, joint in enumerate(chain.robot.joint_names):
+        if (following := chain.robot.next_joint(i)) is None:
+            continue
         # What turns about or slides along the axis of a joint may stand before or behind its own motion.
         here = {chain.joint(i, symbol) for symbol in ("theta", "d", "a", "alpha")}
-        there = {chain.joint(i + 1, symbol) for symbol in ("s_x", "s_y", "theta", "d")}
+        there = {chain.joint(following, symbol) for symbol in ("s_x", "s_y", "theta", "d")}
         members = tuple(name for name, coordinate in places if coordinate in here | there)
         yield PossibleChange(name, joint, members, parts=True)
 

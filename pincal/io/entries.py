@@ -120,6 +120,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     couplings: tuple[Coupling, ...] = ()
     parents: tuple[int, ...] = ()
     ends: PathEntry | None = None
+    unmeasured: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

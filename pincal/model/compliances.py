@@ -51,7 +51,7 @@ class Compliance(Discoverable):
     @final
     def parts(self, chain: Chain) -> tuple[Self, ...]:
         """Return the compliance of each joint by itself."""
-        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.joint_names)
+        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.measured_joints)
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -75,7 +75,7 @@ class Compliance(Discoverable):
 
     def _indices(self, chain: Chain) -> list[int]:
         names = chain.robot.joint_names
-        return list(range(len(names))) if self.joints is None else [names.index(name) for name in self.joints]
+        return [names.index(name) for name in (chain.robot.measured_joints if self.joints is None else self.joints)]
 
 
 @dataclass(frozen=True)

@@ -234,19 +234,23 @@ class PoseSet:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints, from the base."""
-        return self.chain.robot.joint_names
+        """Names of the joints that readings can be about, from the base."""
+        return self.chain.robot.measured_joints
 
     @property
     def revolute(self) -> tuple[str, ...]:
         """Names of the joints that turn."""
-        types = self.chain.robot.joint_types
-        return tuple(name for name, kind in zip(self.joints, types, strict=True) if kind != "prismatic")
+        types = dict(zip(self.chain.robot.joint_names, self.chain.robot.joint_types, strict=True))
+        return tuple(name for name in self.joints if types[name] != "prismatic")
+
+    def index(self, joint: str) -> int:
+        """Return the place of a joint in the columns of the poses."""
+        return self.chain.robot.joint_names.index(joint)
 
     def positions(self, joint: str) -> np.ndarray:
         """Return the positions of a joint, shape (N,) [rad or m]."""
-        return np.asarray(self.conditions.q[:, self.joints.index(joint)])
+        return np.asarray(self.conditions.q[:, self.index(joint)])
 
     def moment(self, joint: str) -> np.ndarray:
         """Return the static moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
-        return np.asarray(self.moments[:, 3 * self.joints.index(joint) + 2])
+        return np.asarray(self.moments[:, 3 * self.index(joint) + 2])

@@ -69,9 +69,12 @@ class _Geometry(Effect):
         return tuple(Term(p, chain.joint(*place)) for p, place in enumerate(self._places(chain)))
 
     def _places(self, chain: Chain) -> Iterator[tuple[int, str]]:
-        for i, kind in enumerate(chain.robot.joint_types):
+        robot = chain.robot
+        for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
+            if name in robot.unmeasured:
+                continue
             symbols = self.sliding if kind == "prismatic" else self.turning
-            mount = self.branching if i in chain.robot.frames.branches else ()
+            mount = self.branching if i in robot.frames.branches else ()
             yield from ((i, symbol) for symbol in (*mount, *symbols))
 
 

@@ -52,6 +52,7 @@ class Robot:
             reported, everything else of the library the positions of the URDF.
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
         ends: the links between which a reading is if nothing else is said; default: base and tip.
+        unmeasured: names of joints off all paths, whose motion changes only what the others bear.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Robot:
     couplings: tuple[Coupling, ...] = ()
     parents: tuple[int, ...] = ()
     ends: LinkPath | None = None
+    unmeasured: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.parents:
@@ -166,6 +168,11 @@ class Robot:
         return len(self.joint_names)
 
     @property
+    def measured_joints(self) -> tuple[str, ...]:
+        """Names of the joints that a path passes: those that readings can be about."""
+        return tuple(name for name in self.joint_names if name not in self.unmeasured)
+
+    @property
     def is_serial(self) -> bool:
         """Whether each joint carries the next."""
         return self.parents == tuple(range(-1, self.n_joints - 1))
@@ -174,6 +181,11 @@ class Robot:
         """Return the joint at the end of link i (from 0); None if it carries none, or several."""
         carried = [k for k, parent in enumerate(self.parents) if parent == i]
         return carried[0] if len(carried) == 1 else None
+
+    def are_neighbours(self, joint: str, other: str) -> bool:
+        """Return whether two joints are the same one, or one carries the other directly."""
+        i, k = self.joint_names.index(joint), self.joint_names.index(other)
+        return i == k or self.parents[i] == k or self.parents[k] == i
 
     def carries(self, i: int, k: int) -> bool:
         """Return whether joint i carries joint k, directly or not."""
