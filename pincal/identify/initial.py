@@ -132,10 +132,8 @@ def place_setups(
 
     That is where the station with the most rows has it.
     """
-    largest: dict[str, str] = {}
-    for name, table in tables.items():
-        if table.setup and len(table) > len(tables.get(largest.get(table.setup, ""), ())):
-            largest[table.setup] = name
+    by_rows = sorted(tables, key=lambda name: len(tables[name]))
+    largest = {tables[name].setup: name for name in by_rows}
     first = {n: t for n, t in tables.items() if not t.setup or largest[t.setup] == n}
     placed = dict(zip(first, place_arm(arm, values, first, options=options), strict=True))
     for name, table in tables.items():

@@ -121,6 +121,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     parents: tuple[int, ...] = ()
     ends: PathEntry | None = None
     unmeasured: tuple[str, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

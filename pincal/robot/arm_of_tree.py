@@ -66,7 +66,7 @@ def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> 
     if mass is not None and not _LIGHTEST <= mass <= LARGEST:
         raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
     unmeasured = tuple(joint.name for joint in joints if joint.name not in passed)
-    return _attributes(tree, joints, base, ends, mass=mass) | {"unmeasured": unmeasured}
+    return _attributes(tree, joints, base, ends, mass=mass) | {"unmeasured": unmeasured, "links": tuple(ends[1:])}
 
 
 def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:

@@ -53,6 +53,7 @@ class Robot:
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
         ends: the links between which a reading is if nothing else is said; default: base and tip.
         unmeasured: names of joints off all paths, whose motion changes only what the others bear.
+        links: the pairs of links of further paths, by name.
     """
 
     name: str
@@ -76,6 +77,7 @@ class Robot:
     parents: tuple[int, ...] = ()
     ends: LinkPath | None = None
     unmeasured: tuple[str, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.parents:
@@ -145,18 +147,19 @@ class Robot:
     @property
     def request(self) -> TreeRequest:
         """Which part of its URDF it is."""
-        return TreeRequest(self.tip, self.path.start, self.base, others=self.joint_names)
+        return TreeRequest(self.tip, self.path.start, self.base, paths=self.links, others=self.joint_names)
 
-    def between(self, start: str, tip: str) -> LinkPath:
+    def between(self, start: str | None = None, tip: str | None = None) -> LinkPath:
         """Return the way between two links of the robot.
 
         Args:
-            start: the link from which a reading is seen.
-            tip: the link that it is about.
+            start: the link from which a reading is seen; default: where the robot's own path starts.
+            tip: the link that it is about; default: where that ends.
 
         Raises:
             RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
         """
+        start, tip = start or self.path.start, tip or self.path.tip
         if (start, tip) == (self.path.start, self.path.tip):
             return self.path
         tree = parse_urdf(self.urdf, source=self.source)
@@ -176,6 +179,11 @@ class Robot:
     def is_serial(self) -> bool:
         """Whether each joint carries the next."""
         return self.parents == tuple(range(-1, self.n_joints - 1))
+
+    def joints_between(self, start: str | None = None, tip: str | None = None) -> tuple[str, ...]:
+        """Return the names of the joints on the way between two links; default: those of the robot's own path."""
+        path = self.between(start, tip)
+        return tuple(self.joint_names[joint] for joint, _ in path.steps(self.parents))
 
     def next_joint(self, i: int) -> int | None:
         """Return the joint at the end of link i (from 0); None if it carries none, or several."""
