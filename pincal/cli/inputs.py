@@ -195,10 +195,13 @@ def load_table(
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
     reading, links = options or TableOptions(), links or LinkOptions()
     given = [(start, tip) for name, start, tip in links.stations if name == path.stem]
-    pairs, chosen = given or links_of_rows(path, reading) if robot.links else [(None, None)], None
-    if pairs == [(None, None)] and robot.links:
+    is_tree = bool(robot.links) or robot.path.start != robot.base
+    pairs, chosen = given or links_of_rows(path, reading) if is_tree else [(None, None)], None
+    if pairs == [(None, None)] and is_tree:
         there = set(joint_columns(path, robot.joint_names, reading))
-        ways = ((None, None), *robot.links)
+        # What is known of an arm from contacts holds for what an instrument sees of it, too.
+        ends = dict.fromkeys(end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair)
+        ways = ((None, None), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
         pairs = pairs if chosen is None else [chosen]
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}

@@ -25,6 +25,7 @@ from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
 from pincal.identify.selection import CRITERIA
+from pincal.identify.shrinkage import has_instrument, prior_scale
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
@@ -42,6 +43,8 @@ log = logging.getLogger(__name__)
 
 # How often the masses of an earlier fit are taken to what they weigh now, and the change that is none.
 _WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
+# How often the factor on priors is looked for.
+_SCALINGS = 4
 # The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
@@ -80,8 +83,21 @@ def fit_tables(
     options = _completed(robot, options, tables)
     fit = with_bearings(_rescaled(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit)
+    if options.prior_scale is None and options.earlier is None and not has_instrument(fit):
+        fit = _cautious(fit)
     fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
+
+
+def _cautious(fit: ModelFit) -> ModelFit:
+    """Return a fit with the priors that regions which are left out call for."""
+    scale = 1.0
+    for _ in range(_SCALINGS):
+        before, scale = scale, prior_scale(fit)
+        if scale == before:
+            break
+        fit = with_bearings(refit(replace(fit, options=replace(fit.options, prior_scale=scale)), fit.options.effects))
+    return replace(fit, options=replace(fit.options, prior_scale=scale))
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:

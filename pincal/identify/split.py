@@ -21,11 +21,11 @@ from pincal.identify.fit import ModelFit, Priors, Solution
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
+from pincal.identify.regions import distinct_poses, joint_regions
 from pincal.identify.solve import Course, solve
 from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, replicate_groups
-from pincal.model.conditions import TURN
 from pincal.robot.robot import Robot
 from pincal.spread import spread
 
@@ -110,32 +110,9 @@ def row_groups(measurements: Measurements, *, split: Split, seed: int) -> np.nda
 
     Rows with the same joint positions (replicates, several targets) always share a group.
     """
-    q = _at_one_turn(measurements.q)
-    same = np.unique(np.round(q, 9), axis=0, return_inverse=True)[1].ravel()
     if split == "random":
-        return np.asarray(same)
-    from scipy.cluster.vq import kmeans2
-
-    spread = np.maximum(q.std(axis=0), 1e-9)
-    n = min(_BLOCKS, len(np.unique(same)))
-    labels = kmeans2(q / spread, n, minit="++", rng=np.random.default_rng(seed))[1]
-    return np.unique(labels, return_inverse=True)[1].ravel()
-
-
-def _at_one_turn(q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), those of a joint that takes more than a turn folded into one turn.
-
-    It begins behind the largest gap, so that neighbours stay neighbours. A rail of more than 6 m is folded, too: two far
-    places on it may then be held out together, which does no harm.
-    """
-    folded = np.array(q, float)
-    for j in np.flatnonzero(np.ptp(q, axis=0) > TURN) if len(q) else ():
-        angles = np.unique(np.mod(q[:, j], TURN))
-        gap = int(np.argmax(np.diff(angles, append=angles[0] + TURN)))
-        # The middle of the gap, where rounding can't carry a row to the other end.
-        start = angles[gap] + 0.5 * (angles[(gap + 1) % len(angles)] - angles[gap]) % TURN
-        folded[:, j] = np.mod(q[:, j] - start, TURN)
-    return folded
+        return distinct_poses(measurements.q)
+    return joint_regions(measurements.q, _BLOCKS, seed)
 
 
 @dataclass(frozen=True)

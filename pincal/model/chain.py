@@ -153,6 +153,12 @@ class Chain:
         return _order(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)
 
     @cached_property
+    def mounts(self) -> frozenset[str]:
+        """Names of the coordinates that say where an arm is mounted on a link that bears another one as well."""
+        names = (self.robot.joint_names[i] for i in self.robot.frames.branches)
+        return frozenset(f"{name}.{symbol}" for name in names for symbol in (*MOUNT_SYMBOLS, "d", "theta", "s_x", "s_y"))
+
+    @cached_property
     def on_path(self) -> np.ndarray:
         """Which joints are on the path, shape (n,)."""
         found = np.zeros(self.robot.n_joints, bool)

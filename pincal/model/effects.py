@@ -37,6 +37,8 @@ __all__ = [
 # up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
+# How far an arm may stand from its place beside another one [m], and how far it may be turned [rad].
+_MOUNT_SIZE = 1e-2
 _LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
 
 
@@ -58,7 +60,7 @@ class _Geometry(Effect):
                 unit="m" if symbol in _LENGTHS else "rad",
                 effect=self.name,
                 nominal=float(chain.nominal[chain.joint(i, symbol)]),
-                size=LENGTH_SIZE if symbol in _LENGTHS else ANGLE_SIZE,
+                size=self._size(chain, i, symbol),
             )
             for i, symbol in self._places(chain)
         )
@@ -67,6 +69,12 @@ class _Geometry(Effect):
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add constants."""
         return tuple(Term(p, chain.joint(*place)) for p, place in enumerate(self._places(chain)))
+
+    @staticmethod
+    def _size(chain: Chain, i: int, symbol: str) -> float:
+        if f"{chain.robot.joint_names[i]}.{symbol}" in chain.mounts:
+            return _MOUNT_SIZE
+        return LENGTH_SIZE if symbol in _LENGTHS else ANGLE_SIZE
 
     def _places(self, chain: Chain) -> Iterator[tuple[int, str]]:
         robot = chain.robot
