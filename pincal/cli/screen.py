@@ -72,7 +72,7 @@ _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8
 def print_brief(
     calibration: Calibration, discovery: Discovery | None, out: Console, *, more: str, notes: Sequence[str] = ()
 ) -> None:
-    """Print what a calibration, or a discovery, comes to; ``notes`` are on its files, ``more`` says where to read on."""
+    """Print the summary of a calibration, or of a discovery; ``notes`` are on its files, ``more`` tells where to read on."""
     result = calibration.result
     print_doubts(result.warnings, out)
     print_left_out(result, out)
@@ -93,7 +93,7 @@ def print_brief(
 
 
 def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command: str) -> None:
-    """Print what a table can tell of a robot."""
+    """Print what a table can show of a robot."""
     print_doubts(found.warnings, out)
     _line(out, "robot", _arm(robot))
     _line(out, "rows", f"{found.rows} {found.kind} measurements")
@@ -122,7 +122,7 @@ def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
 
 
 def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
-    """Return the noise as the mean distance that it makes, beside that of one coordinate.
+    """Return the noise as the mean distance that it makes, and that of one coordinate.
 
     Example:
         >>> _noise_of({"sigma_m": 5e-5}, "position"), _noise_of({"sigma_m": 5e-5}, "distance")
@@ -324,7 +324,7 @@ def _print_design(found: Design, out: Console) -> None:
 
 
 def print_check(found: HealthCheck, out: Console) -> None:
-    """Print what a health check takes, what it notices and what not, and what simulation says of that."""
+    """Print what a health check takes, what it detects and what not, and the rates found by simulation."""
     out.print(one_line(found.summary()), markup=False)
     if not found.is_met:
         text = f"this many poses do not detect {1e3 * found.notice:.3g} mm; calibrate from more poses, or reduce the noise"
@@ -352,7 +352,7 @@ def print_check(found: HealthCheck, out: Console) -> None:
 
 
 def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
-    """Yield how the poses were chosen, and what they promise beside random ones."""
+    """Yield how the poses were chosen, and what they promise compared with random ones."""
     designed, random = found.found.designed, found.found.random
     yield "candidates", found.drawn.in_words()
     path = f"{found.path_length:.1f} joint ranges from first to last pose, {found.path_length_unordered:.1f} before ordering"
