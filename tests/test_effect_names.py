@@ -17,7 +17,7 @@ ALLOWED = {
     "pincal.model.effects": "lists what an elastic model is made of",
     "pincal.model.catalogue.bearing_features": "is the elasticity of a bearing in directions of its own",
     "pincal.validate.agreement": "zeros that data have pulled far are looked for",
-    "pincal.validate.zeros": "looks for the zeros of joints",
+    "pincal.validate.cures": "looks for the zeros of joints",
     "pincal.identify.explain": "a reason names base and tool",
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on",
     "pincal.identify.problem": "makes them for each station",

@@ -19,12 +19,10 @@ from pincal.measure.lens import Lens
 from pincal.measure.measurements import measurements_from_arrays, sensor_of
 from pincal.measure.registry import SENSORS
 from pincal.measure.sensor import Sensor
-from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
+from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
-from pincal.measure.sensors.fixed_camera import FixedCameraSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
-from pincal.measure.sensors.pose import PoseSensor
-from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.sensors.pose import PoseSensor, PositionSensor
 from pincal.measure.sensors.socket import ContactSensor
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS
@@ -220,7 +218,7 @@ def test_no_sensor_is_recognised_outside_its_own_file() -> None:
     # Names of arrays and columns, not kinds: of a table of targets, of a list of known distances, of records in files, the
     # displacement that stands for the error of an image, and the points of programs, which are poses or joint positions.
     others = ("compensate/targets.py", "measure/setup.py", "validate/accuracy.py")
-    others += ("measure/nested_sheet.py", "measure/vectors.py", "programs/")
+    others += ("measure/nested_sheet.py", "programs/")
     assert [entry for entry in found if not entry.startswith(others)] == []
 
 

@@ -24,8 +24,8 @@ from pincal.io.discovery_file import Findings, Repeated, Stability
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
+from pincal.report.html import _named
 from pincal.report.illustrations import stability_drawings
-from pincal.report.missing import _named
 
 COUNT = 2
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import click
 
-from pincal.cli.arguments import Output, argument, group, option
+from pincal.cli.arguments import Output, argument, group, option, pair
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
 from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity, plain_number, unit_sizes
 
@@ -104,10 +104,11 @@ _COLUMNS = "'J1=joint_a1 [deg],...'"
 def columns(text: str) -> dict[str, str]:
     """Return columns and what they hold, ``NAME=MEANING`` separated by commas, as meanings by name."""
     found: dict[str, str] = {}
+    expected = f"NAME=MEANING, each name once, such as {_COLUMNS}"
     for part in text.split(","):
-        name, sign, meaning = (word.strip() for word in part.partition("="))
-        if not (sign and name and meaning) or name in found:
-            raise click.BadParameter(f"{part.strip()!r}; expected NAME=MEANING, each name once, such as {_COLUMNS}")
+        name, meaning = pair(part, expected)
+        if name in found:
+            raise click.BadParameter(f"{part.strip()!r}; expected {expected}")
         found[name] = meaning
     return found
 
@@ -141,21 +142,21 @@ gravity_option = partial(
 )
 mass_option = partial(
     option,
-    "Mass of the whole robot with its base [kg], as on its data sheet: masses of links are then found from the data.",
+    "Total mass of the robot including its base [kg], from its data sheet: the masses of the links are then estimated.",
     metavar="KG",
     words="those of the URDF, if it has any",
 )
 coupling_option = partial(
     option,
-    "Joint whose controller reports its position less that of another: it is what it reports plus (+) or minus (-) that "
-    "one, or a part such as -1/3*joint_4.",
+    "Coupled joint: its position is the reported one plus (+) or minus (-) that of another joint, or a fraction of it such "
+    "as -1/3*joint_4.",
     (),
     metavar="joint_3=+joint_2",
     name="--coupling",
 )
-sign_option = partial(option, "Joint that counts the other way than the URDF has it.", (), metavar="JOINT", name="--sign")
+sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
-station_option = partial(option, "Take the place of instrument and targets at this station of the model.", metavar="NAME")
+station_option = partial(option, "Use the placement of instrument and targets of this station of the model.", metavar="NAME")
 
 
 def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -197,15 +198,15 @@ class TableArguments:
     """How tables are to be read."""
 
     columns: dict[str, str] | None = option(
-        "Map columns to the quantities that they hold.", type=columns, metavar=_COLUMNS, words="as they are named"
+        "Map columns to the quantities that they hold.", type=columns, metavar=_COLUMNS, words="by their names"
     )
     orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
         "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
         words="from the names of its columns",
     )
     joints: Path | None = option(
-        "Log of the joint positions, if the table lacks them: joined by a column that both have, by time while the pose is "
-        "held still, or by order.",
+        "Log of the joint positions, if the table lacks them: joined by a common column, by time while the pose is held "
+        "still, or by order.",
         metavar="LOG",
     )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
@@ -213,8 +214,8 @@ class TableArguments:
         "Worksheet of an Excel workbook.", metavar="NAME", words="the first that has columns of joints"
     )
     rows_in_order: bool = option(
-        "Rows are in the order of measurement, or of their times: a joint without a column approach_<joint> arrived from "
-        "its position in the row before.",
+        "Rows are in the order of measurement, or their times give it: the approach direction of a joint without a column "
+        "approach_<joint> follows from the previous row.",
         False,
     )
 
@@ -252,7 +253,7 @@ class InputOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Where instrument and target stand, if that is not where they were calibrated."""
+    """Where instrument and target are, if not where they were calibrated."""
 
     placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
     station: str | None = station_option(words="the only one")
@@ -260,7 +261,7 @@ class PlaceOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
-    """The model and the loads that bend it."""
+    """The model and its loads."""
 
     model: Literal["geometric", "elastic"] = option("Geometry alone, or with elasticity of joints and bearings.", "elastic")
     moment_frame: Literal["auto", "paper", "before", "after"] = option(
@@ -326,9 +327,9 @@ class FitOptions:
     fix: tuple[str, ...] = option(
         "Hold this parameter at nominal: a name such as joint_2.s_x, or a pattern such as '*.s_x'.", (), metavar="NAME"
     )
-    free: tuple[str, ...] = option("Fit this parameter, or those of a pattern, without a prior.", (), metavar="NAME")
+    free: tuple[str, ...] = option("Fit this parameter, or all that match a pattern, without a prior.", (), metavar="NAME")
     prior: tuple[str, ...] = option(
-        "Standard deviation from nominal that is expected of this parameter, or of those of a pattern: '*.theta=2mrad', "
+        "Expected standard deviation from nominal of this parameter, or of all that match a pattern: '*.theta=2mrad', "
         "'joint_3.k_drive=0.2urad/Nm'.",
         (),
         metavar="NAME=SIZE",
@@ -337,29 +338,26 @@ class FitOptions:
     stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
     loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")
     zeros: str | None = option(
-        "Zeros of joints of which nothing is known: unknown for all of them, or unknown:joint_3,joint_5.",
+        "Joints whose zeros are unknown altogether: unknown for all, or unknown:joint_3,joint_5.",
         metavar="unknown[:JOINT,...]",
-        words="within some mrad of the URDF's, unless the data show otherwise",
+        words="within a few mrad of the URDF's, unless the data show otherwise",
     )
     length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm")
 
     @property
     def priors(self) -> dict[str, float | str]:
-        """Priors by name or pattern: those that are told, then what is free, then what is held.
+        """Priors by name or pattern: those that are stated, then what is free, then what is held.
 
         Raises:
             click.UsageError: for one without a size.
         """
-        told = [text.partition("=") for text in self.prior]
-        if missing := [name for name, _, size in told if not size]:
-            raise click.UsageError(f"--prior {missing[0]}: no size; expected NAME=SIZE, such as '*.theta=2mrad'")
-        sizes: dict[str, float | str] = {name.strip(): size.strip() for name, _, size in told}
+        sizes: dict[str, float | str] = dict(pair(text, "NAME=SIZE, such as '*.theta=2mrad'") for text in self.prior)
         return sizes | dict.fromkeys(self.free, float("inf")) | dict.fromkeys(self.fix, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:
-    """All that says how a table of measurements is fitted."""
+    """All options of how a table of measurements is fitted."""
 
     model: ModelOptions = group("Model")
     setup: SetupOptions = group("Measurement setup")
@@ -372,8 +370,8 @@ class SplitOptions:
 
     test_fraction: float = option("Fraction of rows held out.", 0.25)
     split: Literal["both", "random", "blocked", "station"] = option(
-        "Hold out whole regions of joint space and stretches of consecutive rows, of which the one that is predicted worse "
-        "leads; or rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
+        "Hold out whole regions of joint space and stretches of consecutive rows, and report the worse of the two first; or "
+        "rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
         "both",
     )
     holdout: Path | None = option("Validate on this table instead; all rows of DATA are fitted.")

@@ -22,7 +22,7 @@ from pincal.identify.problem import Problem
 from pincal.identify.quadratic import NULL, Form
 from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.identify.station import Station
-from pincal.measure.sampling import sample_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import KnownParameters
 from pincal.model.effects import BaseFrame
 from pincal.parameters import Parameter

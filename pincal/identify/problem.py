@@ -19,7 +19,7 @@ from pincal.errors import BadInputError
 from pincal.identify.batch import Batch, Work, runs
 from pincal.identify.earlier import Belief, Beliefs, Earlier
 from pincal.identify.station import Station
-from pincal.measure.sampling import sample_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined_conditions, part_of

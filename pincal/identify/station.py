@@ -12,9 +12,9 @@ from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.serial import Serial
 from pincal.identify.whitening import whitened_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
-from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
 from pincal.model.conditions import part_of

@@ -13,7 +13,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, few
 from pincal.measure.extrinsics import RANK, Extrinsics
 from pincal.measure.fields import TableRows
 from pincal.measure.sensor import Constraints, Excluded, Grouped, OwnParameters, Sensor
@@ -48,12 +48,11 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @abstractmethod
     def other_parameters(self) -> tuple[Parameter, ...]:
-        """The sensor's own parameters beside points."""
+        """The sensor's own parameters other than points."""
 
     @property
     @final
     def row_groups(self) -> np.ndarray:
-        """The point of each row."""
         return self.index
 
     @property
@@ -71,7 +70,6 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @final
     def own_words(self) -> str:
-        """The points that are not known."""
         return "" if self.points.known.all() else "the unknown points"
 
     @final
@@ -152,12 +150,12 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def start_with_points(self, places: np.ndarray, tools: np.ndarray, *, rest: np.ndarray | None = None) -> Extrinsics:
-        """Return where all stands for points in the robot's base frame; the known ones say where the base is.
+        """Return where all stands for points in the robot's base frame; the known ones determine the base.
 
         Args:
             places: shape (K, 3), the points [m].
             tools: shape (targets, 4, 4).
-            rest: values of own parameters beside the points.
+            rest: values of own parameters other than the points.
         """
         points = self.points
         seen = points.known & np.isin(np.arange(len(places)), self.index)
@@ -178,8 +176,7 @@ def poor_groups(names: np.ndarray, fewest: int, known: Collection[str] = ()) -> 
     """Return rows of things with too few of them, shape (N,), and their names; known things need none."""
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     poor = (count < fewest) & np.array([str(name) not in known for name in found], bool)
-    listed = ", ".join(str(name) for name in found[poor][:_LISTED]) + (" ..." if poor.sum() > _LISTED else "")
-    return poor[inverse], listed
+    return poor[inverse], few(found[poor], _LISTED)
 
 
 def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
@@ -210,7 +207,7 @@ def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False)
         row = int(np.flatnonzero(names == new[0])[0])
         raise MeasurementError(
             f"{table.source}, line {table.rows[row]}: point {new[0]!r} was not among those of the "
-            f"calibration; expected {', '.join(points.names[:8])}{' ...' if len(points.names) > 8 else ''}"
+            f"calibration; expected {few(points.names, _LISTED)}"
         )
     index = np.array([place[str(name)] if str(name) in place else -1 - new.index(str(name)) for name in found], int)
     return index[inverse]

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure import bag_sheet, excel_sheet, parquet_sheet
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
+from pincal.measure.excel_sheet import ENDINGS, open_excel
 from pincal.measure.fields import CONDITIONS, OF_EACH_JOINT, OTHERS, Field, Schema, TableOptions
 from pincal.measure.header import (
     check_joints,
@@ -30,6 +30,7 @@ from pincal.measure.header import (
 )
 from pincal.measure.joined import Log, held_rows, join
 from pincal.measure.nested_sheet import nested_kind, open_nested
+from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
 from pincal.measure.sheet import FrameSheet, Sheet, read_cells
 from pincal.measure.text_sheet import open_text
 
@@ -58,18 +59,18 @@ def open_sheet(
         MeasurementError: for a file that is empty, binary, or not of this format.
     """
     ending = path.suffix.lower()
-    if bag_sheet.is_bag(path):
-        return bag_sheet.open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
-    if parquet_sheet.is_dataset(path):
-        return parquet_sheet.open_dataset(path)
+    if is_bag(path):
+        return open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
+    if is_dataset(path):
+        return open_dataset(path)
     with path.open("rb") as file:
         head = file.read(4)
     if ending == ".parquet" or head == b"PAR1":
-        return parquet_sheet.open_parquet(path)
+        return open_parquet(path)
     if kind := nested_kind(path):
         return open_nested(path, kind)
-    if ending in excel_sheet.ENDINGS or head == b"PK\x03\x04":
-        return excel_sheet.open_excel(path, sheet=sheet, joints=joints)
+    if ending in ENDINGS or head == b"PK\x03\x04":
+        return open_excel(path, sheet=sheet, joints=joints)
     if ending in _OTHERS:
         raise MeasurementError(f"{path.name}: {ending} is not read; save the table as .xlsx or CSV")
     return open_text(path, joints)
@@ -173,7 +174,7 @@ def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str)
     """Take the second positions of joints out of the values; return commanded minus read back, shape (N, n), if any.
 
     Raises:
-        MeasurementError: if both are beside the joints' own columns.
+        MeasurementError: if both are given in addition to the joints' own columns.
     """
     given = {kind: [name for name in joints if f"{kind}_{name}" in values] for kind in OTHERS}
     kinds = [kind for kind, names in given.items() if names]

@@ -10,13 +10,11 @@ from collections.abc import Collection, Mapping
 
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS, SIGMA, Field
-from pincal.measure.sensor import Block, Foreseeable, Sensor
-from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
+from pincal.measure.sensor import Block, Sensor, Simulatable
+from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
-from pincal.measure.sensors.fixed_camera import FixedCameraSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
-from pincal.measure.sensors.pose import PoseSensor
-from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.sensors.pose import PoseSensor, PositionSensor
 from pincal.measure.sensors.socket import ContactSensor
 from pincal.plugins import Registry
 
@@ -73,9 +71,9 @@ def columns_of(kind: str) -> tuple[str, ...]:
     return tuple(column for field in sensor.fields for column in field.columns)
 
 
-def simulatable() -> Mapping[str, type[Foreseeable]]:
+def simulatable() -> Mapping[str, type[Simulatable]]:
     """Return the sensors, by their kind, for which measurements can be designed."""
-    return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Foreseeable)}
+    return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Simulatable)}
 
 
 def sensor_class(fields: Collection[str]) -> type[Sensor] | None:

@@ -51,7 +51,6 @@ class TextSheet(Sheet):
         return _read_regular(self, columns) or _read_lines(self, columns)
 
     def first_cells(self, index: int, count: int) -> list[str]:
-        """Return the first cells."""
         return [row[index] if index < len(row) else "" for row in self._first_rows[:count]]
 
     @cached_property
@@ -71,7 +70,7 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
 
     Args:
         path: the file.
-        joints: names of joints, which tell the row of names from others.
+        joints: names of joints, which distinguish the row of names from others.
 
     Raises:
         MeasurementError: for a binary or an empty file, or one without names of columns.

@@ -15,13 +15,13 @@ import numpy as np
 from pincal.measure.extrinsics import Extrinsics, by_target
 from pincal.measure.fields import Field, TableRows
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.sensor import Block, Foreseeable
+from pincal.measure.sensor import Block, Simulatable
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
-class ContactSensor(PointSensor, Foreseeable):
+class ContactSensor(PointSensor, Simulatable):
     """3D: coincidence of the tool point with its socket.
 
     Rows in a socket that ``points`` do not know (``index`` -1 and below, one number for each socket) are judged by their
@@ -55,7 +55,7 @@ class ContactSensor(PointSensor, Foreseeable):
         return cls(points, index_of(table, points, may_be_new=True))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         """Return the contacts of poses in sockets of unknown position, called socket_1, socket_2, ..."""
         assert places is not None, "contacts need places"
         points = poses[:, :, 3]
@@ -68,11 +68,9 @@ class ContactSensor(PointSensor, Foreseeable):
         return bool(np.any(self.index < 0))
 
     def shifted(self, change: np.ndarray) -> Self:
-        """Return contacts whose point sits off its socket by ``change``, shape (3, N) [m]."""
         return replace(self, shift=change.T if self.shift is None else change.T + self.shift)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return socket minus tool point, shape (3, N) [m]."""
         places = self.points.positions(own)
         place = places[np.maximum(self.index, 0)].T if len(places) else np.zeros((3, len(self)))
         place = self._about_means(poses[:, :, 3].T, place)
@@ -88,7 +86,6 @@ class ContactSensor(PointSensor, Foreseeable):
         return np.concatenate([motion, self.by_points(by_place)])
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the residual: a socket holds the tool point in all directions."""
         return residuals.T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -103,7 +100,6 @@ class ContactSensor(PointSensor, Foreseeable):
         yield self.start_at_means(p + columns @ offsets, tools)
 
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield the place of the base, and the scale."""
         if not known:
             yield "contacts determine only the relative geometry of the arm, not the pose of its base"
         if known < 2 and not self.points.distances:
