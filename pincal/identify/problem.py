@@ -281,9 +281,15 @@ class Problem:
 
     def readings(self, robust: np.ndarray) -> np.ndarray:
         """Return how many readings of each block count by robust weights of all rows, shape (blocks,)."""
-        counts = [np.count_nonzero(robust[rows]) for rows in self.rows]
-        pairs = zip(counts, self.stations, strict=True)
-        return np.concatenate([count * station.block_sizes for count, station in pairs])
+        counts, (station, size) = robust > 0.0, self._of_blocks
+        return np.asarray(np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size)
+
+    @cached_property
+    def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of each block of readings its station, by number, and its components, shape (blocks,)."""
+        pairs = [(k, block.size) for k, station in enumerate(self.stations) for block in station.sensor.blocks]
+        station, size = np.array(pairs).T
+        return station, size
 
     @cached_property
     def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
