@@ -1,8 +1,8 @@
 from pincal.calibration.calibrated import CalibratedModel as CalibratedModel
-from pincal.calibration.calibrated_fit import Fit as Fit
-from pincal.calibration.calibrated_fit import calibrate as calibrate
-from pincal.calibration.calibrated_fit import calibrate_parts as calibrate_parts
 from pincal.calibration.calibrated_robot import CalibratedRobot as CalibratedRobot
+from pincal.calibration.calibrated_robot import Fit as Fit
+from pincal.calibration.calibrated_robot import calibrate as calibrate
+from pincal.calibration.calibrated_robot import calibrate_parts as calibrate_parts
 from pincal.calibration.calibrated_robot import load_model as load_model
 from pincal.calibration.calibrated_robot import load_stations as load_stations
 from pincal.calibration.calibrated_robot import save_model as save_model
@@ -38,10 +38,10 @@ from pincal.export import export_model as export_model
 from pincal.identify.explain import explain as explain
 from pincal.identify.options import Options as Options
 from pincal.identify.options import StationOptions as StationOptions
-from pincal.identify.repeat import bootstrap as bootstrap
-from pincal.identify.repeat import bootstrap_stations as bootstrap_stations
-from pincal.identify.repeat import cross_validate as cross_validate
-from pincal.identify.repeat import monte_carlo as monte_carlo
+from pincal.identify.split import bootstrap as bootstrap
+from pincal.identify.split import bootstrap_stations as bootstrap_stations
+from pincal.identify.split import cross_validate as cross_validate
+from pincal.identify.split import monte_carlo as monte_carlo
 from pincal.io.discovery_file import Findings as Findings
 from pincal.io.discovery_file import FoundEffect as FoundEffect
 from pincal.io.urdf_export import calibrated_urdf as calibrated_urdf

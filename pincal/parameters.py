@@ -267,10 +267,6 @@ class Estimate:
             self.prior[places],
         )
 
-    def carried_over(self, parameters: Sequence[Parameter]) -> np.ndarray:
-        """Return the values of other parameters as far as they are known here by name, shape (n,); zero for the rest."""
-        return carried_over(self.values, self._index, parameters)
-
 
 def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance: np.ndarray) -> Estimate:
     """Return an estimate of parameters from a covariance over all of them, zero for those that were not fitted.

@@ -7,9 +7,9 @@ import ast
 import pytest
 from test_layers import MODULES
 
-from pincal.io.entries import known_effects
+from pincal.io.entries import EFFECTS
 
-CLASSES = {cls.__name__: cls for cls in known_effects().values() if cls.__module__.split(".")[0] == "pincal"}
+CLASSES = {cls.__name__: cls for cls in EFFECTS.known().values() if cls.__module__.split(".")[0] == "pincal"}
 # Who may name which effects, and why. The simulator has effects of its own, which share no code with these.
 ALLOWED = {
     "pincal.model.effect_registry": "registers the effects that a model is made of",
@@ -47,7 +47,7 @@ def texts(module: str) -> set[str]:
     """Return the names of effects that a module compares with or looks up."""
     tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
     found = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    return found & known_effects().keys()
+    return found & EFFECTS.known().keys()
 
 
 @pytest.mark.parametrize("module", sorted(name for name in MODULES if not name.startswith("pincal.simulate")))

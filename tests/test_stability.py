@@ -11,7 +11,7 @@ from discovery_cases import Case, draw_case
 from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import chance_of_best, findings_of
 from pincal.discover.levers import MassError, missing_features

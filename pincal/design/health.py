@@ -19,8 +19,7 @@ from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import pose_columns
 from pincal.design.study import total
 from pincal.diagnosis.change_search import raises_alarm
-from pincal.diagnosis.changes import PossibleChange
-from pincal.diagnosis.lineup import ChangeHypotheses
+from pincal.diagnosis.lineup import ChangeHypotheses, PossibleChange
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, known_degrees
 from pincal.diagnosis.row_evidence import prior_root
 from pincal.errors import BadInputError

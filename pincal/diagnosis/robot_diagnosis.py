@@ -19,12 +19,11 @@ from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.fingerprints import count, fingerprints, known_rows, together
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
-from pincal.identify.station import Station
+from pincal.identify.station import Station, count, fingerprints, known_rows, together
 from pincal.io.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
@@ -143,21 +142,34 @@ def diagnose(
         verdict = verdict.none()
     lineup, happened = verdict.lineup, verdict.happened
     posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
-    reidentified = _reidentified(model, verdict, posterior)
+    reidentified = lineup.robot
+    if happened:
+        # With what changed found and nothing else released.
+        rows = together(model.rows, fingerprints(lineup.station))
+        reidentified = replace(lineup.reidentified(happened, posterior), rows=rows)
     station = reidentified.readings(measurements)
     after = error_summary(station, reidentified.values)
     _refuse_strange(model, measurements, after["rms_mm"], _HOPELESS)
     session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
     kept[list(verdict.wrong_rows)] = False
     curves = redrawn_curves(placed, measurements, kept=kept, session=session)
+    changes = list(_entries(verdict, posterior, session))
+    if curves is not None:
+        # Those of curves among themselves in the order of what they bring on the new rows.
+        order = [entry.joint for entry in curves.joints]
+        ranked = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
+        changes = [change if change.curve_rms is None else next(ranked) for change in changes]
+    # Of several stations the nearest.
+    ways = [moved(before, reidentified) for before in calibrated.models.values()]
+    way = min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument)
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
         alpha=alpha,
-        changes=_ranked(tuple(_entries(verdict, posterior, session)), curves),
+        changes=tuple(changes),
         excluded=tuple(excluded(verdict, searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
-        station=_moved(calibrated, reidentified),
+        station=MovedEntry(**way.to_dict()),
         rows=len(measurements),
         warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, measurements)]),
         curves=curves,
@@ -235,15 +247,6 @@ def _refuse_strange(model: CalibratedModel, measurements: Measurements, rms_mm: 
         )
 
 
-def _reidentified(model: CalibratedModel, verdict: ChangeVerdict, posterior: Refitted) -> CalibratedModel:
-    """Return the robot at the new station, with what changed found and nothing else released."""
-    lineup, happened = verdict.lineup, verdict.happened
-    if not happened:
-        return lineup.robot
-    rows = together(model.rows, fingerprints(lineup.station))
-    return replace(lineup.reidentified(happened, posterior), rows=rows)
-
-
 def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
     """Yield what is to be said where most of the error goes with a curve that the calibration had not seen everywhere."""
     if curves is None:
@@ -257,29 +260,31 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
         )
 
 
-def _ranked(changes: tuple[ChangeEntry, ...], curves: CurvesEntry | None) -> tuple[ChangeEntry, ...]:
-    """Return changes with those of curves among themselves in the order of what they bring on the new rows."""
-    if curves is None:
-        return changes
-    order = [entry.joint for entry in curves.joints]
-    brings = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
-    return tuple(change if change.curve_rms is None else next(brings) for change in changes)
-
-
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
-    changes = verdict.lineup.changes
+    lineup, changes = verdict.lineup, verdict.lineup.changes
+    model, free = lineup.station.model, lineup.free(verdict.happened)
     for step in verdict.steps:
-        change = changes[step.score.change]
+        change, places = changes[step.score.change], lineup.places[step.score.change]
+        parameters, curve_rms, at = {}, None, np.searchsorted(free, places)
+        for place, moved_by, sigma in zip(places, posterior.changes[at], posterior.sigma[at], strict=True):
+            parameter = lineup.station.parameters[place]
+            before = parameter.nominal + float(lineup.start[place])
+            parameters[parameter.name] = ChangedParameter(before, before + float(moved_by), float(sigma), parameter.unit)
+        curve = next((e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0]), None)
+        if change.belief is not None and isinstance(curve, Curve):
+            # By how much it is another one over the rows, its mean apart.
+            q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
+            curve_rms = float(np.std(posterior.changes[at] @ curve.basis(q)))
         likes = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
         yield ChangeEntry(
             effect=change.name,
             joint=change.joint,
             source=change.source,
-            parameters=dict(_parameters(verdict, step.score.change, posterior)),
+            parameters=parameters,
             p_value=step.p_value,
             equivalent=tuple(likes),
             tell_apart=tell_apart(verdict, step),
-            curve_rms=_curve_rms(verdict, step.score.change, posterior),
+            curve_rms=curve_rms,
             session=session,
         )
     if verdict.is_unexplained:
@@ -291,36 +296,6 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
             equivalent=(),
             tell_apart="measure more poses over the whole range of the joints, and calibrate or discover again with them",
         )
-
-
-def _curve_rms(verdict: ChangeVerdict, change: int, posterior: Refitted) -> float | None:
-    """Return by how much a curve of the model is another one over the rows, its mean apart; None for what is no curve."""
-    lineup = verdict.lineup
-    if lineup.changes[change].belief is None:
-        return None
-    model, places = lineup.station.model, lineup.places[change]
-    curve = next(e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0])
-    if not isinstance(curve, Curve):
-        return None
-    at = np.searchsorted(lineup.free(verdict.happened), places)
-    q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
-    return float(np.std(posterior.changes[at] @ curve.basis(q)))
-
-
-def _parameters(verdict: ChangeVerdict, change: int, posterior: Refitted) -> Iterator[tuple[str, ChangedParameter]]:
-    lineup = verdict.lineup
-    at = {int(place): k for k, place in enumerate(lineup.free(verdict.happened))}
-    for place in lineup.places[change]:
-        parameter, k = lineup.station.parameters[place], at[int(place)]
-        before = parameter.nominal + float(lineup.start[place])
-        moved_by = float(posterior.changes[k])
-        yield parameter.name, ChangedParameter(before, before + moved_by, float(posterior.sigma[k]), parameter.unit)
-
-
-def _moved(calibrated: Calibrated, after: CalibratedModel) -> MovedEntry:
-    """Return how far instrument and target are from where they stood: of several stations, from the nearest."""
-    ways = [moved(before, after) for before in calibrated.models.values()]
-    return MovedEntry(**min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument).to_dict())
 
 
 def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note | str]:

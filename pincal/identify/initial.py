@@ -10,10 +10,9 @@ import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, priors_of, released_of, require_named, sensors_own
-from pincal.identify.earlier import Earlier
 from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.options import Options
-from pincal.identify.problem import Problem, effects_at
+from pincal.identify.problem import Earlier, Problem, effects_at
 from pincal.identify.solve import Course, likeliest_values, solve
 from pincal.identify.station import Station, station_of
 from pincal.measure.extrinsics import Extrinsics
@@ -34,21 +33,17 @@ _ALIKE = 1.0 + 1e-6
 
 
 def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
-    """Return the fit of base and tool alone.
-
-    Args:
-        robot: the arm, taken as nominal.
-        tables: each station's table by its name.
-        options: how to calibrate.
-        executor: computes what each of several stations contributes; default: one after the other, here.
-    """
+    """Return the fit of base and tool alone."""
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
     placed = place(robot, tables, options)
-    stations = [
-        _averaged(station, table, options.at(name))
-        for (station, _), (name, table) in zip(placed, tables.items(), strict=True)
-    ]
+    stations = []
+    for (station, _), (name, table) in zip(placed, tables.items(), strict=True):
+        # Rows weigh as the means that they are where the noise of a single reading is declared. Where it is not, what poses
+        # differ by from the model may be as much their own, and each counts once.
+        if table.readings_per_row is not None and options.at(name).sigma is not None:
+            station = replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
+        stations.append(station)
     problem = Problem(tuple(stations), None if options.earlier is None else Earlier.of(options.earlier))
     require_named(problem, options)
     values = _joined(problem, placed)
@@ -63,16 +58,6 @@ def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, ex
     return ModelFit(problem, nominal, nominal, priors, noise, (), options)
 
 
-def _averaged(station: Station, table: Measurements, options: Options) -> Station:
-    """Return a station whose rows weigh as the means that they are, where the noise of a single reading is declared.
-
-    Where it is not, what poses differ by from the model may be as much their own, and each counts once.
-    """
-    if table.readings_per_row is None or options.sigma is None:
-        return station
-    return replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
-
-
 def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> np.ndarray:
     """Return the values of all parameters of a problem, shape (P,), given those of each station."""
     values = np.zeros(len(problem.parameters))
@@ -82,13 +67,7 @@ def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> n
 
 
 def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
-    """Return stations with base and tool about where they are, and the values to start from.
-
-    Args:
-        robot: the arm, taken as nominal.
-        tables: each station's table by its name, "" for one that is alone.
-        options: how to calibrate.
-    """
+    """Return stations with base and tool about where they are, and the values to start from."""
     found, models = [], _Models()
     for station, values in place_arm(_arm(robot, options), np.zeros(0), tables, options=options):
         effects = (*station.model.effects, *effects_at(options.effects, station.name))
@@ -100,13 +79,7 @@ def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) ->
 
 
 def starts_of(robot: Robot, table: Measurements, options: Options) -> list[tuple[Station, np.ndarray]]:
-    """Return a station at each of its sensor's closed-form placements, not fitted yet, with the values there.
-
-    Args:
-        robot: the arm, taken as nominal.
-        table: the rows of the station.
-        options: how to calibrate.
-    """
+    """Return a station at each of its sensor's closed-form placements, not fitted yet, with the values there."""
     return _candidates(_arm(robot, options), np.zeros(0), table, "", options, _Models())
 
 

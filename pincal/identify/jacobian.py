@@ -163,7 +163,9 @@ class Jacobian:
         """
         dense, apart = np.ascontiguousarray(self.dense), self.places
         A, group = dense.reshape(len(dense), residuals.size), np.zeros(self.size, int) if groups is None else groups
-        for at in _stretches(group[apart]):
+        # Stretches of columns that follow each other in one group.
+        cuts = [0, *(np.flatnonzero(np.diff(group[apart])) + 1).tolist(), len(apart)]
+        for at in (slice(a, b) for a, b in pairwise(cuts) if a < b):
             own = span(apart[at])
             G[block(own, own)] += A[at] @ A[at].T
         g[span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
@@ -218,12 +220,6 @@ def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
     at = np.arange(longest)
     rows = np.minimum((np.cumsum(counts) - counts)[:, None] + at, of_poses.shape[-1] - 1)
     return np.asarray(of_poses[..., rows] * (at < counts[:, None]))
-
-
-def _stretches(groups: np.ndarray) -> Iterator[slice]:
-    """Yield the stretches of columns that follow each other in one group."""
-    cuts = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(groups)]
-    yield from (slice(a, b) for a, b in pairwise(cuts) if a < b)
 
 
 def span(places: np.ndarray) -> slice | np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import Field, fields
 from typing import Annotated, Any, Literal
 
@@ -236,24 +235,24 @@ class SetupEntry(Record, frozen=True, kw_only=True):
         )
 
 
-def restored(kind: Any, value: Any) -> Any:
-    """Return the array or effect that a value of a JSON file stands for."""
-    return array_of(value) if kind is np.ndarray else effect_from_entry(value)
-
-
 def restoring() -> Hook:
-    """Return a function like :func:`restored` that also unpacks matrices, all together of no more bytes than a file has."""
+    """Return a function that returns the array or effect that a value of a JSON file stands for.
+
+    Matrices that it unpacks take no more bytes, all together, than a file has.
+    """
     left = MOST_BYTES
 
-    def with_packed(kind: Any, value: Any) -> Any:
+    def restored(kind: Any, value: Any) -> Any:
         nonlocal left
-        if kind is not np.ndarray or not isinstance(value, str):
-            return restored(kind, value)
+        if kind is not np.ndarray:
+            return effect_from_entry(value)
+        if not isinstance(value, str):
+            return array_of(value)
         found = unpacked(value, left)
         left -= found.nbytes
         return found
 
-    return with_packed
+    return restored
 
 
 def plain(value: Any) -> Any:
@@ -274,11 +273,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, Effect):
         return effect_to_entry(value)
     return value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
-
-
-def known_effects() -> Mapping[str, type[Effect]]:
-    """Return the registered effects by name, those of plugins among them."""
-    return EFFECTS.known()
 
 
 def effect_to_entry(effect: Effect) -> dict[str, Any]:
@@ -302,7 +296,7 @@ def effect_from_entry(entry: Any) -> Effect:
     """
     if not isinstance(entry, dict):
         raise Fault(what_is(entry, "an object"), "an object")
-    name, known = entry.get("name"), known_effects()
+    name, known = entry.get("name"), EFFECTS.known()
     if "name" not in entry:
         raise Fault(MISSING, "this key", key=".name")
     if not isinstance(name, str):

@@ -12,7 +12,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import ParameterRow
 from pincal.discover.run import Discovery
-from pincal.identify.reasons import Cause, Status
+from pincal.identify.explain import Cause, Status
 from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
 from pincal.notes import Note, doubts_of
@@ -242,7 +242,7 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
     """Return the parameters that are not identified, by cause, the causes that call for action last.
 
     Example:
-        >>> from pincal.identify.reasons import Reason
+        >>> from pincal.identify.explain import Reason
         >>> reason = Reason(Cause.NO_MOMENT, axis="z")
         >>> row = ParameterRow("a.k_z", "rad/(N m)", 0.0, 0.0, 1e-6, Status.UNIDENTIFIABLE, reason)
         >>> [(group.advice.title, group.names) for group in unidentified_groups([row])]

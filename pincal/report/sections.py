@@ -21,7 +21,7 @@ from pincal.calibration.result_tables import (
     station_table,
 )
 from pincal.errors import few
-from pincal.identify.found_masses import FoundMoments, found_moments
+from pincal.identify.choices import FoundMoments, found_moments
 from pincal.report.blocks import (
     PageBlock,
     Section,

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pincal.identify.reasons import Status
+from pincal.identify.explain import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
